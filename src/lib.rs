@@ -1,0 +1,3 @@
+//! Deform meshes by nonlinear least squares.
+pub mod mesh;
+pub mod nlls;

@@ -1,0 +1,69 @@
+//! A polygon mesh as an artist's file holds it: any number of corners a face, UVs with seams, groups and materials.
+
+use super::{TriangleMesh, Vec3};
+
+/// Vertices and polygons, with whatever an OBJ file says about them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PolygonMesh {
+    /// Vertex positions, millimetres.
+    pub positions: Vec<Vec3>,
+    /// Start of each polygon in `corners`, plus one past the end: polygon `f` is `corners[starts[f]..starts[f + 1]]`.
+    pub starts: Vec<u32>,
+    /// Vertex index of every polygon corner, counter-clockwise seen from outside.
+    pub corners: Vec<u32>,
+    /// What the file said besides: carried through to the output untouched.
+    pub metadata: ObjMetadata,
+}
+
+/// Everything in an OBJ file that is not geometry and must survive a round trip.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ObjMetadata {
+    /// Texture coordinates (`vt`), two each.
+    pub uvs: Vec<[f64; 2]>,
+    /// Texture index of each corner; empty when no face has any, `u32::MAX` for a corner without one.
+    pub corner_uvs: Vec<u32>,
+    /// Material libraries (`mtllib`), in order.
+    pub material_libraries: Vec<String>,
+    /// `o`, `g`, `usemtl` and `s` statements with the polygon before which each stands, in file order.
+    pub statements: Vec<(u32, ObjStatement)>,
+}
+
+/// A statement that applies to the faces after it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ObjStatement {
+    /// `o name`
+    Object(String),
+    /// `g names`
+    Group(String),
+    /// `usemtl name`
+    Material(String),
+    /// `s value`
+    Smoothing(String),
+}
+
+impl PolygonMesh {
+    /// Number of polygons.
+    #[must_use]
+    pub fn polygon_count(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// Corner vertex indices of polygon `f`.
+    #[must_use]
+    pub fn polygon(&self, f: usize) -> &[u32] {
+        &self.corners[self.starts[f] as usize..self.starts[f + 1] as usize]
+    }
+
+    /// Fan triangulation `(q0, q_i, q_i+1)` of every polygon, in order; vertices are shared with `self`.
+    #[must_use]
+    pub fn triangulate(&self) -> TriangleMesh {
+        let mut triangles = Vec::new();
+        for f in 0..self.polygon_count() {
+            let q = self.polygon(f);
+            for i in 1..q.len().saturating_sub(1) {
+                triangles.push([q[0], q[i], q[i + 1]]);
+            }
+        }
+        TriangleMesh { positions: self.positions.clone(), triangles }
+    }
+}

@@ -1,0 +1,141 @@
+//! The bordered normal equations `H d = -g` of one Gauss-Newton step.
+
+use std::sync::Arc;
+
+use super::BlockStructure;
+
+/// Gradient and Gauss-Newton Hessian of **half** the energy, `E / 2`:
+///
+/// ```text
+///     g = J' W r        H = J' W J        W = diag(alpha rho'(|r|^2))
+///
+///     [ H_gg   H_gw ] [ d_g ]     [ g_g ]
+///     [ H_gw'  H_ww ] [ d_w ] = - [ g_w ]
+/// ```
+///
+/// All buffers are allocated once, by [`new`](Self::new), and refilled by every linearisation.
+#[derive(Debug, Clone)]
+pub struct NormalEquations {
+    structure: Arc<BlockStructure>,
+    /// Lower triangle of `H_gg`: dense row-major blocks at [`BlockStructure::values`].
+    pub blocks: Vec<f64>,
+    /// `H_gw`, row-major, [`BlockStructure::sparse_dimension`] rows of [`BlockStructure::border`] columns.
+    pub cross: Vec<f64>,
+    /// `H_ww`, a full symmetric square of side [`BlockStructure::border`]; only its lower triangle (row >= column, row-major) is read.
+    pub border: Vec<f64>,
+    /// `g`, sparse coordinates first, then the border.
+    pub gradient: Vec<f64>,
+}
+
+/// One block row of the equations, borrowed for writing: disjoint from all others, so rows can be filled in parallel.
+#[derive(Debug)]
+pub struct BlockRow<'a> {
+    /// Values of the row's blocks, in the order of [`BlockStructure::row`].
+    pub blocks: &'a mut [f64],
+    /// The row's part of `H_gw`, row-major.
+    pub cross: &'a mut [f64],
+    /// The row's part of the gradient.
+    pub gradient: &'a mut [f64],
+}
+
+impl NormalEquations {
+    /// Zero equations of the given structure.
+    #[must_use]
+    pub fn new(structure: Arc<BlockStructure>) -> Self {
+        let (sparse, border) = (structure.sparse_dimension(), structure.border());
+        Self {
+            blocks: vec![0.0; structure.value_count()],
+            cross: vec![0.0; sparse * border],
+            border: vec![0.0; border * border],
+            gradient: vec![0.0; sparse + border],
+            structure,
+        }
+    }
+
+    /// The sparsity pattern.
+    #[must_use]
+    pub fn structure(&self) -> &Arc<BlockStructure> {
+        &self.structure
+    }
+
+    /// Sets every value to zero.
+    pub fn clear(&mut self) {
+        self.blocks.fill(0.0);
+        self.cross.fill(0.0);
+        self.border.fill(0.0);
+        self.gradient.fill(0.0);
+    }
+
+    /// Values of one stored block, row-major.
+    pub fn block_mut(&mut self, slot: usize) -> &mut [f64] {
+        &mut self.blocks[self.structure.values(slot)]
+    }
+
+    /// Calls `fill(i, row)` for every block row, in parallel and without allocating. Each row is written by one call only,
+    /// so the result does not depend on the number of threads.
+    pub fn for_each_block_row(&mut self, fill: &(impl Fn(usize, BlockRow<'_>) + Sync)) {
+        let n = self.structure.block_count();
+        let sparse = self.structure.sparse_dimension();
+        let rows =
+            BlockRow { blocks: &mut self.blocks, cross: &mut self.cross, gradient: &mut self.gradient[..sparse] };
+        split_rows(&self.structure, 0..n, rows, fill);
+    }
+
+    /// `H_gg` as a dense symmetric matrix, for tests and diagnostics.
+    #[must_use]
+    pub fn to_dense(&self) -> nalgebra::DMatrix<f64> {
+        let s = &self.structure;
+        let (n, m) = (s.sparse_dimension(), s.border());
+        let mut h = nalgebra::DMatrix::zeros(n + m, n + m);
+        for i in 0..s.block_count() {
+            for (k, &j) in s.row_slots(i).zip(s.row(i)) {
+                let block = &self.blocks[s.values(k)];
+                for a in 0..s.size(i) {
+                    for b in 0..s.size(j) {
+                        let (r, c, v) = (s.offset(i) + a, s.offset(j) + b, block[a * s.size(j) + b]);
+                        h[(r, c)] = v;
+                        h[(c, r)] = v;
+                    }
+                }
+            }
+        }
+        for r in 0..n {
+            for c in 0..m {
+                h[(r, n + c)] = self.cross[r * m + c];
+                h[(n + c, r)] = self.cross[r * m + c];
+            }
+        }
+        for r in 0..m {
+            for c in 0..=r {
+                h[(n + r, n + c)] = self.border[r * m + c];
+                h[(n + c, n + r)] = self.border[r * m + c];
+            }
+        }
+        h
+    }
+}
+
+/// Halves the range of rows until one is left; `rayon::join` works on the stack, so nothing is allocated.
+fn split_rows(
+    s: &BlockStructure,
+    range: std::ops::Range<usize>,
+    rows: BlockRow<'_>,
+    fill: &(impl Fn(usize, BlockRow<'_>) + Sync),
+) {
+    match range.len() {
+        0 => {}
+        1 => fill(range.start, rows),
+        n => {
+            let mid = range.start + n / 2;
+            let values = s.row_values(mid).start - s.row_values(range.start).start;
+            let coords = s.offset(mid) - s.offset(range.start);
+            let (b0, b1) = rows.blocks.split_at_mut(values);
+            let (c0, c1) = rows.cross.split_at_mut(coords * s.border());
+            let (g0, g1) = rows.gradient.split_at_mut(coords);
+            rayon::join(
+                || split_rows(s, range.start..mid, BlockRow { blocks: b0, cross: c0, gradient: g0 }, fill),
+                || split_rows(s, mid..range.end, BlockRow { blocks: b1, cross: c1, gradient: g1 }, fill),
+            );
+        }
+    }
+}
