@@ -57,13 +57,45 @@ impl PolygonMesh {
     /// Fan triangulation `(q0, q_i, q_i+1)` of every polygon, in order; vertices are shared with `self`.
     #[must_use]
     pub fn triangulate(&self) -> TriangleMesh {
-        let mut triangles = Vec::new();
+        TriangleMesh { positions: self.positions.clone(), triangles: self.fan() }
+    }
+
+    /// As [`Self::triangulate`], without copying the positions.
+    #[must_use]
+    pub fn into_triangles(self) -> TriangleMesh {
+        TriangleMesh { triangles: self.fan(), positions: self.positions }
+    }
+
+    fn fan(&self) -> Vec<[u32; 3]> {
+        let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.polygon_count()));
         for f in 0..self.polygon_count() {
             let q = self.polygon(f);
             for i in 1..q.len().saturating_sub(1) {
                 triangles.push([q[0], q[i], q[i + 1]]);
             }
         }
-        TriangleMesh { positions: self.positions.clone(), triangles }
+        triangles
+    }
+
+    /// The same polygons, texture coordinates, groups and materials on other positions.
+    ///
+    /// # Panics
+    /// When the number of positions differs.
+    #[must_use]
+    pub fn with_positions(&self, positions: Vec<Vec3>) -> Self {
+        assert_eq!(positions.len(), self.positions.len(), "positions of another mesh");
+        let Self { starts, corners, metadata, .. } = self;
+        Self { positions, starts: starts.clone(), corners: corners.clone(), metadata: metadata.clone() }
+    }
+}
+
+impl From<TriangleMesh> for PolygonMesh {
+    fn from(mesh: TriangleMesh) -> Self {
+        Self {
+            starts: (0..=mesh.triangles.len() as u32).map(|f| 3 * f).collect(),
+            corners: mesh.triangles.into_iter().flatten().collect(),
+            positions: mesh.positions,
+            metadata: ObjMetadata::default(),
+        }
     }
 }

@@ -1,0 +1,441 @@
+//! Distances along the edges of a mesh: an upper bound of the geodesic distance that keeps apart what only touches in
+//! space, such as the upper and the lower lip.
+//!
+//! Everything is Dijkstra's algorithm (1959) cut down to what is asked for: a bounded one, an incremental one for
+//! farthest-point sampling (Gonzalez 1985; each new node relaxes only vertices that it comes nearer to), and one that
+//! settles at most k labels a vertex, for the k nearest sources. None ever holds a table of vertices times sources.
+//! Ties go to the lowest index, so the results do not depend on the order of anything.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use super::adjacency::{Components, EdgeGraph};
+use super::{MeshError, Vec3};
+
+/// A vertex or source that is not there.
+pub const NONE: u32 = u32::MAX;
+
+/// A graph with the length of every edge, laid out for walking.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeightedGraph {
+    starts: Vec<u32>,
+    /// Neighbour and length, row by row.
+    arcs: Vec<(u32, f64)>,
+}
+
+impl WeightedGraph {
+    /// Gives edge `e` of `graph.edges()` the length `lengths[e]`; an infinite length cuts it.
+    ///
+    /// # Errors
+    /// When a length is negative or NaN, or there is not one for each edge.
+    pub fn new(graph: &EdgeGraph, lengths: &[f64]) -> Result<Self, MeshError> {
+        if lengths.len() != graph.edges().len() {
+            return Err(MeshError::EdgeLengthCount { found: lengths.len(), expected: graph.edges().len() });
+        }
+        if let Some(edge) = lengths.iter().position(|l| l.is_nan() || *l < 0.0) {
+            return Err(MeshError::EdgeLength { edge, length: lengths[edge] });
+        }
+        let mut starts = Vec::with_capacity(graph.vertex_count() + 1);
+        let mut arcs = Vec::with_capacity(2 * lengths.len());
+        starts.push(0);
+        for v in 0..graph.vertex_count() {
+            let row = graph.neighbours(v).iter().zip(graph.edges_at(v));
+            arcs.extend(row.map(|(&w, &e)| (w, lengths[e as usize])).filter(|(_, l)| l.is_finite()));
+            starts.push(arcs.len() as u32);
+        }
+        Ok(Self { starts, arcs })
+    }
+
+    /// Edge lengths in space, millimetres.
+    ///
+    /// # Errors
+    /// When an edge has a vertex that is not finite.
+    ///
+    /// # Panics
+    /// When there are fewer positions than vertices.
+    pub fn euclidean(graph: &EdgeGraph, positions: &[Vec3]) -> Result<Self, MeshError> {
+        Self::new(graph, &graph.lengths(positions))
+    }
+
+    /// Number of vertices.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    #[inline]
+    fn arcs(&self, v: u32) -> &[(u32, f64)] {
+        &self.arcs[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
+    }
+}
+
+/// Distances are not negative, so their bits order as they do.
+#[inline]
+fn key(distance: f64, low: u32, high: u32) -> u128 {
+    (u128::from(distance.to_bits()) << 64) | (u128::from(high) << 32) | u128::from(low)
+}
+
+#[inline]
+fn unkey(key: u128) -> (f64, u32, u32) {
+    (f64::from_bits((key >> 64) as u64), key as u32, (key >> 32) as u32)
+}
+
+type Queue = BinaryHeap<Reverse<u128>>;
+
+/// Lowers `distance` to what is reachable from `source`, visiting nothing that is already nearer or beyond `limit`.
+fn relax_from(graph: &WeightedGraph, source: u32, limit: f64, distance: &mut [f64], queue: &mut Queue) {
+    if distance[source as usize] > 0.0 {
+        distance[source as usize] = 0.0;
+        queue.push(Reverse(key(0.0, source, 0)));
+    }
+    drain(graph, limit, distance, queue);
+}
+
+fn drain(graph: &WeightedGraph, limit: f64, distance: &mut [f64], queue: &mut Queue) {
+    while let Some(Reverse(next)) = queue.pop() {
+        let (d, v, _) = unkey(next);
+        if d > distance[v as usize] {
+            continue;
+        }
+        for &(w, length) in graph.arcs(v) {
+            let through = d + length;
+            if through < distance[w as usize] && through <= limit {
+                distance[w as usize] = through;
+                queue.push(Reverse(key(through, w, 0)));
+            }
+        }
+    }
+}
+
+/// Distance of every vertex to the nearest source; infinite beyond `limit` or out of reach.
+///
+/// # Panics
+/// When a source is not a vertex.
+#[must_use]
+pub fn distances(graph: &WeightedGraph, sources: &[u32], limit: f64) -> Vec<f64> {
+    let mut distance = vec![f64::INFINITY; graph.vertex_count()];
+    let mut queue = Queue::new();
+    for &source in sources {
+        if distance[source as usize] > 0.0 {
+            distance[source as usize] = 0.0;
+            queue.push(Reverse(key(0.0, source, 0)));
+        }
+    }
+    drain(graph, limit, &mut distance, &mut queue);
+    distance
+}
+
+/// Nodes spread over a mesh.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sampling {
+    /// Vertex of every node, component by component, in the order in which they were found.
+    pub nodes: Vec<u32>,
+    /// Component of every node.
+    pub components: Vec<u32>,
+    /// For every node, the largest distance of a vertex of its component to the nodes up to and including this one.
+    pub radii: Vec<f64>,
+    /// Distance of every vertex to the nearest node; infinite for unreferenced vertices.
+    pub distances: Vec<f64>,
+}
+
+/// Spreads `counts[c]` nodes over each component `c`: the first is the component's lowest vertex, each further one the
+/// vertex farthest from all before it (lowest index on ties).
+///
+/// A component gets fewer nodes when all its vertices already are at distance 0 of one.
+///
+/// # Panics
+/// When there is not one count for each component, or `components` belongs to another graph.
+#[must_use]
+pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, counts: &[usize]) -> Sampling {
+    assert_eq!(counts.len(), components.count(), "one count per component");
+    let mut sampling = Sampling { distances: vec![f64::INFINITY; graph.vertex_count()], ..Sampling::default() };
+    let mut queue = Queue::new();
+    for (c, &count) in counts.iter().enumerate() {
+        let vertices = components.vertices(c);
+        let mut next = vertices[0];
+        for _ in 0..count {
+            relax_from(graph, next, f64::INFINITY, &mut sampling.distances, &mut queue);
+            sampling.nodes.push(next);
+            sampling.components.push(c as u32);
+            let mut radius = 0.0;
+            for &v in vertices {
+                if sampling.distances[v as usize] > radius {
+                    radius = sampling.distances[v as usize];
+                    next = v;
+                }
+            }
+            sampling.radii.push(radius);
+            if radius == 0.0 {
+                break;
+            }
+        }
+    }
+    sampling
+}
+
+/// Shares `total` nodes among components by their sizes: at least one each (even if that exceeds `total`), at most one a
+/// vertex; what rounding leaves over goes to the largest remainders, lowest component first.
+#[must_use]
+pub fn share_nodes(sizes: &[usize], total: usize) -> Vec<usize> {
+    let all: usize = sizes.iter().sum();
+    if all == 0 {
+        return vec![0; sizes.len()];
+    }
+    let exact = |size: usize| total as f64 * size as f64 / all as f64;
+    let mut counts: Vec<usize> = sizes.iter().map(|&s| (exact(s).floor() as usize).clamp(s.min(1), s)).collect();
+    let mut order: Vec<usize> = (0..sizes.len()).collect();
+    order.sort_by(|&a, &b| exact(sizes[b]).fract().total_cmp(&exact(sizes[a]).fract()).then(a.cmp(&b)));
+    let mut used: usize = counts.iter().sum();
+    for &c in &order {
+        if used < total && counts[c] < sizes[c] {
+            counts[c] += 1;
+            used += 1;
+        }
+    }
+    // the guaranteed single nodes of many small parts are paid for by the largest
+    while used > total {
+        let Some(largest) = (0..sizes.len()).rev().max_by_key(|&c| counts[c]).filter(|&c| counts[c] > 1) else { break };
+        counts[largest] -= 1;
+        used -= 1;
+    }
+    counts
+}
+
+/// The k nearest sources of every vertex.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NearestSources {
+    k: usize,
+    sources: Vec<u32>,
+    distances: Vec<f64>,
+}
+
+impl NearestSources {
+    /// How many were asked for.
+    #[must_use]
+    pub fn k(&self) -> usize {
+        self.k
+    }
+
+    /// The sources in reach of a vertex, at most k, nearest first, lowest index on ties: index into the list of sources,
+    /// and distance.
+    pub fn of(&self, vertex: usize) -> impl Iterator<Item = (u32, f64)> + '_ {
+        let range = vertex * self.k..(vertex + 1) * self.k;
+        let pairs = self.sources[range.clone()].iter().zip(&self.distances[range]);
+        pairs.map(|(&s, &d)| (s, d)).take_while(|(s, _)| *s != NONE)
+    }
+
+    /// Indices into the list of sources, k to a vertex, [`NONE`] where there are fewer.
+    #[must_use]
+    pub fn sources(&self) -> &[u32] {
+        &self.sources
+    }
+
+    /// Distances, k to a vertex, infinite where there are fewer.
+    #[must_use]
+    pub fn distances(&self) -> &[f64] {
+        &self.distances
+    }
+}
+
+/// Finds the `k` nearest of `sources` (vertices) for every vertex.
+///
+/// All sources spread at once. A vertex keeps the k best labels (distance, source) that have reached it and passes each
+/// on once, so the work is k times that of one Dijkstra, however many sources there are: a source that is not among the
+/// k nearest of a vertex is not among those of any vertex behind it.
+///
+/// # Panics
+/// When a source is not a vertex.
+#[must_use]
+pub fn nearest_sources(graph: &WeightedGraph, sources: &[u32], k: usize) -> NearestSources {
+    let n = graph.vertex_count();
+    let mut labels = NearestSources { k, sources: vec![NONE; n * k], distances: vec![f64::INFINITY; n * k] };
+    if k == 0 {
+        return labels;
+    }
+    // labels of a vertex still in the queue's hands come after those it has settled
+    let mut settled = vec![0u32; n];
+    let mut queue = Queue::with_capacity(n);
+    for (s, &v) in sources.iter().enumerate() {
+        if labels.offer(v, 0, s as u32, 0.0) {
+            queue.push(Reverse(key(0.0, v, s as u32)));
+        }
+    }
+    while let Some(Reverse(next)) = queue.pop() {
+        let (d, v, s) = unkey(next);
+        let done = settled[v as usize] as usize;
+        let slot = v as usize * k + done;
+        // popped in ascending order: the next label to settle, or one that has been displaced or shortened since
+        if done == k || labels.sources[slot] != s || labels.distances[slot] != d {
+            continue;
+        }
+        settled[v as usize] += 1;
+        for &(w, length) in graph.arcs(v) {
+            let through = d + length;
+            if labels.offer(w, settled[w as usize] as usize, s, through) {
+                queue.push(Reverse(key(through, w, s)));
+            }
+        }
+    }
+    labels
+}
+
+impl NearestSources {
+    /// Puts a label in order among the `k` of vertex `v`, of which the first `settled` are final; false if it is no use.
+    #[inline]
+    fn offer(&mut self, v: u32, settled: usize, source: u32, distance: f64) -> bool {
+        let (first, k) = (v as usize * self.k, self.k);
+        let sources = &mut self.sources[first..first + k];
+        let distances = &mut self.distances[first..first + k];
+        let before = |d: f64, s: u32| d < distance || (d == distance && s <= source);
+        if before(distances[k - 1], sources[k - 1]) {
+            return false;
+        }
+        // where the same source already stands, or the last place
+        let mut end = k - 1;
+        for i in 0..k {
+            if sources[i] == source {
+                if i < settled || distances[i] <= distance {
+                    return false;
+                }
+                end = i;
+                break;
+            }
+        }
+        let mut i = end;
+        while i > settled && !before(distances[i - 1], sources[i - 1]) {
+            sources[i] = sources[i - 1];
+            distances[i] = distances[i - 1];
+            i -= 1;
+        }
+        if i < settled {
+            return false;
+        }
+        sources[i] = source;
+        distances[i] = distance;
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A jittered sheet of `w` x `h` vertices and, apart from it, another of 3 x 3.
+    fn sheets(w: usize, h: usize, jitter: &[f64]) -> (EdgeGraph, Vec<Vec3>) {
+        let mut positions = Vec::new();
+        let mut triangles = Vec::new();
+        for (w, h, z) in [(w, h, 0.0), (3, 3, 5.0)] {
+            let first = positions.len() as u32;
+            for i in 0..w * h {
+                let j = jitter[positions.len() % jitter.len()];
+                positions.push(Vec3::new((i % w) as f64 + j, (i / w) as f64 - j * j, z + j));
+            }
+            for y in 0..h as u32 - 1 {
+                for x in 0..w as u32 - 1 {
+                    let a = first + y * w as u32 + x;
+                    let b = a + w as u32;
+                    triangles.extend([[a, a + 1, b + 1], [a, b + 1, b]]);
+                }
+            }
+        }
+        positions.push(Vec3::zeros()); // unreferenced
+        (EdgeGraph::from_triangles(positions.len(), &triangles), positions)
+    }
+
+    fn brute_nearest(graph: &WeightedGraph, sources: &[u32], k: usize) -> Vec<Vec<(f64, u32)>> {
+        let tables: Vec<_> = sources.iter().map(|&s| distances(graph, &[s], f64::INFINITY)).collect();
+        (0..graph.vertex_count())
+            .map(|v| {
+                let mut all: Vec<_> = tables.iter().enumerate().map(|(s, d)| (d[v], s as u32)).collect();
+                all.retain(|(d, _)| d.is_finite());
+                all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                all.truncate(k);
+                all
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn k_nearest_sources_are_those_of_full_dijkstras(
+            jitter in prop::collection::vec(-0.3..0.3f64, 7..30),
+            picks in prop::collection::vec(0usize..1000, 1..20),
+            k in 1usize..7,
+        ) {
+            let (graph, positions) = sheets(9, 7, &jitter);
+            let graph = WeightedGraph::euclidean(&graph, &positions).unwrap();
+            let sources: Vec<u32> = picks.iter().map(|p| (p % positions.len()) as u32).collect();
+            let labels = nearest_sources(&graph, &sources, k);
+            for (v, expected) in brute_nearest(&graph, &sources, k).into_iter().enumerate() {
+                let found: Vec<(f64, u32)> = labels.of(v).map(|(s, d)| (d, s)).collect();
+                prop_assert_eq!(found, expected);
+            }
+        }
+
+        #[test]
+        fn bounded_distances_are_the_unbounded_ones_up_to_the_limit(limit in 0.0..9.0f64, source in 0u32..63) {
+            let (graph, positions) = sheets(9, 7, &[0.1, -0.2, 0.05]);
+            let graph = WeightedGraph::euclidean(&graph, &positions).unwrap();
+            let full = distances(&graph, &[source, 3], f64::INFINITY);
+            let cut = distances(&graph, &[source, 3], limit);
+            for (full, cut) in full.into_iter().zip(cut) {
+                prop_assert_eq!(if full <= limit { full } else { f64::INFINITY }, cut);
+            }
+        }
+    }
+
+    #[test]
+    fn ties_go_to_the_lowest_source() {
+        let (graph, _) = sheets(5, 5, &[0.0]);
+        let graph = WeightedGraph::new(&graph, &vec![1.0; graph.edges().len()]).unwrap();
+        let sources = [24, 4, 20, 0, 0];
+        let labels = nearest_sources(&graph, &sources, 3);
+        for (v, expected) in brute_nearest(&graph, &sources, 3).into_iter().enumerate() {
+            assert_eq!(labels.of(v).map(|(s, d)| (d, s)).collect::<Vec<_>>(), expected, "vertex {v}");
+        }
+        assert_eq!(labels.of(34).count(), 0);
+    }
+
+    #[test]
+    fn farthest_points_cover_ever_better_and_are_farthest() {
+        let (graph, positions) = sheets(20, 15, &[0.2, -0.1, 0.15, -0.25, 0.0]);
+        let components = graph.components();
+        let graph = WeightedGraph::euclidean(&graph, &positions).unwrap();
+        let sampling = farthest_point_sampling(&graph, &components, &[40, 9]);
+        assert_eq!(sampling.nodes.len(), 49);
+        assert!(sampling.radii[..40].is_sorted_by(|a, b| a >= b));
+        assert!(sampling.radii[40..].is_sorted_by(|a, b| a >= b));
+        assert_eq!(sampling.radii[48], 0.0);
+        assert_eq!(sampling.distances, distances(&graph, &sampling.nodes, f64::INFINITY));
+        for i in 1..40 {
+            let before = distances(&graph, &sampling.nodes[..i], f64::INFINITY);
+            assert_eq!(before[sampling.nodes[i] as usize], sampling.radii[i - 1]);
+        }
+        // more nodes than vertices: every vertex once
+        assert_eq!(farthest_point_sampling(&graph, &components, &[1, 99]).nodes.len(), 10);
+    }
+
+    #[test]
+    fn nodes_are_shared_by_size() {
+        assert_eq!(share_nodes(&[100, 50, 1], 30), [20, 9, 1]);
+        assert_eq!(share_nodes(&[3, 3], 100), [3, 3]);
+        assert_eq!(share_nodes(&[10, 10, 10], 2), [1, 1, 1]);
+        assert_eq!(share_nodes(&[], 5), [0; 0]);
+        for total in 3..200 {
+            let counts = share_nodes(&[97, 13, 90], total);
+            assert_eq!(counts.iter().sum::<usize>(), total, "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn lengths_are_checked() {
+        let (graph, positions) = sheets(3, 3, &[0.0]);
+        let mut lengths = graph.lengths(&positions);
+        assert!(matches!(WeightedGraph::new(&graph, &lengths[1..]), Err(MeshError::EdgeLengthCount { .. })));
+        lengths[2] = -1.0;
+        assert_eq!(WeightedGraph::new(&graph, &lengths), Err(MeshError::EdgeLength { edge: 2, length: -1.0 }));
+        lengths[2] = f64::INFINITY;
+        assert!(WeightedGraph::new(&graph, &lengths).is_ok());
+    }
+}

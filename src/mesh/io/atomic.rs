@@ -1,0 +1,106 @@
+//! Writing a file so that a reader sees the old content or the new one, never half of it: everything goes to a temporary
+//! file in the same folder, which then takes the target's name.
+
+use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::WriteError;
+
+/// Calls `fill` on a buffered temporary file beside `path` and renames it to `path`.
+///
+/// A symbolic link is followed, an existing file's permissions are kept, and what is not a regular file (a pipe, a
+/// terminal) is written directly.
+///
+/// # Errors
+/// When the file cannot be created, written or renamed, or `fill` returns an error: nothing is left behind then and an
+/// existing file of that name is untouched.
+pub fn write_atomically(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), WriteError> {
+    let fail = |source| WriteError::Io { path: path.to_owned(), source };
+    let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let existing = std::fs::metadata(&target).ok();
+    if existing.as_ref().is_some_and(|m| !m.is_file() && !m.is_dir()) {
+        let mut writer = BufWriter::new(OpenOptions::new().write(true).open(&target).map_err(fail)?);
+        return fill(&mut writer).and_then(|()| writer.flush()).map_err(fail);
+    }
+    if existing.as_ref().is_some_and(std::fs::Metadata::is_dir) {
+        return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
+    }
+    let (temporary, file) = create_beside(&target).map_err(fail)?;
+    let result = (|| {
+        let mut writer = BufWriter::with_capacity(1 << 16, file);
+        fill(&mut writer)?;
+        writer.flush()?;
+        let file = writer.into_inner().map_err(std::io::IntoInnerError::into_error)?;
+        if let Some(existing) = &existing {
+            file.set_permissions(existing.permissions())?;
+        }
+        drop(file);
+        std::fs::rename(&temporary, &target)
+    })();
+    result.map_err(|source| {
+        let _ = std::fs::remove_file(&temporary); // the first error is the one to report
+        fail(source)
+    })
+}
+
+fn create_beside(target: &Path) -> std::io::Result<(PathBuf, File)> {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    let name = target.file_name().ok_or_else(|| std::io::Error::from(std::io::ErrorKind::InvalidFilename))?;
+    loop {
+        let mut temporary = std::ffi::OsString::from(".");
+        temporary.push(name);
+        temporary.push(format!(".{}-{}.tmp", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
+        let temporary = target.with_file_name(temporary);
+        match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+            Ok(file) => return Ok((temporary, file)),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<_> =
+            std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn replaces_the_file_and_leaves_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        for text in ["old", "new"] {
+            write_atomically(&path, |w| w.write_all(text.as_bytes())).unwrap();
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        }
+        assert_eq!(names(folder.path()), ["a.txt"]);
+    }
+
+    #[test]
+    fn a_failure_leaves_the_old_file_and_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        std::fs::write(&path, "old").unwrap();
+        let error = write_atomically(&path, |w| {
+            w.write_all(b"half")?;
+            Err(std::io::Error::other("disk on fire"))
+        });
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains("a.txt") && message.contains("disk on fire"), "{message}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(names(folder.path()), ["a.txt"]);
+        assert!(write_atomically(&folder.path().join("none/a.txt"), |_| Ok(())).is_err());
+        assert!(write_atomically(folder.path(), |_| Ok(())).is_err());
+        assert_eq!(names(folder.path()), ["a.txt"]);
+    }
+}
