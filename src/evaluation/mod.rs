@@ -1,0 +1,53 @@
+//! How good a registered mesh is: against a known truth, and against the scan alone.
+//!
+//! [`TruthErrors`] needs the true position of every vertex, [`SurfaceDistances`] only distances between the two surfaces,
+//! [`EdgeStretch`] and [`flipped_triangles`] only the mesh before and after. Surface distance alone misleads: a mesh can
+//! lie on the scan to 0.1 mm and slide along it by 10 mm.
+
+mod deformation;
+mod percentile;
+mod surface_distances;
+mod truth_errors;
+
+pub use deformation::{EdgeStretch, flipped_triangles};
+pub use percentile::percentile;
+pub use surface_distances::{DistanceSummary, SurfaceDistances};
+pub use truth_errors::{TruthErrors, VertexErrors};
+
+/// Why an evaluation was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum EvaluationError {
+    /// Two arrays that describe the same vertices differ in length.
+    #[error("{what} has {found} vertices where {expected} were expected; both must have the template's vertex order")]
+    VertexCount {
+        /// Which array is wrong.
+        what: &'static str,
+        /// Length expected.
+        expected: usize,
+        /// Length found.
+        found: usize,
+    },
+    /// A triangle names a vertex that does not exist.
+    #[error("triangle {triangle} refers to vertex {vertex}, but there are {vertices} vertices")]
+    VertexIndex {
+        /// Index of the triangle.
+        triangle: usize,
+        /// The index it holds.
+        vertex: u32,
+        /// Number of vertices.
+        vertices: usize,
+    },
+}
+
+fn check_count(what: &'static str, expected: usize, found: usize) -> Result<(), EvaluationError> {
+    if expected == found { Ok(()) } else { Err(EvaluationError::VertexCount { what, expected, found }) }
+}
+
+fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), EvaluationError> {
+    for (triangle, t) in triangles.iter().enumerate() {
+        if let Some(&vertex) = t.iter().find(|v| **v as usize >= vertices) {
+            return Err(EvaluationError::VertexIndex { triangle, vertex, vertices });
+        }
+    }
+    Ok(())
+}
