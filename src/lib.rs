@@ -1,5 +1,8 @@
 //! Deform meshes by nonlinear least squares.
+pub mod energy;
 pub mod evaluation;
 pub mod mesh;
+pub mod model;
 pub mod nlls;
 pub mod render;
+pub mod term;

@@ -169,8 +169,7 @@ impl EdgeGraph {
             }
         }
         // edges are sorted, so both directions in this order give ascending neighbours
-        let directed =
-            edges.iter().enumerate().flat_map(|(e, &[a, b])| [(a, (b, e as u32)), (b, (a, e as u32))]);
+        let directed = edges.iter().enumerate().flat_map(|(e, &[a, b])| [(a, (b, e as u32)), (b, (a, e as u32))]);
         let edge_of = Rows::collect(vertex_count, directed.clone().map(|(v, (_, e))| (v, e))).items;
         let neighbours = Rows::collect(vertex_count, directed.map(|(v, (w, _))| (v, w)));
         Self { edges, faces, neighbours, edge_of }

@@ -1,0 +1,63 @@
+//! One clear error, and the exit code that says at which stage it happened.
+
+use std::fmt;
+use std::process::ExitCode;
+
+/// The stage at which a command failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Options that make no sense.
+    Arguments = 1,
+    /// The computation.
+    Computation = 2,
+    /// Writing results.
+    Writing = 3,
+    /// Reading inputs.
+    Loading = 4,
+}
+
+/// Why a command failed.
+#[derive(Debug)]
+pub struct Failure {
+    stage: Stage,
+    message: String,
+}
+
+impl Failure {
+    /// A failure with its message.
+    pub fn new(stage: Stage, message: impl Into<String>) -> Self {
+        Self { stage, message: message.into() }
+    }
+
+    /// For `map_err` at a loading step.
+    pub fn loading(error: impl fmt::Display) -> Self {
+        Self::new(Stage::Loading, error.to_string())
+    }
+
+    /// For `map_err` at a computing step.
+    pub fn computation(error: impl fmt::Display) -> Self {
+        Self::new(Stage::Computation, error.to_string())
+    }
+
+    /// For `map_err` at a writing step.
+    pub fn writing(error: impl fmt::Display) -> Self {
+        Self::new(Stage::Writing, error.to_string())
+    }
+
+    /// For `map_err` at an argument.
+    pub fn arguments(error: impl fmt::Display) -> Self {
+        Self::new(Stage::Arguments, error.to_string())
+    }
+
+    /// The process' exit code.
+    #[must_use]
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(self.stage as u8)
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}

@@ -1,0 +1,70 @@
+//! The command line: arguments and messages only. Everything else is in the library.
+
+mod eval;
+mod failure;
+mod inputs;
+mod register;
+mod rig;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+pub use failure::{Failure, Stage};
+
+/// Deform meshes by nonlinear least squares: wrap a template onto a scan, and judge the result.
+#[derive(Debug, Parser)]
+#[command(name = "nonrigid", version, about, max_term_width = 110, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Wrap a template onto a scan; the result has the scan's shape and the template's topology.
+    Register(Box<register::Arguments>),
+    /// Measure a result against ground truth, or against the scan where there is none.
+    Eval(eval::Arguments),
+    /// Look into a blendshape rig.
+    #[command(subcommand)]
+    Rig(rig::Command),
+}
+
+/// Runs the command line of this process.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            // clap prints help and version through the same path, to stdout and with success.
+            let code = if e.use_stderr() { 1 } else { 0 };
+            return if e.print().is_ok() { ExitCode::from(code) } else { ExitCode::from(1) };
+        }
+    };
+    let outcome = match cli.command {
+        Command::Register(arguments) => register::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Rig(command) => rig::run(&command),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit_code()
+        }
+    }
+}
+
+/// Runs `work` on `threads` threads, or on all cores.
+fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
+    Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
+}
+
+/// Prints a warning.
+fn warn(message: impl std::fmt::Display) {
+    eprintln!("warning: {message}");
+}

@@ -1,0 +1,101 @@
+//! Where data terms act: a vertex, or a fixed convex combination of up to three vertices.
+
+use thiserror::Error;
+
+use crate::mesh::Vec3;
+
+/// Why a sample could not be added.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SampleError {
+    /// A corner names a vertex that does not exist.
+    #[error("sample refers to vertex {vertex}, but the template has {count} vertices (0 to {})", count.saturating_sub(1))]
+    VertexOutOfRange {
+        /// The vertex asked for.
+        vertex: usize,
+        /// Number of vertices.
+        count: usize,
+    },
+    /// The weights are no convex combination.
+    #[error("sample weights {0:?} must be finite, not negative, and sum to 1")]
+    NotConvex(Vec<f64>),
+}
+
+/// The fixed set of points on the template whose positions data terms see.
+///
+/// The set decides the sparsity of the normal equations, so it is fixed before the first linearisation; correspondences
+/// come and go without touching it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Samples {
+    vertex_count: usize,
+    starts: Vec<u32>,
+    corners: Vec<(u32, f64)>,
+}
+
+impl Samples {
+    /// No samples on a template of `vertex_count` vertices.
+    #[must_use]
+    pub fn none(vertex_count: usize) -> Self {
+        Self { vertex_count, starts: vec![0], corners: Vec::new() }
+    }
+
+    /// One sample per vertex, in vertex order.
+    #[must_use]
+    pub fn vertices(vertex_count: usize) -> Self {
+        let corners = (0..vertex_count as u32).map(|v| (v, 1.0)).collect();
+        Self { vertex_count, starts: (0..=vertex_count as u32).collect(), corners }
+    }
+
+    /// Adds the convex combination `corners` of (vertex, weight) and returns the sample's index. Corners of weight zero
+    /// are dropped.
+    pub fn push(&mut self, corners: &[(u32, f64)]) -> Result<usize, SampleError> {
+        if let Some(&(vertex, _)) = corners.iter().find(|c| c.0 as usize >= self.vertex_count) {
+            return Err(SampleError::VertexOutOfRange { vertex: vertex as usize, count: self.vertex_count });
+        }
+        let sum: f64 = corners.iter().map(|c| c.1).sum();
+        if corners.iter().any(|c| !(c.1 >= 0.0)) || !((sum - 1.0).abs() < 1e-6) {
+            return Err(SampleError::NotConvex(corners.iter().map(|c| c.1).collect()));
+        }
+        self.corners.extend(corners.iter().filter(|c| c.1 > 0.0));
+        self.starts.push(self.corners.len() as u32);
+        Ok(self.len() - 1)
+    }
+
+    /// Number of samples.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Number of vertices of the template.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.vertex_count
+    }
+
+    /// The (vertex, weight) corners of sample `s`.
+    #[must_use]
+    pub fn corners(&self, s: usize) -> &[(u32, f64)] {
+        &self.corners[self.starts[s] as usize..self.starts[s + 1] as usize]
+    }
+
+    /// Position of sample `s` for the given vertex positions.
+    #[must_use]
+    pub fn position(&self, s: usize, vertices: &[Vec3]) -> Vec3 {
+        match self.corners(s) {
+            [(v, _)] => vertices[*v as usize],
+            corners => corners.iter().map(|&(v, w)| vertices[v as usize] * w).sum(),
+        }
+    }
+
+    /// Writes the positions of all samples to `out`.
+    pub fn positions(&self, vertices: &[Vec3], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend((0..self.len()).map(|s| self.position(s, vertices)));
+    }
+}

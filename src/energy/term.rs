@@ -1,0 +1,131 @@
+//! Data terms: functions of sample positions.
+
+use num_dual::{DualNum, DualSVec64};
+
+use super::QuadricField;
+use crate::mesh::Vec3;
+use crate::nlls::RobustKernel;
+
+/// A data term `alpha sum_m rho(|r_m|^2)`. It sees sample positions only; which model moves them is not its business.
+pub trait DataTerm: Send + Sync {
+    /// Name under which reports list the term's energy.
+    fn name(&self) -> &str;
+
+    /// The term's energy at the given sample positions (one per sample, millimetres).
+    fn energy(&self, positions: &[Vec3]) -> f64;
+
+    /// Adds the term's Gauss-Newton quadrics to `field` and returns its energy.
+    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64;
+}
+
+impl<T: DataTerm + ?Sized> DataTerm for Box<T> {
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn energy(&self, positions: &[Vec3]) -> f64 {
+        (**self).energy(positions)
+    }
+
+    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
+        (**self).linearize(positions, field)
+    }
+}
+
+/// A residual of one sample's position, stated once for any dual number. [`Pointwise`] makes a [`DataTerm`] of it.
+///
+/// ```
+/// use nonrigid::{energy::{DataTerm, Pointwise, SampleResidual}, mesh::Vec3, nlls::Kernel};
+/// use num_dual::DualNum;
+///
+/// /// Keeps samples on a sphere round the origin: r = |v| - radius.
+/// struct OnSphere { samples: Vec<usize>, radius: f64 }
+///
+/// impl SampleResidual<1> for OnSphere {
+///     fn len(&self) -> usize { self.samples.len() }
+///     fn sample(&self, m: usize) -> usize { self.samples[m] }
+///     fn weight(&self, _m: usize) -> f64 { 1.0 }
+///     fn residual<D: DualNum<Primitive = f64> + Copy>(&self, _m: usize, v: [D; 3]) -> [D; 1] {
+///         [(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt() - self.radius]
+///     }
+/// }
+///
+/// let term = Pointwise::new("sphere", OnSphere { samples: vec![0], radius: 2.0 }, Kernel::None);
+/// assert_eq!(term.energy(&[Vec3::new(5.0, 0.0, 0.0)]), 9.0);
+/// ```
+pub trait SampleResidual<const R: usize>: Send + Sync {
+    /// Number of residuals.
+    fn len(&self) -> usize;
+
+    /// Whether there are no residuals.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The sample that residual `m` acts on.
+    fn sample(&self, m: usize) -> usize;
+
+    /// `alpha` of residual `m`; zero switches it off.
+    fn weight(&self, m: usize) -> f64;
+
+    /// The residual at sample position `v`.
+    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; R];
+}
+
+/// Residuals of single samples under a robust kernel.
+#[derive(Debug, Clone)]
+pub struct Pointwise<T, K, const R: usize> {
+    name: String,
+    /// The residuals.
+    pub residuals: T,
+    /// `rho`, applied to the squared norm of each residual vector.
+    pub kernel: K,
+}
+
+impl<T: SampleResidual<R>, K: RobustKernel, const R: usize> Pointwise<T, K, R> {
+    /// A term of the given name.
+    #[must_use]
+    pub fn new(name: impl Into<String>, residuals: T, kernel: K) -> Self {
+        Self { name: name.into(), residuals, kernel }
+    }
+}
+
+impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> DataTerm for Pointwise<T, K, R> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn energy(&self, positions: &[Vec3]) -> f64 {
+        let mut energy = 0.0;
+        for m in 0..self.residuals.len() {
+            let weight = self.residuals.weight(m);
+            if weight == 0.0 {
+                continue;
+            }
+            let r = self.residuals.residual(m, positions[self.residuals.sample(m)].into());
+            energy += weight * self.kernel.evaluate(r.iter().map(|r| r * r).sum())[0];
+        }
+        energy
+    }
+
+    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
+        let mut energy = 0.0;
+        for m in 0..self.residuals.len() {
+            let weight = self.residuals.weight(m);
+            if weight == 0.0 {
+                continue;
+            }
+            let sample = self.residuals.sample(m);
+            let v: [f64; 3] = positions[sample].into();
+            let v: [DualSVec64<3>; 3] = std::array::from_fn(|a| DualSVec64::from_re(v[a]).derivative(a));
+            let r = self.residuals.residual(m, v);
+            let [rho, rho1, _] = self.kernel.evaluate(r.iter().map(|r| r.re * r.re).sum());
+            energy += weight * rho;
+            for r in r {
+                let a = r.eps.0.map_or([0.0; 3], Into::into);
+                field.at_mut(sample).add(weight * rho1, a, r.re);
+            }
+        }
+        energy
+    }
+}

@@ -1,0 +1,14 @@
+//! Blendshapes or PCA components, eqs. (4) and (5) of Klimov 2020, under one rigid motion.
+
+use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use crate::mesh::Vec3;
+
+/// Linear shapes and a rigid motion.
+pub type Blendshape = NodeAssembly<RigidMotion, 9>;
+
+/// The blendshape model on the rest positions `rest` (the neutral).
+#[must_use]
+pub fn blendshape(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Blendshape {
+    let graph = NodeGraph::single(super::centroid(&rest), rest.len());
+    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { graph: 0.0, blend: lambda_blend })
+}

@@ -1,0 +1,13 @@
+//! The embedded deformation graph of Sumner et al. 2007 with rigid nodes, eqs. (6) and (7) of Klimov 2020.
+
+use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use crate::mesh::Vec3;
+
+/// A deformation graph.
+pub type Graph = NodeAssembly<RigidMotion, 9>;
+
+/// The graph model on the rest positions `rest`.
+#[must_use]
+pub fn graph(rest: Vec<Vec3>, nodes: NodeGraph, lambda_graph: f64) -> Graph {
+    NodeAssembly::new("graph", rest, nodes, ShapeBasis::none(), Stiffness { graph: lambda_graph, blend: 0.0 })
+}

@@ -1,0 +1,13 @@
+//! Klimov's hybrid: blendshapes inside the deformation graph, both solved together, eqs. (8) and (9) of Klimov 2020.
+
+use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use crate::mesh::Vec3;
+
+/// Blendshapes inside a deformation graph.
+pub type Hybrid = NodeAssembly<RigidMotion, 9>;
+
+/// The hybrid model on the rest positions `rest` (the neutral).
+#[must_use]
+pub fn hybrid(rest: Vec<Vec3>, nodes: NodeGraph, shapes: ShapeBasis, stiffness: Stiffness) -> Hybrid {
+    NodeAssembly::new("hybrid", rest, nodes, shapes, stiffness)
+}

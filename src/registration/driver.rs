@@ -1,0 +1,284 @@
+//! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one Gauss-Newton step, again.
+
+use std::ops::ControlFlow;
+
+use serde::Serialize;
+
+use super::{
+    Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm, Schedule,
+    ScanSurface, TermFactory, TermInput, TermKind, closest_pose,
+};
+use crate::energy::{Deformation, DeformationModel as _, Samples};
+use crate::mesh::io::{Landmark, TemplatePoint};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::model::ShapeBasis;
+use crate::nlls::{GaussNewton, Workspace};
+
+/// What is registered to what.
+#[derive(Debug, Clone, Copy)]
+pub struct RegistrationInput<'a> {
+    /// The template: polygons, and positions unless `neutral` is given.
+    pub template: &'a PolygonMesh,
+    /// The rest shape, if it is not the template's own: one position per template vertex.
+    pub neutral: Option<&'a [Vec3]>,
+    /// Blendshapes on the template's vertices; [`ShapeBasis::none`] for models without.
+    pub shapes: &'a ShapeBasis,
+    /// The scan.
+    pub scan: &'a TriangleMesh,
+    /// The scan's own vertex normals, where it has any; computed from the triangles otherwise.
+    pub scan_normals: Option<&'a [Vec3]>,
+    /// Landmarks. Three or more start the registration; all of them take part in it where the schedule weights them.
+    pub landmarks: &'a [Landmark],
+}
+
+/// What happened in one step, as an observer sees it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StepRecord {
+    /// Level, from 0.
+    pub level: usize,
+    /// Step within the level, from 0.
+    pub step: usize,
+    /// Energy after the step, at the step's correspondences.
+    pub energy: f64,
+    /// The same by term and regulariser.
+    pub energies: Vec<(String, f64)>,
+    /// Share of the template's vertices with an accepted correspondence.
+    pub inliers: f64,
+    /// Largest motion of a vertex in this step, millimetres.
+    pub motion: f64,
+}
+
+/// Sees every step and may stop the run; the result is then what was reached.
+pub trait RegistrationObserver {
+    /// Called once before the first step with the number of levels and the greatest number of steps.
+    fn on_start(&mut self, _levels: usize, _steps: usize) {}
+
+    /// Called after every step.
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()>;
+}
+
+impl<F: FnMut(&StepRecord) -> ControlFlow<()>> RegistrationObserver for F {
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
+        self(record)
+    }
+}
+
+/// Why a registration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RegistrationStop {
+    /// The schedule was run to its end.
+    Finished,
+    /// The observer asked for it.
+    StoppedByObserver,
+}
+
+/// A registered template.
+#[derive(Debug, Clone)]
+pub struct RegistrationResult {
+    /// One position per template vertex, in the scan's frame.
+    pub positions: Vec<Vec3>,
+    /// Where the registration started.
+    pub start: Pose,
+    /// Blendshape weights by name.
+    pub weights: Vec<(String, f64)>,
+    /// Which vertices had an accepted correspondence at the end.
+    pub accepted: Vec<bool>,
+    /// Every step.
+    pub history: Vec<StepRecord>,
+    /// Why it ended.
+    pub stop: RegistrationStop,
+    /// The schedule as it was used.
+    pub schedule: Schedule,
+}
+
+/// Registers the template with the given model and the terms that come with the crate.
+pub fn register(
+    input: &RegistrationInput<'_>,
+    model: &dyn ModelFactory,
+    schedule: &Schedule,
+    observer: &mut dyn RegistrationObserver,
+) -> Result<RegistrationResult, RegistrationError> {
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    register_with(input, model, &terms, schedule, observer)
+}
+
+/// [`register`] with any terms.
+pub fn register_with(
+    input: &RegistrationInput<'_>,
+    model: &dyn ModelFactory,
+    terms: &[&dyn TermFactory],
+    schedule: &Schedule,
+    observer: &mut dyn RegistrationObserver,
+) -> Result<RegistrationResult, RegistrationError> {
+    schedule.validate()?;
+    check_input(input, model)?;
+    let template = Rest::new(input, schedule);
+    let start = start_pose(input, &template, schedule)?;
+    let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
+    let scan_in_rest = TriangleMesh {
+        positions: input.scan.positions.iter().map(|&p| to_rest(p)).collect(),
+        triangles: input.scan.triangles.clone(),
+    };
+    let scan_normals: Option<Vec<Vec3>> =
+        input.scan_normals.map(|n| n.iter().map(|&n| start.rotation.tr_mul(&n)).collect());
+    let scan = ScanSurface::new(scan_in_rest, scan_normals.as_deref(), &schedule.scan)?;
+
+    let mut samples = Samples::vertices(template.mesh.positions.len());
+    let mut landmarks = Vec::new();
+    for landmark in input.landmarks {
+        let sample = match landmark.template {
+            TemplatePoint::Vertex(vertex) => vertex as usize,
+            TemplatePoint::Face { corners, weights } => {
+                samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?
+            }
+        };
+        landmarks.push((sample, to_rest(landmark.target)));
+    }
+    let model = model.build(&ModelInput { rest: &template.mesh, shapes: input.shapes, schedule })?;
+    let mut problem: Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>> =
+        Deformation::new(model, samples);
+    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks })));
+
+    let mut x = problem.model.rest_parameters();
+    let mut run = Run {
+        correspondences: Correspondences::default(),
+        minimizer: GaussNewton::default().with_max_iterations(1),
+        workspace: Workspace::default(),
+        history: Vec::new(),
+        vertices: problem.vertices(&x).to_vec(),
+    };
+    observer.on_start(schedule.levels.len(), schedule.levels.iter().map(|l| l.steps).sum());
+    let mut stop = RegistrationStop::Finished;
+    for level in 0..schedule.levels.len() {
+        if run.level(level, schedule, &template, &scan, &mut problem, &mut x, observer)?.is_break() {
+            stop = RegistrationStop::StoppedByObserver;
+            break;
+        }
+    }
+    let positions = run.vertices.iter().map(|&v| start.apply(v + template.centre)).collect();
+    Ok(RegistrationResult {
+        positions,
+        start,
+        weights: problem.model.named_weights(&x),
+        accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
+        history: run.history,
+        stop,
+        schedule: schedule.clone(),
+    })
+}
+
+/// The rest shape, centred, and how the schedule's units translate to it.
+struct Rest {
+    mesh: TriangleMesh,
+    centre: Vec3,
+    /// Length of one of the schedule's millimetres.
+    unit: f64,
+    /// Weight per vertex for weight one on the schedule's reference template.
+    density: f64,
+}
+
+impl Rest {
+    fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Self {
+        let mut mesh = input.template.triangulate();
+        if let Some(neutral) = input.neutral {
+            mesh.positions = neutral.to_vec();
+        }
+        let count = mesh.positions.len() as f64;
+        let centre = mesh.positions.iter().sum::<Vec3>() / count;
+        mesh.positions.iter_mut().for_each(|p| *p -= centre);
+        let size = (mesh.positions.iter().map(Vec3::norm_squared).sum::<f64>() / count).sqrt();
+        Self { mesh, centre, unit: size / schedule.reference_size, density: schedule.reference_vertices / count }
+    }
+}
+
+fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
+    let vertices = input.template.positions.len();
+    if input.template.polygon_count() == 0 {
+        return Err(RegistrationError::EmptyTemplate);
+    }
+    if input.scan.triangles.is_empty() {
+        return Err(RegistrationError::EmptyScan);
+    }
+    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
+        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
+    }
+    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
+        let found = input.shapes.vertex_count();
+        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
+    }
+    if model.needs_shapes() && input.shapes.is_empty() {
+        return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
+    }
+    Ok(())
+}
+
+fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -> Result<Pose, RegistrationError> {
+    if input.landmarks.is_empty() {
+        return Ok(Pose::identity());
+    }
+    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
+    let pairs: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    Ok(closest_pose(&pairs, schedule.start)?)
+}
+
+struct Run {
+    correspondences: Correspondences,
+    minimizer: GaussNewton,
+    workspace: Workspace,
+    history: Vec<StepRecord>,
+    /// Current vertex positions, model frame.
+    vertices: Vec<Vec3>,
+}
+
+impl Run {
+    #[allow(clippy::too_many_arguments)]
+    fn level(
+        &mut self,
+        index: usize,
+        schedule: &Schedule,
+        rest: &Rest,
+        scan: &ScanSurface,
+        problem: &mut Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>,
+        x: &mut [f64],
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<ControlFlow<()>, RegistrationError> {
+        let level = schedule.levels[index].scaled(rest.unit);
+        problem.model.set_level(&level);
+        problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
+        let mut last_energy = f64::INFINITY;
+        for step in 0..level.steps {
+            self.correspondences.find(scan, &self.vertices, &rest.mesh, &level);
+            if !self.correspondences.any() {
+                return Err(RegistrationError::NoOverlap { level: index + 1, cap: schedule.levels[index].distance_cap });
+            }
+            problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
+            let summary = self.minimizer.minimize(problem, x, &mut self.workspace);
+            if !summary.final_energy.is_finite() {
+                return Err(RegistrationError::Diverged { level: index + 1, step: step + 1 });
+            }
+            let moved = problem.vertices(x);
+            let motion = moved.iter().zip(&self.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
+            self.vertices.copy_from_slice(moved);
+            let record = StepRecord {
+                level: index,
+                step,
+                energy: summary.final_energy,
+                energies: problem.energies(x),
+                inliers: self.correspondences.inlier_share(),
+                motion,
+            };
+            let flow = observer.on_step(&record);
+            let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);
+            last_energy = record.energy;
+            self.history.push(record);
+            if flow.is_break() {
+                return Ok(flow);
+            }
+            if motion <= schedule.stop.motion && change <= schedule.stop.energy {
+                break;
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+}

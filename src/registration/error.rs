@@ -1,0 +1,64 @@
+//! What can go wrong in a registration.
+
+use thiserror::Error;
+
+use super::{ScheduleError, StartError};
+use crate::energy::SampleError;
+
+/// Why a registration could not be run or did not succeed.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum RegistrationError {
+    /// The schedule is not usable.
+    #[error("schedule: {0}")]
+    Schedule(#[from] ScheduleError),
+    /// The landmarks do not give a start.
+    #[error("start: {0}")]
+    Start(#[from] StartError),
+    /// A landmark lies outside the template.
+    #[error("landmark: {0}")]
+    Sample(#[from] SampleError),
+    /// The template has no faces.
+    #[error("the template has no faces; a registration needs its surface")]
+    EmptyTemplate,
+    /// The scan has no triangles.
+    #[error("the scan has no triangles; a registration needs its surface")]
+    EmptyScan,
+    /// Something does not belong to the template.
+    #[error("the {what} has {found} vertices, the template has {template}; both must have the same vertices in the same order")]
+    VertexCount {
+        /// What does not fit.
+        what: &'static str,
+        /// Its number of vertices.
+        found: usize,
+        /// The template's.
+        template: usize,
+    },
+    /// The model cannot move without blendshapes.
+    #[error("model '{0}' needs blendshapes; give a rig")]
+    NeedsShapes(String),
+    /// The template's geometry cannot be used.
+    #[error("template: {0}")]
+    Template(String),
+    /// The scan's geometry cannot be used.
+    #[error("scan: {0}")]
+    Scan(String),
+    /// No vertex found a correspondence.
+    #[error(
+        "level {level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
+         check that template and scan are in the same unit, and that the scan is not turned inside out"
+    )]
+    NoOverlap {
+        /// Level, from 1.
+        level: usize,
+        /// Distance cap, millimetres.
+        cap: f64,
+    },
+    /// The energy became infinite or NaN.
+    #[error("level {level}, step {step}: the energy is no longer finite")]
+    Diverged {
+        /// Level, from 1.
+        level: usize,
+        /// Step, from 1.
+        step: usize,
+    },
+}

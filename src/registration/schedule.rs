@@ -1,0 +1,237 @@
+//! The schedule of a registration: levels from stiff to soft. Schedules are data, TOML files; the defaults are in
+//! `schedules/`, one for each model.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::StartKind;
+use crate::nlls::Kernel;
+
+/// Everything that steers a registration.
+///
+/// Lengths are millimetres on a template of [`reference_size`](Self::reference_size) and scale with the template;
+/// data weights are per vertex on a template of [`reference_vertices`](Self::reference_vertices) and scale with theirs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Schedule {
+    /// Whether the start may scale the template.
+    #[serde(default)]
+    pub start: StartKind,
+    /// Root-mean-square distance of the template's vertices from their centroid that the lengths below are meant for,
+    /// millimetres.
+    pub reference_size: f64,
+    /// Number of template vertices that the weights below are meant for.
+    pub reference_vertices: f64,
+    /// The deformation graph; only models with one read it.
+    #[serde(default)]
+    pub graph: GraphOptions,
+    /// What of the scan is believed.
+    #[serde(default)]
+    pub scan: ScanOptions,
+    /// When a level ends before its last step.
+    #[serde(default)]
+    pub stop: StopOptions,
+    /// Prior standard deviation of each family of shapes.
+    #[serde(default)]
+    pub sigma: SigmaOptions,
+    /// The levels, stiff to soft.
+    #[serde(rename = "level")]
+    pub levels: Vec<Level>,
+}
+
+/// How the deformation graph is made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GraphOptions {
+    /// Number of nodes.
+    pub nodes: usize,
+    /// Nodes that move each vertex, `K`.
+    pub influences: usize,
+    /// How distances are measured.
+    pub distance: GraphDistance,
+}
+
+impl Default for GraphOptions {
+    fn default() -> Self {
+        Self { nodes: 400, influences: 4, distance: GraphDistance::Surface }
+    }
+}
+
+/// Distance between nodes and vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GraphDistance {
+    /// Along the surface's edges: the two lips touch in space without sharing nodes.
+    Surface,
+    /// Through space.
+    Euclidean,
+}
+
+/// What of the scan is believed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScanOptions {
+    /// Rounds of averaging of the scan's vertex normals with their neighbours'.
+    pub normal_smoothing: usize,
+    /// Reject correspondences on the scan's open boundary.
+    pub reject_boundary: bool,
+}
+
+impl Default for ScanOptions {
+    fn default() -> Self {
+        Self { normal_smoothing: 2, reject_boundary: true }
+    }
+}
+
+/// When a level ends early.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StopOptions {
+    /// Largest relative change of the energy from step to step.
+    pub energy: f64,
+    /// Largest motion of any vertex from step to step, millimetres.
+    pub motion: f64,
+}
+
+impl Default for StopOptions {
+    fn default() -> Self {
+        Self { energy: 1e-4, motion: 0.02 }
+    }
+}
+
+/// Prior standard deviations `sigma_k` of (5) by family of shapes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SigmaOptions {
+    /// Expression blendshapes, whose weights lie between 0 and 1.
+    pub expression: f64,
+    /// Identity modes, scaled to standard deviation one by the rig.
+    pub identity: f64,
+}
+
+impl Default for SigmaOptions {
+    fn default() -> Self {
+        Self { expression: 1.0, identity: 1.0 }
+    }
+}
+
+/// One level: a stiffness, a kernel scale, and what counts as a correspondence.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Level {
+    /// Gauss-Newton steps at most, each with new correspondences.
+    pub steps: usize,
+    /// `lambda_graph` of (7), per directed edge.
+    #[serde(default)]
+    pub lambda_graph: f64,
+    /// `lambda_blend` of (5), per shape.
+    #[serde(default)]
+    pub lambda_blend: f64,
+    /// Weight of point-to-plane (3) per accepted vertex.
+    #[serde(default = "one")]
+    pub point_to_plane: f64,
+    /// Weight of point-to-point (2), towards the nearest scan vertex, per accepted vertex.
+    #[serde(default)]
+    pub point_to_point: f64,
+    /// Weight of each landmark, 1 / square millimetre.
+    #[serde(default)]
+    pub landmarks: f64,
+    /// Robust kernel of the data terms, scale in millimetres.
+    pub kernel: Kernel,
+    /// Longest correspondence, millimetres.
+    pub distance_cap: f64,
+    /// Largest angle between the normals of a correspondence, degrees.
+    pub normal_angle: f64,
+}
+
+impl Level {
+    /// The level with its lengths times `unit` (and energies times its square).
+    #[must_use]
+    pub fn scaled(&self, unit: f64) -> Self {
+        Self {
+            lambda_blend: self.lambda_blend * unit * unit,
+            kernel: self.kernel.scaled(unit),
+            distance_cap: self.distance_cap * unit,
+            ..*self
+        }
+    }
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// Why a schedule cannot be used.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ScheduleError {
+    /// Not TOML, or an unknown key, or a wrong type.
+    #[error("{0}")]
+    Syntax(String),
+    /// A number out of bounds.
+    #[error("{field} = {value}, but it must be {bound}")]
+    OutOfBounds {
+        /// Where, as in the file.
+        field: String,
+        /// What was given.
+        value: f64,
+        /// What would do.
+        bound: &'static str,
+    },
+    /// No levels.
+    #[error("the schedule has no [[level]]")]
+    NoLevels,
+    /// No default for this model.
+    #[error("no default schedule for model '{0}'; known: {known}", known = super::DEFAULT_SCHEDULES.iter().map(|s| s.0).collect::<Vec<_>>().join(", "))]
+    UnknownModel(String),
+}
+
+impl Schedule {
+    /// The default schedule of a model.
+    pub fn default_for(model: &str) -> Result<Self, ScheduleError> {
+        let (_, text) = super::DEFAULT_SCHEDULES
+            .iter()
+            .find(|s| s.0 == model)
+            .ok_or_else(|| ScheduleError::UnknownModel(model.to_owned()))?;
+        Self::from_toml(text)
+    }
+
+    /// Reads and validates a schedule. The error quotes the line of an unknown key or a malformed value.
+    pub fn from_toml(text: &str) -> Result<Self, ScheduleError> {
+        let schedule: Self = toml::from_str(text).map_err(|e| ScheduleError::Syntax(e.to_string().trim_end().to_owned()))?;
+        schedule.validate()?;
+        Ok(schedule)
+    }
+
+    /// Checks every number against its bounds.
+    pub fn validate(&self) -> Result<(), ScheduleError> {
+        if self.levels.is_empty() {
+            return Err(ScheduleError::NoLevels);
+        }
+        let positive = |field: String, value: f64| check(field, value, value > 0.0, "positive and finite");
+        let not_negative = |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
+        positive("reference_size".into(), self.reference_size)?;
+        positive("reference_vertices".into(), self.reference_vertices)?;
+        positive("graph.nodes".into(), self.graph.nodes as f64)?;
+        positive("graph.influences".into(), self.graph.influences as f64)?;
+        not_negative("stop.energy".into(), self.stop.energy)?;
+        not_negative("stop.motion".into(), self.stop.motion)?;
+        positive("sigma.expression".into(), self.sigma.expression)?;
+        positive("sigma.identity".into(), self.sigma.identity)?;
+        for (i, level) in self.levels.iter().enumerate() {
+            let name = |field: &str| format!("level {}: {field}", i + 1);
+            positive(name("steps"), level.steps as f64)?;
+            not_negative(name("lambda_graph"), level.lambda_graph)?;
+            not_negative(name("lambda_blend"), level.lambda_blend)?;
+            not_negative(name("point_to_plane"), level.point_to_plane)?;
+            not_negative(name("point_to_point"), level.point_to_point)?;
+            not_negative(name("landmarks"), level.landmarks)?;
+            positive(name("distance_cap"), level.distance_cap)?;
+            check(name("normal_angle"), level.normal_angle, level.normal_angle > 0.0 && level.normal_angle <= 180.0, "above 0 and at most 180 degrees")?;
+        }
+        Ok(())
+    }
+}
+
+fn check(field: String, value: f64, holds: bool, bound: &'static str) -> Result<(), ScheduleError> {
+    if holds && value.is_finite() { Ok(()) } else { Err(ScheduleError::OutOfBounds { field, value, bound }) }
+}

@@ -1,0 +1,39 @@
+//! Landmarks: named points of the template, at a vertex or inside a face, pulled to known places: `r = v - c`.
+
+use num_dual::DualNum;
+
+use crate::energy::SampleResidual;
+use crate::mesh::Vec3;
+
+/// Pulls sample `samples[m]` towards `targets[m]` with weight `weights[m] * scale`.
+#[derive(Debug, Clone, Default)]
+pub struct Landmarks {
+    /// Sample of each landmark.
+    pub samples: Vec<usize>,
+    /// `c`, millimetres.
+    pub targets: Vec<Vec3>,
+    /// Relative weight of each landmark, 1 / square millimetre; `1 / sigma^2` for a landmark of known accuracy.
+    pub weights: Vec<f64>,
+    /// `alpha` of the whole term, changed from level to level.
+    pub scale: f64,
+}
+
+impl SampleResidual<3> for Landmarks {
+    fn len(&self) -> usize {
+        self.samples.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        self.samples[m]
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.scale * self.weights[m]
+    }
+
+    #[inline(always)]
+    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+        let c = self.targets[m];
+        std::array::from_fn(|a| v[a] - c[a])
+    }
+}

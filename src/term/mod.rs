@@ -1,0 +1,9 @@
+//! Data terms: one file each. Each is a residual of one sample's position; see [`SampleResidual`](crate::energy::SampleResidual).
+
+mod landmark;
+mod point_to_plane;
+mod point_to_point;
+
+pub use landmark::Landmarks;
+pub use point_to_plane::PointToPlane;
+pub use point_to_point::PointToPoint;

@@ -1,0 +1,37 @@
+//! Point-to-point distance, eq. (2) of Klimov 2020 (squared, under the kernel): `r = v - c`.
+
+use num_dual::DualNum;
+
+use crate::energy::SampleResidual;
+use crate::mesh::Vec3;
+
+/// Pulls sample `m` (the m-th of the problem's samples) towards `targets[m]` with weight `scale * weights[m]`.
+#[derive(Debug, Clone, Default)]
+pub struct PointToPoint {
+    /// `c`, millimetres.
+    pub targets: Vec<Vec3>,
+    /// Confidence in each target; zero switches a sample off.
+    pub weights: Vec<f64>,
+    /// `alpha` of the whole term, changed from level to level.
+    pub scale: f64,
+}
+
+impl SampleResidual<3> for PointToPoint {
+    fn len(&self) -> usize {
+        self.targets.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        m
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.scale * self.weights[m]
+    }
+
+    #[inline(always)]
+    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+        let c = self.targets[m];
+        std::array::from_fn(|a| v[a] - c[a])
+    }
+}
