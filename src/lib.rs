@@ -4,5 +4,6 @@ pub mod evaluation;
 pub mod mesh;
 pub mod model;
 pub mod nlls;
+pub mod registration;
 pub mod render;
 pub mod term;

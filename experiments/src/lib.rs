@@ -1,1 +1,2 @@
 //! Studies on top of `nonrigid`.
+pub mod scan_bench;

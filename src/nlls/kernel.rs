@@ -17,6 +17,8 @@ pub enum Kernel {
         delta: f64,
     },
 }
+impl Kernel { /// s
+pub fn scaled(self, u: f64) -> Self { match self { Kernel::Huber{delta} => Kernel::Huber{delta: delta*u}, k => k } } }
 impl RobustKernel for Kernel {
     fn evaluate(&self, s: f64) -> [f64; 3] {
         match *self {

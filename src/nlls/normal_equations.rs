@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::BlockStructure;
+use super::linear::{Coordinate, dot};
 
 /// Gradient and Gauss-Newton Hessian of **half** the energy, `E / 2`:
 ///
@@ -69,6 +70,66 @@ impl NormalEquations {
     /// Values of one stored block, row-major.
     pub fn block_mut(&mut self, slot: usize) -> &mut [f64] {
         &mut self.blocks[self.structure.values(slot)]
+    }
+
+    /// Diagonal entry `i` of `H`, tangent coordinates numbered as in the gradient.
+    ///
+    /// # Panics
+    /// If `i` is not less than [`BlockStructure::dimension`].
+    #[must_use]
+    pub fn diagonal(&self, i: usize) -> f64 {
+        let s = &self.structure;
+        match Coordinate::of(s, i) {
+            Coordinate::Border { index } => self.border[index * (s.border() + 1)],
+            // The diagonal block is the last of its row.
+            Coordinate::Block { block, component } => {
+                self.blocks[s.values(s.row_slots(block).end - 1)][component * (s.size(block) + 1)]
+            }
+        }
+    }
+
+    /// Writes the diagonal of `H` to `out`, [`BlockStructure::dimension`] values.
+    pub fn copy_diagonal(&self, out: &mut [f64]) {
+        let s = &self.structure;
+        let (sparse, border) = out.split_at_mut(s.sparse_dimension());
+        for i in 0..s.block_count() {
+            let block = &self.blocks[s.values(s.row_slots(i).end - 1)];
+            for a in 0..s.size(i) {
+                sparse[s.offset(i) + a] = block[a * (s.size(i) + 1)];
+            }
+        }
+        for (r, d) in border.iter_mut().enumerate() {
+            *d = self.border[r * (s.border() + 1)];
+        }
+    }
+
+    /// The curvature `d' H d` along a tangent direction, summed in a fixed order.
+    #[must_use]
+    pub fn quadratic_form(&self, d: &[f64]) -> f64 {
+        let s = &self.structure;
+        let (d_g, d_w) = d.split_at(s.sparse_dimension());
+        let m = s.border();
+        let mut sum = 0.0;
+        for i in 0..s.block_count() {
+            let d_i = &d_g[s.offset(i)..s.offset(i) + s.size(i)];
+            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+                let d_j = &d_g[s.offset(j)..s.offset(j) + s.size(j)];
+                let block = &self.blocks[s.values(slot)];
+                let product: f64 =
+                    d_i.iter().zip(block.chunks_exact(s.size(j))).map(|(x, row)| x * dot(row, d_j)).sum();
+                sum += if i == j { product } else { 2.0 * product };
+            }
+            if m > 0 {
+                for (x, row) in d_i.iter().zip(self.cross[s.offset(i) * m..].chunks_exact(m)) {
+                    sum += 2.0 * x * dot(row, d_w);
+                }
+            }
+        }
+        for r in 0..m {
+            let row = &self.border[r * m..(r + 1) * m];
+            sum += d_w[r] * (2.0 * dot(&row[..r], &d_w[..r]) + row[r] * d_w[r]);
+        }
+        sum
     }
 
     /// Calls `fill(i, row)` for every block row, in parallel and without allocating. Each row is written by one call only,

@@ -77,6 +77,12 @@ impl BlockStructure {
         Self { offsets: vec![0], border: dimension, row_starts: vec![0], cols: Vec::new(), value_starts: vec![0] }
     }
 
+    /// The same blocks without the border.
+    #[must_use]
+    pub fn without_border(&self) -> Self {
+        Self { border: 0, ..self.clone() }
+    }
+
     /// Number of sparse blocks.
     #[must_use]
     pub fn block_count(&self) -> usize {

@@ -15,12 +15,17 @@ pub struct Pose {
     #[serde(serialize_with = "by_rows")]
     pub rotation: Matrix3<f64>,
     /// `t`, millimetres.
+    #[serde(serialize_with = "as_array")]
     pub translation: Vec3,
 }
 
 fn by_rows<S: serde::Serializer>(m: &Matrix3<f64>, s: S) -> Result<S::Ok, S::Error> {
     let rows: [[f64; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|c| m[(r, c)]));
     rows.serialize(s)
+}
+
+fn as_array<S: serde::Serializer>(v: &Vec3, s: S) -> Result<S::Ok, S::Error> {
+    <[f64; 3]>::from(*v).serialize(s)
 }
 
 impl Pose {

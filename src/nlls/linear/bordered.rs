@@ -1,0 +1,309 @@
+//! Schur complement of the dense border, by a forward solve only.
+//!
+//! ```text
+//!        sparse blocks (n)       border (m)
+//!      +---------------------+------------+
+//!      | ##   #              |  ########  |
+//!      |  ##    #            |  ########  |         H_gg = P' L L' P           sparse Cholesky
+//!      | #  ##   #           |  ########  |         Z    = L^-1 P H_gw         forward solve, supernode by supernode
+//!      |   #  ##             |  ########  |         z    = L^-1 P g_g          (one more column of Z)
+//!      |     #  ##           |  ########  |         S    = H_ww - Z'Z          rank update, dense
+//!      |        H_gg         |    H_gw    |         S d_w = -(g_w - Z'z)       dense Cholesky
+//!      +---------------------+------------+         L' (P d_g) = -(z + Z d_w)  back substitution
+//!      | #################   | ########   |
+//!      | ###  H_gw'  #####   |   H_ww     |
+//!      +---------------------+------------+
+//! ```
+//!
+//! Why it holds: with `A = H_gg = P' L L' P`, eliminating `d_g` from the first row leaves `S = H_ww - H_gw' A^-1 H_gw`, and
+//! `H_gw' A^-1 H_gw = (L^-1 P H_gw)' (L^-1 P H_gw) = Z'Z`: half of the triangular solves of `A^-1 H_gw` are never needed, and
+//! S is symmetric by construction.
+//!
+//! Z is kept in column chunks of fixed width, each stored by rows. The chunks are solved independently (in parallel, when
+//! there are threads), each in the same order of operations whatever the number of threads.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use faer::linalg::matmul::{matmul, triangular};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::{Accum, MatMut, MatRef, Par};
+
+use super::dense::DenseFactor;
+use super::supernodal::SupernodalFactor;
+use super::vector::dot;
+use super::{LinearError, LinearSolver, breakdown, check_step, damping_at, same_structure};
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// Widest chunk of columns of Z that is solved in one go: a multiple of the SIMD width, small enough to stay in the cache.
+const CHUNK: usize = 32;
+
+/// Sparse blocks eliminated first, then the border: see the head of the source file for the algebra.
+///
+/// Beside [`solve`](LinearSolver::solve) the two halves are public, for whoever wants to do something else with the border
+/// (bounds on its parameters by a small quadratic program, covariances):
+///
+/// ```
+/// # use std::sync::Arc;
+/// # use nonrigid::nlls::{BlockStructure, NormalEquations, linear::BorderedCholesky};
+/// # let structure = Arc::new(BlockStructure::new(&[1, 1], [(0, 1)], 1)?);
+/// # let mut equations = NormalEquations::new(structure.clone());
+/// # equations.blocks.copy_from_slice(&[2.0, 1.0, 2.0]);
+/// # equations.cross.copy_from_slice(&[1.0, 0.0]);
+/// # equations.border[0] = 4.0;
+/// # equations.gradient.copy_from_slice(&[1.0, 2.0, 3.0]);
+/// let mut solver = BorderedCholesky::new(&structure);
+/// let reduced = solver.reduce(&equations, &[])?;
+/// let mut step = [0.0; 3];
+/// step[2] = (-reduced.gradient[0] / reduced.matrix[0]).max(-0.5); // any rule for the border's step
+/// solver.back_substitute(&mut step);
+/// # let residual = 2.0 * step[0] + step[1] + step[2] + 1.0;
+/// # assert!(residual.abs() < 1e-14 && step[2] == -0.5);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct BorderedCholesky {
+    structure: Arc<BlockStructure>,
+    pub(super) factor: SupernodalFactor,
+    chunks: Vec<Chunk>,
+    pieces: Vec<Piece>,
+    schur: Vec<f64>,
+    reduced_gradient: Vec<f64>,
+    schur_factor: DenseFactor,
+    permuted: Vec<f64>,
+    weak: usize,
+}
+
+/// The border's system after the sparse blocks are eliminated, `S d_w = -r`.
+#[derive(Debug, Clone, Copy)]
+pub struct ReducedSystem<'a> {
+    /// `S = H_ww - Z'Z` with the border's damping on its diagonal, a full symmetric row-major square. Its inverse is, up to
+    /// the residual variance, the covariance of the border's parameters.
+    pub matrix: &'a [f64],
+    /// `r = g_w - Z'z`.
+    pub gradient: &'a [f64],
+}
+
+/// Some columns of `[Z z]`.
+#[derive(Debug)]
+struct Chunk {
+    columns: Range<usize>,
+    /// Row-major, permuted rows.
+    values: Vec<f64>,
+    /// Product of one supernode's rectangle, row-major.
+    product: Vec<f64>,
+}
+
+/// Product of two chunks, `Z_a' Z_b` with a >= b, column-major.
+#[derive(Debug)]
+struct Piece {
+    a: usize,
+    b: usize,
+    values: Vec<f64>,
+}
+
+impl BorderedCholesky {
+    /// Analyses the structure. Equations of another structure are analysed when they come.
+    #[must_use]
+    pub fn new(structure: &Arc<BlockStructure>) -> Self {
+        let factor = SupernodalFactor::analyse(structure);
+        let (n, m) = (structure.sparse_dimension(), structure.border());
+        let count = (m + 1).div_ceil(CHUNK);
+        let chunks: Vec<Chunk> = (0..count)
+            .map(|k| {
+                let columns = k * CHUNK..((k + 1) * CHUNK).min(m + 1);
+                let width = columns.len();
+                Chunk { columns, values: vec![0.0; n * width], product: vec![0.0; factor.longest_pattern() * width] }
+            })
+            .collect();
+        let width = |k: usize| chunks[k].columns.len();
+        let pieces = (0..count)
+            .flat_map(|a| (0..=a).map(move |b| (a, b)))
+            .map(|(a, b)| Piece { a, b, values: vec![0.0; width(a) * width(b)] })
+            .collect();
+        Self {
+            structure: structure.clone(),
+            factor,
+            chunks,
+            pieces,
+            schur: vec![0.0; m * m],
+            reduced_gradient: vec![0.0; m],
+            schur_factor: DenseFactor::new(m),
+            permuted: vec![0.0; n],
+            weak: 0,
+        }
+    }
+
+    /// Eliminates the sparse blocks and returns the border's system.
+    ///
+    /// # Errors
+    /// [`LinearError`] when the damped `H_gg` is not numerically positive definite, or not finite.
+    pub fn reduce(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<ReducedSystem<'_>, LinearError> {
+        if !same_structure(equations.structure(), &self.structure) {
+            *self = Self::new(equations.structure());
+        }
+        let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
+        self.weak = self.factor.factorize(equations, damping).map_err(|i| breakdown(equations, damping, i))?;
+
+        let factor = &self.factor;
+        for_each(&mut self.chunks, &|chunk| {
+            chunk.load(equations, factor.position());
+            chunk.forward(factor);
+        });
+        let chunks = &self.chunks;
+        for_each(&mut self.pieces, &|piece| piece.multiply(&chunks[piece.a], &chunks[piece.b], n));
+
+        for r in 0..m {
+            for c in 0..=r {
+                self.schur[r * m + c] = equations.border[r * m + c];
+            }
+            self.schur[r * m + r] += damping_at(damping, n + r);
+        }
+        self.reduced_gradient.copy_from_slice(&equations.gradient[n..]);
+        for piece in &self.pieces {
+            let (rows, columns) = (&self.chunks[piece.a].columns, &self.chunks[piece.b].columns);
+            for (c, column) in columns.clone().zip(piece.values.chunks_exact(rows.len())) {
+                for (r, v) in rows.clone().zip(column) {
+                    if r == m && c < m {
+                        self.reduced_gradient[c] -= v;
+                    } else if r < m && c <= r {
+                        self.schur[r * m + c] -= v;
+                    }
+                }
+            }
+        }
+        for r in 0..m {
+            for c in 0..r {
+                self.schur[c * m + r] = self.schur[r * m + c];
+            }
+        }
+        Ok(ReducedSystem { matrix: &self.schur, gradient: &self.reduced_gradient })
+    }
+
+    /// Completes a step whose border part is given: reads `d_w` from the end of `step`, writes `d_g` to its beginning. Uses
+    /// the factor and the Z of the last [`reduce`](Self::reduce).
+    pub fn back_substitute(&mut self, step: &mut [f64]) {
+        let n = self.structure.sparse_dimension();
+        let m = self.structure.border();
+        let (d_g, d_w) = step.split_at_mut(n);
+        self.permuted.fill(0.0);
+        for chunk in &self.chunks {
+            let width = chunk.columns.len();
+            // The last column, z, has weight one.
+            let mut weights = [0.0; CHUNK];
+            for (k, c) in chunk.columns.clone().enumerate() {
+                weights[k] = if c == m { 1.0 } else { d_w[c] };
+            }
+            for (x, row) in self.permuted.iter_mut().zip(chunk.values.chunks_exact(width)) {
+                *x -= dot(row, &weights[..width]);
+            }
+        }
+        self.factor.backward(&mut self.permuted);
+        for (&p, d) in self.factor.position().iter().zip(d_g) {
+            *d = self.permuted[p];
+        }
+    }
+}
+
+impl LinearSolver for BorderedCholesky {
+    fn solve(&mut self, equations: &NormalEquations, damping: &[f64], step: &mut [f64]) -> Result<(), LinearError> {
+        self.reduce(equations, damping)?;
+        let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
+        // The square is symmetric, so row-major is column-major.
+        self.schur_factor.matrix_mut().copy_from_slice(&self.schur);
+        self.weak += self
+            .schur_factor
+            .factorize(|i| equations.diagonal(n + i) + damping_at(damping, n + i), |i| damping_at(damping, n + i))
+            .map_err(|i| breakdown(equations, damping, n + i))?;
+        for i in 0..m {
+            step[n + i] = -self.reduced_gradient[i];
+        }
+        self.schur_factor.solve(&mut step[n..]);
+        self.back_substitute(step);
+        check_step(equations, damping, step)
+    }
+
+    fn weak_pivots(&self) -> usize {
+        self.weak
+    }
+
+    fn name(&self) -> &'static str {
+        "bordered Cholesky"
+    }
+}
+
+impl Chunk {
+    /// Copies this chunk's columns of `P [H_gw g_g]`.
+    fn load(&mut self, equations: &NormalEquations, position: &[usize]) {
+        let m = equations.structure().border();
+        let width = self.columns.len();
+        let from_cross = self.columns.start..self.columns.end.min(m);
+        for (i, &p) in position.iter().enumerate() {
+            let row = &mut self.values[p * width..(p + 1) * width];
+            row[..from_cross.len()].copy_from_slice(&equations.cross[i * m..][from_cross.clone()]);
+            if self.columns.end > m {
+                row[width - 1] = equations.gradient[i];
+            }
+        }
+    }
+
+    /// Solves `L Z = Z` in place.
+    fn forward(&mut self, factor: &SupernodalFactor) {
+        let width = self.columns.len();
+        for k in 0..factor.supernode_count() {
+            let node = factor.supernode(k);
+            let (triangle, rectangle) = node.parts();
+            let end = node.start + node.width;
+            let top = &mut self.values[node.start * width..end * width];
+            let mut top = MatMut::from_row_major_slice_mut(top, node.width, width);
+            solve_lower_triangular_in_place(triangle, top.as_mut(), Par::Seq);
+            let rows = node.pattern.len();
+            if rows == 0 {
+                continue;
+            }
+            let product = &mut self.product[..rows * width];
+            matmul(
+                MatMut::from_row_major_slice_mut(&mut *product, rows, width),
+                Accum::Replace,
+                rectangle,
+                top.as_ref(),
+                1.0,
+                Par::Seq,
+            );
+            for (&row, update) in node.pattern.iter().zip(product.chunks_exact(width)) {
+                for (x, u) in self.values[row * width..(row + 1) * width].iter_mut().zip(update) {
+                    *x -= u;
+                }
+            }
+        }
+    }
+}
+
+impl Piece {
+    /// `values = Z_a' Z_b`; of a diagonal piece the lower triangle only.
+    fn multiply(&mut self, a: &Chunk, b: &Chunk, n: usize) {
+        let (rows, columns) = (a.columns.len(), b.columns.len());
+        let product = MatMut::from_column_major_slice_mut(&mut self.values, rows, columns);
+        let left = MatRef::from_row_major_slice(&a.values, n, rows).transpose();
+        let right = MatRef::from_row_major_slice(&b.values, n, columns);
+        if self.a == self.b {
+            use triangular::BlockStructure::{Rectangular, TriangularLower};
+            let replace = Accum::Replace;
+            triangular::matmul(product, TriangularLower, replace, left, Rectangular, right, Rectangular, 1.0, Par::Seq);
+        } else {
+            matmul(product, Accum::Replace, left, right, 1.0, Par::Seq);
+        }
+    }
+}
+
+/// Calls `work` for every item, in parallel and on the stack.
+fn for_each<T: Send>(items: &mut [T], work: &(impl Fn(&mut T) + Sync)) {
+    match items {
+        [] => {}
+        [item] => work(item),
+        _ => {
+            let (left, right) = items.split_at_mut(items.len() / 2);
+            rayon::join(|| for_each(left, work), || for_each(right, work));
+        }
+    }
+}

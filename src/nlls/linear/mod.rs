@@ -1,0 +1,231 @@
+//! Linear solvers for the normal equations: `(H + diag(damping)) d = -g`.
+//!
+//! | solver | structure | method |
+//! |---|---|---|
+//! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
+//! | [`SparseCholesky`] | blocks, no (or a narrow) border | supernodal `P H P' = L L'`, AMD on the block graph |
+//! | [`BorderedCholesky`] | blocks and a dense border | Schur complement of the border by a forward solve |
+//!
+//! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
+//! of threads. faer is used in here and nowhere else.
+
+use std::fmt;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use super::{BlockStructure, NormalEquations};
+
+mod bordered;
+mod dense;
+mod scratch;
+mod sparse;
+mod supernodal;
+mod vector;
+
+pub use bordered::{BorderedCholesky, ReducedSystem};
+pub use dense::DenseCholesky;
+pub use sparse::SparseCholesky;
+pub(crate) use vector::dot;
+
+/// A pivot that keeps less than this share of its diagonal entry is rounding error, and the matrix numerically singular.
+///
+/// A pivot of Cholesky's method is the diagonal entry minus a sum of squares; when all but the last two digits cancel, its
+/// value carries no information and the step that it would give is noise.
+pub const PIVOT_TOLERANCE: f64 = 1e-14;
+
+/// Below this many tangent coordinates [`choose`] prefers one dense factorisation to any sparse one.
+pub const DENSE_DIMENSION: usize = 48;
+
+/// One tangent coordinate, named by the block it belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Coordinate {
+    /// A coordinate of a sparse block.
+    Block {
+        /// Index of the block.
+        block: usize,
+        /// Tangent coordinate inside the block.
+        component: usize,
+    },
+    /// A coordinate of the dense border.
+    Border {
+        /// Index inside the border.
+        index: usize,
+    },
+}
+
+impl Coordinate {
+    /// The name of tangent coordinate `i` of `structure`.
+    ///
+    /// # Panics
+    /// If `i` is not less than [`BlockStructure::dimension`].
+    #[must_use]
+    pub fn of(structure: &BlockStructure, i: usize) -> Self {
+        assert!(i < structure.dimension(), "coordinate {i} of {}", structure.dimension());
+        let sparse = structure.sparse_dimension();
+        if i >= sparse {
+            return Self::Border { index: i - sparse };
+        }
+        let (mut low, mut high) = (0, structure.block_count());
+        while high - low > 1 {
+            let mid = (low + high) / 2;
+            if structure.offset(mid) <= i { low = mid } else { high = mid }
+        }
+        Self::Block { block: low, component: i - structure.offset(low) }
+    }
+}
+
+impl fmt::Display for Coordinate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Block { block, component } => write!(f, "coordinate {component} of block {block}"),
+            Self::Border { index } => write!(f, "border coordinate {index}"),
+        }
+    }
+}
+
+/// Why no step could be computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinearError {
+    /// A pivot is not positive, or is rounding error: nothing in the energy observes this direction.
+    #[error("the normal equations are not positive definite at {at}; regularise it, or set a damping floor")]
+    NotPositiveDefinite {
+        /// The coordinate whose pivot failed (coordinates eliminated before it may share the blame).
+        at: Coordinate,
+    },
+    /// The equations contain an infinity or a NaN, or are so badly scaled that the step does.
+    #[error("non-finite value in the normal equations at {at}; a residual or its derivative is not finite there")]
+    NonFinite {
+        /// The first coordinate whose row or gradient is not finite.
+        at: Coordinate,
+    },
+}
+
+/// Solves the normal equations; swap in your own through [`Workspace::with_linear_solver`](super::Workspace::with_linear_solver).
+pub trait LinearSolver: fmt::Debug + Send {
+    /// Writes the solution `d` of `(H + diag(damping)) d = -g` to `step`.
+    ///
+    /// `damping` has [`BlockStructure::dimension`] entries, or none for no damping. On an error `step` is unspecified.
+    ///
+    /// # Errors
+    /// [`LinearError`] when the damped matrix is not numerically positive definite, or not finite.
+    fn solve(&mut self, equations: &NormalEquations, damping: &[f64], step: &mut [f64]) -> Result<(), LinearError>;
+
+    /// How many pivots of the last factorisation were held up by damping alone (at least half of the pivot): the number of
+    /// directions that nothing in the energy observes. 0 when unknown.
+    fn weak_pivots(&self) -> usize {
+        0
+    }
+
+    /// A short name for reports, such as `"bordered Cholesky"`.
+    fn name(&self) -> &'static str;
+}
+
+/// Which linear solver to use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinearSolverKind {
+    /// By structure, see [`choose`].
+    #[default]
+    Auto,
+    /// [`DenseCholesky`].
+    Dense,
+    /// [`SparseCholesky`]; a border is treated as one last block.
+    Sparse,
+    /// [`BorderedCholesky`].
+    Bordered,
+}
+
+impl LinearSolverKind {
+    /// A solver of this kind, with its symbolic analysis done.
+    #[must_use]
+    pub fn build(self, structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
+        match self {
+            Self::Auto => choose(structure),
+            Self::Dense => Box::new(DenseCholesky::new(structure)),
+            Self::Sparse => Box::new(SparseCholesky::new(structure)),
+            Self::Bordered => Box::new(BorderedCholesky::new(structure)),
+        }
+    }
+}
+
+/// The solver that suits a structure: dense when it has no sparse blocks or at most [`DENSE_DIMENSION`] coordinates, sparse
+/// Cholesky without a border, the bordered Schur complement with one.
+#[must_use]
+pub fn choose(structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
+    let kind = if structure.sparse_dimension() == 0 || structure.dimension() <= DENSE_DIMENSION {
+        LinearSolverKind::Dense
+    } else if structure.border() == 0 {
+        LinearSolverKind::Sparse
+    } else {
+        LinearSolverKind::Bordered
+    };
+    kind.build(structure)
+}
+
+/// Is `a` the pattern that a solver has analysed as `b`? Pointer comparison first, so the usual case costs nothing.
+fn same_structure(a: &Arc<BlockStructure>, b: &Arc<BlockStructure>) -> bool {
+    Arc::ptr_eq(a, b) || a == b
+}
+
+/// The damping of coordinate `i`; an empty slice damps nothing.
+fn damping_at(damping: &[f64], i: usize) -> f64 {
+    damping.get(i).copied().unwrap_or(0.0)
+}
+
+/// Judges one pivot (the square of a diagonal entry of L) against its damped diagonal entry; counts it if damping holds it up.
+fn pivot_is_sound(pivot: f64, diagonal: f64, damping: f64, weak: &mut usize) -> bool {
+    if damping > 0.0 && pivot <= 2.0 * damping {
+        *weak += 1;
+    }
+    pivot > PIVOT_TOLERANCE * diagonal && pivot.is_finite()
+}
+
+/// The error for a factorisation that broke down at tangent coordinate `i`: non-finite input is named before its consequence.
+fn breakdown(equations: &NormalEquations, damping: &[f64], i: usize) -> LinearError {
+    let structure = equations.structure();
+    match first_non_finite(equations, damping) {
+        Some(k) => LinearError::NonFinite { at: Coordinate::of(structure, k) },
+        None => LinearError::NotPositiveDefinite { at: Coordinate::of(structure, i) },
+    }
+}
+
+/// `Err` if the step is not finite.
+fn check_step(equations: &NormalEquations, damping: &[f64], step: &[f64]) -> Result<(), LinearError> {
+    match step.iter().position(|d| !d.is_finite()) {
+        None => Ok(()),
+        Some(i) => {
+            let i = first_non_finite(equations, damping).unwrap_or(i);
+            Err(LinearError::NonFinite { at: Coordinate::of(equations.structure(), i) })
+        }
+    }
+}
+
+/// The first tangent coordinate whose gradient, damping or row of the matrix is not finite.
+fn first_non_finite(equations: &NormalEquations, damping: &[f64]) -> Option<usize> {
+    let s = equations.structure();
+    let (sparse, border) = (s.sparse_dimension(), s.border());
+    let bad = |values: &[f64]| values.iter().any(|v| !v.is_finite());
+    for i in 0..s.block_count() {
+        let rows = s.offset(i)..s.offset(i) + s.size(i);
+        if bad(&equations.blocks[s.row_values(i)]) {
+            return Some(rows.start);
+        }
+        for r in rows {
+            if bad(&equations.cross[r * border..(r + 1) * border]) || !equations.gradient[r].is_finite() {
+                return Some(r);
+            }
+        }
+    }
+    for r in 0..border {
+        if bad(&equations.border[r * border..=r * border + r]) || !equations.gradient[sparse + r].is_finite() {
+            return Some(sparse + r);
+        }
+    }
+    damping.iter().position(|d| !d.is_finite())
+}
+
+#[cfg(test)]
+mod tests;

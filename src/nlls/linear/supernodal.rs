@@ -1,0 +1,322 @@
+//! The sparse factor that the sparse and the bordered solver share: `P H_gg P' = L L'` in supernodes.
+//!
+//! The fill-reducing permutation is computed on the graph of *blocks* and expanded, so that every block stays together and
+//! the supernodes are at least one block wide. The permuted lower triangle is then laid out once; refilling it is a copy of
+//! whole blocks, without an index per value.
+//!
+//! ```text
+//!   supernode s, columns [start, start + width):      L_s = [ T ]  width x width, lower triangular
+//!                                                           [ B ]  one row for each index in `pattern`, ascending
+//! ```
+
+use std::sync::Arc;
+
+use faer::dyn_stack::StackReq;
+use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
+use faer::sparse::linalg::amd;
+use faer::sparse::linalg::cholesky::{simplicial, supernodal};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use faer::{MatRef, Par};
+
+use super::scratch::Scratch;
+use super::vector::{axpy, dot};
+use super::{damping_at, pivot_is_sound};
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// Where one stored block goes in the permuted matrix.
+#[derive(Debug, Clone, Copy)]
+struct Placement {
+    /// Position of its first value.
+    start: usize,
+    /// Distance between its columns.
+    stride: usize,
+    /// The permutation has swapped row and column block.
+    transposed: bool,
+}
+
+/// Symbolic and numeric factor of `H_gg`.
+#[derive(Debug)]
+pub(super) struct SupernodalFactor {
+    /// `position[i]`: the permuted coordinate of tangent coordinate `i`.
+    position: Vec<usize>,
+    /// Inverse of `position`.
+    coordinate: Vec<usize>,
+    placements: Vec<Placement>,
+    /// Lower triangle of the permuted matrix; diagonal blocks are stored whole, their upper triangle is never read.
+    pattern: SymbolicSparseColMat<usize>,
+    values: Vec<f64>,
+    symbolic: supernodal::SymbolicSupernodalCholesky<usize>,
+    factor: Vec<f64>,
+    memory: Scratch,
+    gathered: Vec<f64>,
+}
+
+impl SupernodalFactor {
+    /// Symbolic analysis of the sparse blocks of `structure`; its border is ignored.
+    pub(super) fn analyse(structure: &Arc<BlockStructure>) -> Self {
+        let s = structure;
+        let n = s.sparse_dimension();
+        let order = block_ordering(s);
+        let mut rank = vec![0; order.len()];
+        for (p, &i) in order.iter().enumerate() {
+            rank[i] = p;
+        }
+        let mut starts = vec![0];
+        for &i in &order {
+            starts.push(starts[starts.len() - 1] + s.size(i));
+        }
+        let mut position = vec![0; n];
+        let mut coordinate = vec![0; n];
+        for (p, &i) in order.iter().enumerate() {
+            for a in 0..s.size(i) {
+                position[s.offset(i) + a] = starts[p] + a;
+                coordinate[starts[p] + a] = s.offset(i) + a;
+            }
+        }
+
+        // Block columns of the permuted lower triangle: (row rank, slot, transposed), and of the upper one.
+        let mut lower: Vec<Vec<(usize, usize, bool)>> = vec![Vec::new(); order.len()];
+        let mut upper: Vec<Vec<usize>> = vec![Vec::new(); order.len()];
+        for i in 0..s.block_count() {
+            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+                let (row, col) = (rank[i].max(rank[j]), rank[i].min(rank[j]));
+                lower[col].push((row, slot, rank[i] < rank[j]));
+                upper[row].push(col);
+            }
+        }
+        let size = |p: usize| starts[p + 1] - starts[p];
+        let mut placements = vec![Placement { start: 0, stride: 0, transposed: false }; s.slot_count()];
+        let (mut col_starts, mut rows) = (vec![0], Vec::new());
+        for p in 0..order.len() {
+            lower[p].sort_unstable();
+            let stride = lower[p].iter().map(|&(row, ..)| size(row)).sum();
+            let mut start = rows.len();
+            for &(row, slot, transposed) in &lower[p] {
+                placements[slot] = Placement { start, stride, transposed };
+                start += size(row);
+            }
+            for _ in 0..size(p) {
+                rows.extend(lower[p].iter().flat_map(|&(row, ..)| starts[row]..starts[row + 1]));
+                col_starts.push(rows.len());
+            }
+        }
+        let values = vec![0.0; rows.len()];
+        let pattern = SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows);
+
+        let (mut col_starts, mut rows) = (vec![0], Vec::new());
+        for p in 0..order.len() {
+            upper[p].sort_unstable();
+            for c in starts[p]..starts[p + 1] {
+                rows.extend(upper[p].iter().flat_map(|&q| starts[q]..starts[q + 1]).filter(|&r| r <= c));
+                col_starts.push(rows.len());
+            }
+        }
+        let upper = SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows);
+        let symbolic = symbolic_cholesky(&upper);
+
+        let scratch =
+            supernodal::factorize_supernodal_numeric_llt_scratch::<usize, f64>(&symbolic, Par::Seq, Default::default());
+        let longest = (0..symbolic.n_supernodes()).map(|k| symbolic.supernode(k).pattern().len()).max().unwrap_or(0);
+        Self {
+            position,
+            coordinate,
+            placements,
+            pattern,
+            values,
+            factor: vec![0.0; symbolic.len_val()],
+            symbolic,
+            memory: Scratch::new(scratch),
+            gathered: vec![0.0; longest],
+        }
+    }
+
+    /// The permuted coordinate of every tangent coordinate.
+    pub(super) fn position(&self) -> &[usize] {
+        &self.position
+    }
+
+    /// Number of stored values of L, explicit zeros of relaxed supernodes included.
+    #[cfg(test)]
+    pub(super) fn factor_len(&self) -> usize {
+        self.factor.len()
+    }
+
+    /// The most rows that any supernode has below its triangle.
+    pub(super) fn longest_pattern(&self) -> usize {
+        self.gathered.len()
+    }
+
+    /// Refills the matrix and factorises it. Returns the number of weak pivots, or the tangent coordinate that broke it.
+    pub(super) fn factorize(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
+        let s = equations.structure();
+        for i in 0..s.block_count() {
+            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+                let block = &equations.blocks[s.values(slot)];
+                let Placement { start, stride, transposed } = self.placements[slot];
+                let columns = s.size(j);
+                if transposed {
+                    for (r, row) in block.chunks_exact(columns).enumerate() {
+                        self.values[start + r * stride..][..columns].copy_from_slice(row);
+                    }
+                } else {
+                    for (r, row) in block.chunks_exact(columns).enumerate() {
+                        for (c, v) in row.iter().enumerate() {
+                            self.values[start + c * stride + r] = *v;
+                        }
+                    }
+                }
+            }
+            // The diagonal block is the last of its row.
+            let diagonal = self.placements[s.row_slots(i).end - 1];
+            for a in 0..s.size(i) {
+                self.values[diagonal.start + a * (diagonal.stride + 1)] += damping_at(damping, s.offset(i) + a);
+            }
+        }
+        supernodal::factorize_supernodal_numeric_llt(
+            &mut self.factor,
+            SparseColMatRef::new(self.pattern.as_ref(), &self.values),
+            LltRegularization::default(),
+            &self.symbolic,
+            Par::Seq,
+            self.memory.stack(),
+            Default::default(),
+        )
+        .map_err(|LltError::NonPositivePivot { index }| self.coordinate[index])?;
+        let mut weak = 0;
+        for k in 0..self.symbolic.n_supernodes() {
+            let node = self.supernode(k);
+            for c in 0..node.width {
+                let i = self.coordinate[node.start + c];
+                let damp = damping_at(damping, i);
+                let pivot = node.values[c * node.height() + c].powi(2);
+                if !pivot_is_sound(pivot, equations.diagonal(i) + damp, damp, &mut weak) {
+                    return Err(i);
+                }
+            }
+        }
+        Ok(weak)
+    }
+
+    /// Number of supernodes.
+    pub(super) fn supernode_count(&self) -> usize {
+        self.symbolic.n_supernodes()
+    }
+
+    /// Columns `start..start + width` of L.
+    pub(super) fn supernode(&self, k: usize) -> Supernode<'_> {
+        let start = self.symbolic.supernode_begin()[k];
+        let values = self.symbolic.col_ptr_for_val();
+        Supernode {
+            start,
+            width: self.symbolic.supernode_end()[k] - start,
+            pattern: self.symbolic.supernode(k).pattern(),
+            values: &self.factor[values[k]..values[k + 1]],
+        }
+    }
+
+    /// Solves `L x = b` in place; `x` is in permuted order.
+    pub(super) fn forward(&mut self, x: &mut [f64]) {
+        let mut gathered = std::mem::take(&mut self.gathered);
+        for k in 0..self.supernode_count() {
+            let node = self.supernode(k);
+            let below = &mut gathered[..node.pattern.len()];
+            below.fill(0.0);
+            for c in 0..node.width {
+                let column = node.column(c);
+                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                head[c] /= column[c];
+                axpy(-head[c], &column[c + 1..node.width], tail);
+                axpy(head[c], &column[node.width..], below);
+            }
+            for (&row, v) in node.pattern.iter().zip(below) {
+                x[row] -= *v;
+            }
+        }
+        self.gathered = gathered;
+    }
+
+    /// Solves `L' x = b` in place; `x` is in permuted order.
+    pub(super) fn backward(&mut self, x: &mut [f64]) {
+        let mut gathered = std::mem::take(&mut self.gathered);
+        for k in (0..self.supernode_count()).rev() {
+            let node = self.supernode(k);
+            let below = &mut gathered[..node.pattern.len()];
+            for (&row, v) in node.pattern.iter().zip(&mut *below) {
+                *v = x[row];
+            }
+            for c in (0..node.width).rev() {
+                let column = node.column(c);
+                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                let sum = dot(&column[c + 1..node.width], tail) + dot(&column[node.width..], below);
+                head[c] = (head[c] - sum) / column[c];
+            }
+        }
+        self.gathered = gathered;
+    }
+}
+
+/// A run of columns of L that share their pattern.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Supernode<'a> {
+    /// First column, in permuted order.
+    pub start: usize,
+    /// Number of columns.
+    pub width: usize,
+    /// Rows below the triangle, ascending, in permuted order.
+    pub pattern: &'a [usize],
+    values: &'a [f64],
+}
+
+impl<'a> Supernode<'a> {
+    fn height(&self) -> usize {
+        self.width + self.pattern.len()
+    }
+
+    fn column(&self, c: usize) -> &'a [f64] {
+        &self.values[c * self.height()..(c + 1) * self.height()]
+    }
+
+    /// The triangle T (its upper half is meaningless) and the rectangle B.
+    pub(super) fn parts(&self) -> (MatRef<'a, f64>, MatRef<'a, f64>) {
+        MatRef::from_column_major_slice(self.values, self.height(), self.width).split_at_row(self.width)
+    }
+}
+
+/// Approximate minimum degree on the graph of blocks: `order[p]` is the block eliminated as the `p`-th.
+fn block_ordering(s: &BlockStructure) -> Vec<usize> {
+    let n = s.block_count();
+    // Row i of the lower triangle lists columns j <= i: read as a compressed column, it is the upper triangle.
+    let mut starts = vec![0];
+    let mut rows = Vec::with_capacity(s.slot_count());
+    for i in 0..n {
+        rows.extend_from_slice(s.row(i));
+        starts.push(rows.len());
+    }
+    let graph = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
+    let (mut order, mut inverse) = (vec![0usize; n], vec![0usize; n]);
+    let mut memory = Scratch::new(amd::order_scratch::<usize>(n, graph.row_idx().len()));
+    amd::order(&mut order, &mut inverse, graph.as_ref(), amd::Control::default(), memory.stack())
+        .expect("the index type is as wide as the memory that holds the pattern");
+    order
+}
+
+/// Elimination tree, column counts and supernodes of the matrix whose upper triangle is given.
+fn symbolic_cholesky(upper: &SymbolicSparseColMat<usize>) -> supernodal::SymbolicSupernodalCholesky<usize> {
+    let n = upper.ncols();
+    let mut tree = vec![0isize; n];
+    let mut counts = vec![0usize; n];
+    let mut memory = Scratch::new(StackReq::any_of(&[
+        simplicial::prefactorize_symbolic_cholesky_scratch::<usize>(n, upper.row_idx().len()),
+        supernodal::factorize_supernodal_symbolic_cholesky_scratch::<usize>(n),
+    ]));
+    let stack = memory.stack();
+    let tree = simplicial::prefactorize_symbolic_cholesky(&mut tree, &mut counts, upper.as_ref(), stack);
+    supernodal::factorize_supernodal_symbolic_cholesky(
+        upper.as_ref(),
+        tree,
+        &counts,
+        memory.stack(),
+        Default::default(),
+    )
+    .expect("the index type is as wide as the memory that holds the factor")
+}

@@ -1,0 +1,292 @@
+//! Laws of the linear solvers on random positive definite systems.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::*;
+
+/// A small deterministic generator (SplitMix64), uniform in [-1, 1).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    fn index(&mut self, n: usize) -> usize {
+        (((self.next() + 1.0) / 2.0 * n as f64) as usize).min(n - 1)
+    }
+}
+
+/// `H = sum_k j_k j_k' + 0.1 I`, where each j_k touches one pair of blocks and the border: positive definite in the pattern.
+fn random_equations(structure: &Arc<BlockStructure>, seed: u64) -> NormalEquations {
+    let mut random = Random(seed);
+    let s = structure;
+    let (n, m) = (s.sparse_dimension(), s.border());
+    let mut h = DMatrix::<f64>::identity(n + m, n + m) * 0.1;
+    for i in 0..s.block_count() {
+        for &j in s.row(i) {
+            for _ in 0..4 {
+                let mut touched: Vec<usize> = [i, j].iter().flat_map(|&a| s.offset(a)..s.offset(a) + s.size(a)).collect();
+                touched.dedup();
+                touched.extend(n..n + m);
+                let row: Vec<f64> = touched.iter().map(|&c| if c < n { 1.0 } else { 0.3 } * random.next()).collect();
+                for (&r, x) in touched.iter().zip(&row) {
+                    for (&c, y) in touched.iter().zip(&row) {
+                        h[(r, c)] += x * y;
+                    }
+                }
+            }
+        }
+    }
+    for _ in 0..m {
+        let row = DVector::from_fn(n + m, |i, _| if i < n { 0.0 } else { random.next() });
+        h.ger(1.0, &row, &row, 1.0);
+    }
+    let mut equations = NormalEquations::new(s.clone());
+    for i in 0..s.block_count() {
+        for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+            for a in 0..s.size(i) {
+                for b in 0..s.size(j) {
+                    equations.blocks[s.values(slot).start + a * s.size(j) + b] = h[(s.offset(i) + a, s.offset(j) + b)];
+                }
+            }
+        }
+    }
+    for r in 0..n {
+        for c in 0..m {
+            equations.cross[r * m + c] = h[(r, n + c)];
+        }
+    }
+    for r in 0..m {
+        for c in 0..m {
+            // Only the lower triangle may be read.
+            equations.border[r * m + c] = if c <= r { h[(n + r, n + c)] } else { f64::NAN };
+        }
+    }
+    equations.gradient.iter_mut().for_each(|g| *g = random.next());
+    equations
+}
+
+fn structures() -> Vec<Arc<BlockStructure>> {
+    let mut random = Random(7);
+    let mut all = vec![
+        BlockStructure::dense(9),
+        BlockStructure::new(&[3], [], 0).unwrap(),
+        BlockStructure::new(&[1; 30], (1..30).map(|i| (i, i - 1)), 0).unwrap(),
+        BlockStructure::new(&[6; 12], (1..12).map(|i| (0, i)), 5).unwrap(),
+        BlockStructure::new(&[2, 6, 3, 1, 4], [], 3).unwrap(),
+    ];
+    for border in [0, 1, 31, 40] {
+        let sizes: Vec<usize> = (0..40).map(|_| 1 + random.index(6)).collect();
+        let pairs: Vec<_> = (0..90).map(|_| (random.index(40), random.index(40))).collect();
+        all.push(BlockStructure::new(&sizes, pairs, border).unwrap());
+    }
+    all.into_iter().map(Arc::new).collect()
+}
+
+fn solvers(structure: &Arc<BlockStructure>) -> Vec<Box<dyn LinearSolver>> {
+    use LinearSolverKind::*;
+    [Dense, Sparse, Bordered, Auto].map(|kind| kind.build(structure)).into()
+}
+
+#[test]
+fn every_solver_solves_the_damped_equations() {
+    for (k, structure) in structures().iter().enumerate() {
+        let equations = random_equations(structure, k as u64);
+        let mut h = equations.to_dense();
+        let n = structure.dimension();
+        let damping: Vec<f64> = (0..n).map(|i| 0.01 * (1 + i % 3) as f64).collect();
+        for damping in [&damping[..], &[]] {
+            for (i, d) in damping.iter().enumerate() {
+                h[(i, i)] += d;
+            }
+            let g = DVector::from_column_slice(&equations.gradient);
+            for mut solver in solvers(structure) {
+                let mut step = vec![f64::NAN; n];
+                solver.solve(&equations, damping, &mut step).unwrap();
+                let error = (&h * DVector::from_column_slice(&step) + &g).amax();
+                assert!(error < 1e-11, "structure {k}, {}: residual {error:e}", solver.name());
+            }
+            for (i, d) in damping.iter().enumerate() {
+                h[(i, i)] -= d;
+            }
+        }
+    }
+}
+
+#[test]
+fn reusing_a_factor_gives_the_bits_of_a_fresh_one() {
+    for (k, structure) in structures().iter().enumerate() {
+        let (first, second) =
+            (random_equations(structure, 100 + k as u64), random_equations(structure, 200 + k as u64));
+        let n = structure.dimension();
+        for (mut used, mut fresh) in solvers(structure).into_iter().zip(solvers(structure)) {
+            let (mut a, mut b) = (vec![0.0; n], vec![0.0; n]);
+            used.solve(&first, &[], &mut a).unwrap();
+            used.solve(&second, &[], &mut a).unwrap();
+            fresh.solve(&second, &[], &mut b).unwrap();
+            assert_eq!(a, b, "structure {k}, {}", used.name());
+        }
+    }
+}
+
+#[test]
+fn a_new_structure_is_analysed_when_it_comes() {
+    let all = structures();
+    for mut solver in solvers(&all[3]) {
+        for structure in &all {
+            let equations = random_equations(structure, 5);
+            let mut step = vec![0.0; structure.dimension()];
+            solver.solve(&equations, &[], &mut step).unwrap();
+            let error = (equations.to_dense() * DVector::from_column_slice(&step)
+                + DVector::from_column_slice(&equations.gradient))
+            .amax();
+            assert!(error < 1e-11, "{}: residual {error:e}", solver.name());
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_change_bits() {
+    let structure = structures().pop().unwrap();
+    let equations = random_equations(&structure, 11);
+    let solve = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut step = vec![0.0; structure.dimension()];
+            BorderedCholesky::new(&structure).solve(&equations, &[], &mut step).unwrap();
+            step
+        })
+    };
+    let one = solve(1);
+    assert_eq!(one, solve(2));
+    assert_eq!(one, solve(4));
+}
+
+#[test]
+fn an_unobserved_block_is_named() {
+    let structure = Arc::new(BlockStructure::new(&[3; 20], (1..20).map(|i| (i, i - 1)), 2).unwrap());
+    let mut equations = random_equations(&structure, 3);
+    for (i, j) in [(13, 12), (13, 13), (14, 13)] {
+        let values = structure.values(structure.slot(i, j).unwrap());
+        equations.blocks[values].fill(0.0);
+    }
+    equations.cross[39 * 2..42 * 2].fill(0.0);
+    equations.gradient[39..42].fill(0.0);
+    let mut step = vec![0.0; structure.dimension()];
+    for mut solver in solvers(&structure) {
+        let error = solver.solve(&equations, &[], &mut step).unwrap_err();
+        let LinearError::NotPositiveDefinite { at: Coordinate::Block { block: 13, .. } } = error else {
+            panic!("{}: {error}", solver.name());
+        };
+        // With a floor under every pivot the same equations have a step, and the report knows that three directions are free.
+        let floor = vec![1e-9; structure.dimension()];
+        solver.solve(&equations, &floor, &mut step).unwrap();
+        assert_eq!(solver.weak_pivots(), 3, "{}", solver.name());
+        assert_eq!(step[39..42], [0.0; 3]);
+    }
+}
+
+#[test]
+fn a_rank_deficient_block_is_caught_though_rounding_makes_its_pivot_positive() {
+    let structure = Arc::new(BlockStructure::new(&[3; 30], [], 0).unwrap());
+    let mut equations = random_equations(&structure, 3);
+    let mut random = Random(1);
+    let row: [f64; 3] = std::array::from_fn(|_| random.next());
+    let other: [f64; 3] = std::array::from_fn(|_| random.next());
+    let values = structure.values(structure.slot(4, 4).unwrap());
+    for (k, v) in equations.blocks[values].iter_mut().enumerate() {
+        *v = row[k / 3] * row[k % 3] + other[k / 3] * other[k % 3];
+    }
+    let mut step = vec![0.0; structure.dimension()];
+    for mut solver in solvers(&structure) {
+        let error = solver.solve(&equations, &[], &mut step).unwrap_err();
+        assert_eq!(error, LinearError::NotPositiveDefinite { at: Coordinate::Block { block: 4, component: 2 } });
+    }
+}
+
+#[test]
+fn non_finite_values_are_named() {
+    let structure = structures().pop().unwrap();
+    let (sparse, block) = (structure.sparse_dimension(), 17);
+    let mut step = vec![0.0; structure.dimension()];
+    for mut solver in solvers(&structure) {
+        let mut equations = random_equations(&structure, 3);
+        let slot = structure.slot(block, block).unwrap();
+        equations.block_mut(slot)[0] = f64::NAN;
+        let error = solver.solve(&equations, &[], &mut step).unwrap_err();
+        assert_eq!(
+            error,
+            LinearError::NonFinite { at: Coordinate::Block { block, component: 0 } },
+            "{}",
+            solver.name()
+        );
+
+        let mut equations = random_equations(&structure, 3);
+        equations.gradient[sparse + 4] = f64::INFINITY;
+        let error = solver.solve(&equations, &[], &mut step).unwrap_err();
+        assert_eq!(error, LinearError::NonFinite { at: Coordinate::Border { index: 4 } }, "{}", solver.name());
+    }
+}
+
+/// Run by hand: `cargo test --release --lib nlls::linear -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn time_of_the_bordered_solve() {
+    let (side, border) = (20usize, 100usize);
+    let n = side * side;
+    let mut pairs = Vec::new();
+    for y in 0..side {
+        for x in 0..side {
+            for (dx, dy) in [(1i64, 0i64), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2), (2, 1)] {
+                let (u, v) = (x as i64 + dx, y as i64 + dy);
+                if (0..side as i64).contains(&u) && (0..side as i64).contains(&v) {
+                    pairs.push((y * side + x, v as usize * side + u as usize));
+                }
+            }
+        }
+    }
+    // Shuffled, as farthest-point sampling does.
+    let mut random = Random(3);
+    let mut names: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        names.swap(i, random.index(i + 1));
+    }
+    for (a, b) in &mut pairs {
+        (*a, *b) = (names[*a], names[*b]);
+    }
+    let structure = Arc::new(BlockStructure::new(&[6; 400], pairs, border).unwrap());
+    let equations = random_equations(&structure, 1);
+    let mut step = vec![0.0; structure.dimension()];
+    let mut solver = BorderedCholesky::new(&structure);
+    println!("blocks in H: {}, values in L: {}", structure.slot_count(), solver.factor.factor_len());
+    println!("supernodes: {}", solver.factor.supernode_count());
+    let best = |work: &mut dyn FnMut()| {
+        (0..20)
+            .map(|_| {
+                let start = std::time::Instant::now();
+                work();
+                start.elapsed().as_secs_f64() * 1e3
+            })
+            .fold(f64::INFINITY, f64::min)
+    };
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let whole = best(&mut || solver.solve(&equations, &[], &mut step).unwrap());
+            let factorize = best(&mut || assert!(solver.factor.factorize(&equations, &[]).is_ok()));
+            let reduce = best(&mut || assert!(solver.reduce(&equations, &[]).is_ok()));
+            println!("{threads} threads: whole {whole:.2} ms, factorise {factorize:.2} ms, reduce {reduce:.2} ms");
+        });
+    }
+    let sparse = Arc::new(structure.without_border());
+    let equations = random_equations(&sparse, 1);
+    let mut step = vec![0.0; sparse.dimension()];
+    let mut solver = SparseCholesky::new(&sparse);
+    let whole = best(&mut || solver.solve(&equations, &[], &mut step).unwrap());
+    println!("sparse without border: {whole:.2} ms");
+}
