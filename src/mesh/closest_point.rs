@@ -119,7 +119,8 @@ impl Best {
 
 impl BoxTree {
     fn build(boxes: &[Bounds]) -> Self {
-        let mut tree = Self { nodes: Vec::with_capacity(boxes.len() / 2 + 1), order: (0..boxes.len() as u32).collect() };
+        let mut tree =
+            Self { nodes: Vec::with_capacity(boxes.len() / 2 + 1), order: (0..boxes.len() as u32).collect() };
         if !boxes.is_empty() {
             let mut order = std::mem::take(&mut tree.order);
             let all = bounds_of(boxes, &order);
@@ -267,9 +268,8 @@ fn split(boxes: &[Bounds], order: &mut [u32], depth: usize) -> (usize, Bounds, B
         }
     }
     let middle = order.len() / 2;
-    let by_center = |a: &u32, b: &u32| {
-        boxes[*a as usize].center(axis).total_cmp(&boxes[*b as usize].center(axis)).then(a.cmp(b))
-    };
+    let by_center =
+        |a: &u32, b: &u32| boxes[*a as usize].center(axis).total_cmp(&boxes[*b as usize].center(axis)).then(a.cmp(b));
     order.select_nth_unstable_by(middle, by_center);
     (middle, bounds_of(boxes, &order[..middle]), bounds_of(boxes, &order[middle..]))
 }
@@ -639,7 +639,8 @@ mod tests {
     fn slivers_and_triangles_without_area() {
         let positions = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 1e-9, 0.0]].map(v).to_vec();
         let q = Vec3::new(0.5, 1.0, 0.0);
-        for (triangle, distance) in [([0, 1, 2], 1.0), ([0, 0, 0], 1.25f64.sqrt()), ([1, 1, 0], 1.0), ([0, 1, 3], 1.0)] {
+        for (triangle, distance) in [([0, 1, 2], 1.0), ([0, 0, 0], 1.25f64.sqrt()), ([1, 1, 0], 1.0), ([0, 1, 3], 1.0)]
+        {
             let mesh = TriangleMesh { positions: positions.clone(), triangles: vec![triangle] };
             let found = ClosestPoint::new(&mesh).unwrap().query(&q).unwrap();
             assert!((found.squared_distance.sqrt() - distance).abs() < 2e-9, "{found:?}");
@@ -656,7 +657,10 @@ mod tests {
         assert_eq!(tree.query(&Vec3::x()).unwrap().triangle, 0);
         assert_eq!(tree.query(&Vec3::new(f64::NAN, 0.0, 0.0)), None);
         mesh.triangles.push([0, 1, 3]);
-        assert!(matches!(ClosestPoint::new(&mesh), Err(MeshError::IndexOutOfRange { triangle: 300, index: 3, count: 3 })));
+        assert!(matches!(
+            ClosestPoint::new(&mesh),
+            Err(MeshError::IndexOutOfRange { triangle: 300, index: 3, count: 3 })
+        ));
         mesh.triangles.pop();
         mesh.positions[1].y = f64::NAN;
         assert!(matches!(ClosestPoint::new(&mesh), Err(MeshError::NotFinite { vertex: 1, .. })));

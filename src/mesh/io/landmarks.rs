@@ -129,10 +129,7 @@ pub fn read_landmarks(
 ///
 /// # Errors
 /// As [`read_landmarks`].
-pub fn read_template_landmarks(
-    path: &Path,
-    template: &PolygonMesh,
-) -> Result<Vec<(String, TemplatePoint)>, ReadError> {
+pub fn read_template_landmarks(path: &Path, template: &PolygonMesh) -> Result<Vec<(String, TemplatePoint)>, ReadError> {
     let entries = match parse_json(path)? {
         Json::Object(entries) => unique(entries, path)?,
         Json::Array(items) => items.into_iter().enumerate().map(|(i, item)| (i.to_string(), item)).collect(),
@@ -154,7 +151,8 @@ pub fn read_template_landmarks(
                 TemplatePoint::Vertex(*value as u32)
             }
             Json::Array(_) if on_surface => {
-                let Some((corners, weights)) = on_triangle(&entry, &name, &triangles, "template triangle", path)? else {
+                let Some((corners, weights)) = on_triangle(&entry, &name, &triangles, "template triangle", path)?
+                else {
                     return Err(wrong_entry(path, &name, TEMPLATE_ENTRY, &entry));
                 };
                 TemplatePoint::Face { corners, weights }
@@ -297,8 +295,11 @@ impl Json {
     /// `[triangle, u, v]`.
     fn surface_point(&self) -> Option<(f64, f64, f64)> {
         let Self::Array(items) = self else { return None };
-        let [Self::Number { value: triangle, integer: true }, Self::Number { value: u, .. }, Self::Number { value: v, .. }] =
-            items.as_slice()
+        let [
+            Self::Number { value: triangle, integer: true },
+            Self::Number { value: u, .. },
+            Self::Number { value: v, .. },
+        ] = items.as_slice()
         else {
             return None;
         };

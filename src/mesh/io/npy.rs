@@ -65,7 +65,8 @@ impl NpyArray<'static> {
 
 impl<'a> NpyArray<'a> {
     fn from_reader(mut reader: Box<dyn Read + 'a>, size: Option<u64>, path: &Path) -> Result<Self, ReadError> {
-        let error = |byte, expected: &str, found: String| ReadError::malformed(path, Place::Byte(byte), expected, found);
+        let error =
+            |byte, expected: &str, found: String| ReadError::malformed(path, Place::Byte(byte), expected, found);
         let mut fill = |buffer: &mut [u8], at: usize, what: &str| {
             reader.read_exact(buffer).map_err(|source| match source.kind() {
                 std::io::ErrorKind::UnexpectedEof => error(at, what, "the end of the file".into()),

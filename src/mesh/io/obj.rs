@@ -179,7 +179,11 @@ impl Parser<'_> {
         }
         let (vertices, uvs) = (self.mesh.positions.len(), self.mesh.metadata.uvs.len());
         let range = |what: &str, count: usize| {
-            if count == 0 { format!("no {what} index, as there is none") } else { format!("a {what} index from 1 to {count}") }
+            if count == 0 {
+                format!("no {what} index, as there is none")
+            } else {
+                format!("a {what} index from 1 to {count}")
+            }
         };
         for f in 0..self.mesh.polygon_count() {
             self.line = self.face_lines[f] as usize;
@@ -269,7 +273,8 @@ mod tests {
 
     #[test]
     fn continuations_crlf_comments_and_negative_indices() {
-        let text = "# c\r\nv 0 0 0\r\nv 1 0 0 # right\r\nv 1 1 \\\r\n 0\r\nv 0 1 0 0.5 0.5 0.5\r\n  f -4 -3 \\\r\n-2 4\r\n";
+        let text =
+            "# c\r\nv 0 0 0\r\nv 1 0 0 # right\r\nv 1 1 \\\r\n 0\r\nv 0 1 0 0.5 0.5 0.5\r\n  f -4 -3 \\\r\n-2 4\r\n";
         let text = text.replace(" # right", "");
         let mesh = parse(&text).unwrap();
         assert_eq!(mesh.positions[2], Vec3::new(1.0, 1.0, 0.0));

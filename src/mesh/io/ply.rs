@@ -323,7 +323,8 @@ impl<'a> Body<'a> {
         if count >= 0.0 && count.fract() == 0.0 && count <= 9e15 {
             return Ok(count as usize);
         }
-        Err(self.error(format!("the length of list {} in row {index} of element {}", p.name, e.name), count.to_string()))
+        Err(self
+            .error(format!("the length of list {} in row {index} of element {}", p.name, e.name), count.to_string()))
     }
 
     fn take(&mut self, size: usize, element: &Element, index: usize, name: &str) -> Result<&'a [u8], ReadError> {
@@ -573,7 +574,11 @@ fn write_faces<'a>(
             }
         }
         for face in faces {
-            if wide { w.write_all(&(face.len() as u32).to_le_bytes())? } else { w.write_all(&[face.len() as u8])? }
+            if wide {
+                w.write_all(&(face.len() as u32).to_le_bytes())?
+            } else {
+                w.write_all(&[face.len() as u8])?
+            }
             for corner in face {
                 w.write_all(&corner.to_le_bytes())?;
             }
