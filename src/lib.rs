@@ -6,4 +6,5 @@ pub mod model;
 pub mod nlls;
 pub mod registration;
 pub mod render;
+pub mod rig;
 pub mod term;

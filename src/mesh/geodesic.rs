@@ -252,7 +252,7 @@ pub fn nearest_sources(graph: &WeightedGraph, sources: &[u32], k: usize) -> Near
     if k == 0 {
         return labels;
     }
-    // labels of a vertex still in the queue's hands come after those it has settled
+    // how many of a vertex's labels are final; they come first
     let mut settled = vec![0u32; n];
     let mut queue = Queue::with_capacity(n);
     for (s, &v) in sources.iter().enumerate() {
@@ -418,7 +418,7 @@ mod tests {
 
     #[test]
     fn nodes_are_shared_by_size() {
-        assert_eq!(share_nodes(&[100, 50, 1], 30), [20, 9, 1]);
+        assert_eq!(share_nodes(&[100, 50, 1], 30), [19, 10, 1]);
         assert_eq!(share_nodes(&[3, 3], 100), [3, 3]);
         assert_eq!(share_nodes(&[10, 10, 10], 2), [1, 1, 1]);
         assert_eq!(share_nodes(&[], 5), [0; 0]);

@@ -1,0 +1,99 @@
+//! What can be wrong with a rig, and what is merely odd.
+
+use std::fmt;
+
+use crate::mesh::io::ReadError;
+
+/// A rig cannot be read or used.
+#[derive(Debug, thiserror::Error)]
+pub enum RigError {
+    /// A file is missing or malformed.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Something has another number of vertices than the neutral.
+    #[error("{what}: found {found} vertices, expected {expected}")]
+    VertexCount {
+        /// A file or a part of the rig.
+        what: String,
+        /// Its number of vertices.
+        found: usize,
+        /// That of the neutral.
+        expected: usize,
+    },
+    /// An array has another number of shapes than its list of names.
+    #[error("{array}: found {found} shapes, expected {expected}, as many as names in {names}")]
+    NameCount {
+        /// The array's file.
+        array: String,
+        /// Shapes in it.
+        found: usize,
+        /// The names' file.
+        names: String,
+        /// Names in it.
+        expected: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("{what}: vertex {vertex} is not finite")]
+    NotFinite {
+        /// A file or a part of the rig.
+        what: String,
+        /// Index of the vertex.
+        vertex: usize,
+    },
+    /// A shape is there twice, or asked for twice.
+    #[error("shape {name:?} is named twice, expected every shape once")]
+    DuplicateName {
+        /// The shape.
+        name: String,
+    },
+    /// No shape of that name.
+    #[error("no shape {name:?} in the rig; did you mean {closest:?}? It has: {known}")]
+    UnknownShape {
+        /// What was asked for.
+        name: String,
+        /// The most similar name.
+        closest: String,
+        /// All names.
+        known: String,
+    },
+    /// The shape was dropped when the rig was read.
+    #[error("shape {name:?} moves nothing and cannot be fitted; leave it out")]
+    MotionlessShape {
+        /// What was asked for.
+        name: String,
+    },
+    /// Fewer identity modes than asked for.
+    #[error("{asked} identity modes asked for, the rig has {found}")]
+    IdentityModes {
+        /// Asked for.
+        asked: usize,
+        /// In the rig.
+        found: usize,
+    },
+}
+
+/// Something odd about a rig that does not keep it from being used.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RigWarning {
+    /// A shape moves nothing and was dropped.
+    Motionless {
+        /// The shape.
+        name: String,
+    },
+    /// The neutral array and the polygon mesh disagree about where the vertices are; the array is used.
+    NeutralDiffers {
+        /// The largest distance, millimetres.
+        distance: f64,
+    },
+}
+
+impl fmt::Display for RigWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Motionless { name } => write!(f, "shape {name:?} moves nothing and was left out"),
+            Self::NeutralDiffers { distance } => {
+                write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")
+            }
+        }
+    }
+}

@@ -1,0 +1,357 @@
+//! A face rig: a neutral mesh and shapes that add to it, with the vertices of equation (4) of Klimov 2020,
+//! b_i(w) = n_i + sum_k w_k (s_i^k - n_i).
+//!
+//! A [`Rig`] is what the files hold, in 32 bits; [`Rig::select`] takes out the shapes that a fit uses, as the slab of
+//! 64-bit numbers that the solver reads. Stands on [`crate::mesh`].
+
+mod error;
+mod read;
+
+pub use error::{RigError, RigWarning};
+pub use read::{RigReadOptions, ShapeKind};
+
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
+
+/// A vertex counts as moved, and a shape as one that moves something, beyond this share of the neutral's bounding-box
+/// diagonal: a fraction of a micrometre on a face, below what the files' 32 bits resolve.
+pub const MOTIONLESS_SHARE: f64 = 1e-6;
+
+/// What a shape describes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// A facial expression: weight 0 is the neutral, 1 the full expression.
+    Expression,
+    /// A mode of how faces differ, scaled by its standard deviation.
+    Identity,
+    /// Not known.
+    Other,
+}
+
+/// Name and family of a shape.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Shape {
+    /// Unique in the rig.
+    pub name: String,
+    /// What it describes.
+    pub family: Family,
+}
+
+/// A neutral mesh and the differences of shapes to it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Rig {
+    neutral: Vec<Vec3>,
+    mesh: Option<PolygonMesh>,
+    shapes: Vec<Shape>,
+    /// Shape by shape, vertex by vertex, x y z: millimetres.
+    deltas: Vec<f32>,
+    motionless: Vec<String>,
+    landmarks: Option<Vec<u32>>,
+}
+
+/// Which shapes a fit uses, and on which neutral.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ShapeSelection<'a> {
+    /// Names of shapes in the order of their weights; `None` for all that are not identity modes, in the rig's order.
+    pub names: Option<&'a [String]>,
+    /// How many of the first identity modes follow them.
+    pub identity_modes: usize,
+    /// Positions to add the shapes to, instead of the rig's neutral.
+    pub neutral: Option<&'a [Vec3]>,
+}
+
+/// The shapes of a fit, as the solver reads them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SelectedShapes {
+    /// n_i, millimetres.
+    pub neutral: Vec<Vec3>,
+    /// Name and family of each shape, in the order of the weights w_k.
+    pub shapes: Vec<Shape>,
+    /// The differences s_i^k - n_i, 3N x nb, row-major: `slab[(3 * i + axis) * nb + k]`, so that vertex `i` owns the
+    /// 3 x nb slab B_i from `3 * i * nb` on. Millimetres.
+    pub slab: Vec<f64>,
+}
+
+impl SelectedShapes {
+    /// nb.
+    #[must_use]
+    pub fn shape_count(&self) -> usize {
+        self.shapes.len()
+    }
+
+    /// B_i, 3 x nb, row-major.
+    ///
+    /// # Panics
+    /// When `vertex` is not one.
+    #[must_use]
+    pub fn vertex_slab(&self, vertex: usize) -> &[f64] {
+        let width = 3 * self.shapes.len();
+        &self.slab[vertex * width..(vertex + 1) * width]
+    }
+}
+
+/// What a shape moves.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct ShapeInfo {
+    /// Its name.
+    pub name: String,
+    /// What it describes.
+    pub family: Family,
+    /// Vertices that move by more than [`MOTIONLESS_SHARE`] of the diagonal.
+    pub moved_vertices: usize,
+    /// The longest way of a vertex at weight 1, millimetres.
+    pub max_displacement: f64,
+}
+
+impl Rig {
+    /// A rig from its parts: `deltas` shape by shape, vertex by vertex, x y z. Shapes that move nothing are dropped and
+    /// reported.
+    ///
+    /// # Errors
+    /// When lengths do not fit, a number is not finite, a name comes twice, or a polygon mesh has another number of
+    /// vertices.
+    pub fn new(
+        neutral: Vec<Vec3>,
+        mesh: Option<PolygonMesh>,
+        shapes: Vec<Shape>,
+        deltas: Vec<f32>,
+    ) -> Result<(Self, Vec<RigWarning>), RigError> {
+        let width = 3 * neutral.len();
+        if let Some(mesh) = mesh.as_ref().filter(|m| m.positions.len() != neutral.len()) {
+            let (found, expected) = (mesh.positions.len(), neutral.len());
+            return Err(RigError::VertexCount { what: "the polygon mesh".into(), found, expected });
+        }
+        if let Some(v) = neutral.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(RigError::NotFinite { what: "the neutral".into(), vertex: v });
+        }
+        if deltas.len() != width * shapes.len() {
+            let what = format!("the differences of {} shapes", shapes.len());
+            let (found, expected) = (deltas.len() / 3, width / 3 * shapes.len());
+            return Err(RigError::VertexCount { what, found, expected });
+        }
+        let mut names: Vec<&str> = shapes.iter().map(|s| s.name.as_str()).collect();
+        names.sort_unstable();
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(RigError::DuplicateName { name: pair[0].to_owned() });
+        }
+        if let Some(i) = deltas.iter().position(|x| !x.is_finite()) {
+            let what = format!("shape {:?}", shapes[i / width].name);
+            return Err(RigError::NotFinite { what, vertex: i % width / 3 });
+        }
+        let mut rig = Self { neutral, mesh, shapes, deltas, motionless: Vec::new(), landmarks: None };
+        let warnings = rig.drop_motionless();
+        Ok((rig, warnings))
+    }
+
+    fn drop_motionless(&mut self) -> Vec<RigWarning> {
+        let width = 3 * self.neutral.len();
+        let keep: Vec<bool> = self.info().iter().map(|shape| shape.moved_vertices > 0).collect();
+        let mut warnings = Vec::new();
+        let mut kept = 0;
+        for (k, shape) in std::mem::take(&mut self.shapes).into_iter().enumerate() {
+            if keep[k] {
+                self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
+                self.shapes.push(shape);
+                kept += 1;
+            } else {
+                warnings.push(RigWarning::Motionless { name: shape.name.clone() });
+                self.motionless.push(shape.name);
+            }
+        }
+        self.deltas.truncate(kept * width);
+        self.deltas.shrink_to_fit();
+        warnings
+    }
+
+    /// Positions of the neutral, millimetres.
+    #[must_use]
+    pub fn neutral(&self) -> &[Vec3] {
+        &self.neutral
+    }
+
+    /// The polygons, if the rig came with them; their positions are those of the mesh file.
+    #[must_use]
+    pub fn mesh(&self) -> Option<&PolygonMesh> {
+        self.mesh.as_ref()
+    }
+
+    /// Names and families, without the shapes that move nothing.
+    #[must_use]
+    pub fn shapes(&self) -> &[Shape] {
+        &self.shapes
+    }
+
+    /// Names of the shapes that move nothing and were dropped.
+    #[must_use]
+    pub fn motionless(&self) -> &[String] {
+        &self.motionless
+    }
+
+    /// Vertex indices of the rig's 68 Multi-PIE/iBUG landmarks, if it came with them.
+    #[must_use]
+    pub fn landmarks(&self) -> Option<&[u32]> {
+        self.landmarks.as_deref()
+    }
+
+    /// Differences of shape `k` to the neutral, vertex by vertex, x y z: millimetres.
+    ///
+    /// # Panics
+    /// When there is no shape `k`.
+    #[must_use]
+    pub fn deltas(&self, k: usize) -> &[f32] {
+        let width = 3 * self.neutral.len();
+        &self.deltas[k * width..(k + 1) * width]
+    }
+
+    /// Index of a shape.
+    ///
+    /// # Errors
+    /// When there is none of that name: the message suggests the most similar one and lists all.
+    pub fn find(&self, name: &str) -> Result<usize, RigError> {
+        if let Some(k) = self.shapes.iter().position(|s| s.name == name) {
+            return Ok(k);
+        }
+        if self.motionless.iter().any(|m| m == name) {
+            return Err(RigError::MotionlessShape { name: name.to_owned() });
+        }
+        let known: Vec<&str> = self.shapes.iter().map(|s| s.name.as_str()).collect();
+        let closest = known.iter().min_by_key(|k| edit_distance(k, name)).copied().unwrap_or_default().to_owned();
+        Err(RigError::UnknownShape { name: name.to_owned(), closest, known: known.join(", ") })
+    }
+
+    /// Takes out the shapes that a fit uses.
+    ///
+    /// # Errors
+    /// When a name is unknown or comes twice, there are fewer identity modes, or the neutral has another number of
+    /// vertices or is not finite.
+    pub fn select(&self, selection: ShapeSelection<'_>) -> Result<SelectedShapes, RigError> {
+        let of_family = |identity: bool| {
+            (0..self.shapes.len()).filter(move |&k| (self.shapes[k].family == Family::Identity) == identity)
+        };
+        let mut chosen: Vec<usize> = match selection.names {
+            None => of_family(false).collect(),
+            Some(names) => names.iter().map(|name| self.find(name)).collect::<Result<_, _>>()?,
+        };
+        let modes: Vec<usize> = of_family(true).take(selection.identity_modes).collect();
+        if modes.len() < selection.identity_modes {
+            return Err(RigError::IdentityModes { asked: selection.identity_modes, found: modes.len() });
+        }
+        chosen.extend(modes);
+        let mut seen = vec![false; self.shapes.len()];
+        for &k in &chosen {
+            if std::mem::replace(&mut seen[k], true) {
+                return Err(RigError::DuplicateName { name: self.shapes[k].name.clone() });
+            }
+        }
+        let neutral = selection.neutral.unwrap_or(&self.neutral);
+        if neutral.len() != self.neutral.len() {
+            let (found, expected) = (neutral.len(), self.neutral.len());
+            return Err(RigError::VertexCount { what: "the given neutral".into(), found, expected });
+        }
+        if let Some(vertex) = neutral.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(RigError::NotFinite { what: "the given neutral".into(), vertex });
+        }
+        let nb = chosen.len();
+        let mut slab = vec![0.0; 3 * neutral.len() * nb];
+        for (column, &k) in chosen.iter().enumerate() {
+            for (row, &delta) in self.deltas(k).iter().enumerate() {
+                slab[row * nb + column] = f64::from(delta);
+            }
+        }
+        let shapes = chosen.into_iter().map(|k| self.shapes[k].clone()).collect();
+        Ok(SelectedShapes { neutral: neutral.to_vec(), shapes, slab })
+    }
+
+    /// What each shape moves.
+    #[must_use]
+    pub fn info(&self) -> Vec<ShapeInfo> {
+        let threshold = MOTIONLESS_SHARE * bounding_box_diagonal(&self.neutral);
+        let info = |(k, shape): (usize, &Shape)| {
+            let (mut moved_vertices, mut max_displacement) = (0, 0.0f64);
+            for d in self.deltas(k).chunks_exact(3) {
+                let length = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2])).norm();
+                moved_vertices += usize::from(length > threshold);
+                max_displacement = max_displacement.max(length);
+            }
+            ShapeInfo { name: shape.name.clone(), family: shape.family, moved_vertices, max_displacement }
+        };
+        self.shapes.iter().enumerate().map(info).collect()
+    }
+}
+
+/// Levenshtein's distance, letters compared without case.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let [a, b] = [a, b].map(|s| s.to_lowercase().chars().collect::<Vec<char>>());
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.iter().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shape(name: &str, family: Family) -> Shape {
+        Shape { name: name.into(), family }
+    }
+
+    fn rig() -> (Rig, Vec<RigWarning>) {
+        let neutral = vec![Vec3::zeros(), Vec3::new(100.0, 0.0, 0.0)];
+        let shapes = vec![
+            shape("jawOpen", Family::Expression),
+            shape("still", Family::Expression),
+            shape("id0", Family::Identity),
+            shape("id1", Family::Identity),
+        ];
+        #[rustfmt::skip]
+        let deltas = vec![
+            1.0, 2.0, 3.0,   4.0, 5.0, 6.0,
+            0.0, 1e-5, 0.0,  0.0, 0.0, 0.0,
+            7.0, 0.0, 0.0,   0.0, 0.0, 0.0,
+            0.0, 0.0, 0.0,   0.0, 9.0, 0.0,
+        ];
+        Rig::new(neutral, None, shapes, deltas).unwrap()
+    }
+
+    #[test]
+    fn the_slab_has_the_chosen_shapes_in_their_order() {
+        let (rig, warnings) = rig();
+        assert_eq!(warnings, [RigWarning::Motionless { name: "still".into() }]);
+        let selected = rig.select(ShapeSelection { identity_modes: 1, ..ShapeSelection::default() }).unwrap();
+        assert_eq!(selected.slab, [1.0, 7.0, 2.0, 0.0, 3.0, 0.0, 4.0, 0.0, 5.0, 0.0, 6.0, 0.0]);
+        assert_eq!(selected.vertex_slab(1), [4.0, 0.0, 5.0, 0.0, 6.0, 0.0]);
+        let names = ["id1".to_owned(), "jawOpen".to_owned()];
+        let selected = rig.select(ShapeSelection { names: Some(&names), ..ShapeSelection::default() }).unwrap();
+        assert_eq!(selected.vertex_slab(1), [0.0, 4.0, 9.0, 5.0, 0.0, 6.0]);
+    }
+
+    #[test]
+    fn wrong_choices_are_named() {
+        let (rig, _) = rig();
+        let select = |names: &[&str], identity_modes| {
+            let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+            rig.select(ShapeSelection { names: Some(&names), identity_modes, neutral: None }).unwrap_err().to_string()
+        };
+        let message = select(&["jawopn"], 0);
+        assert!(message.contains("jawopn") && message.contains("did you mean \"jawOpen\""), "{message}");
+        assert!(select(&["still"], 0).contains("moves nothing"));
+        assert!(select(&["jawOpen", "jawOpen"], 0).contains("twice"));
+        assert!(select(&["id0"], 1).contains("twice"));
+        assert!(select(&[], 3).contains("3 identity modes"));
+    }
+
+    #[test]
+    fn info_counts_and_measures() {
+        let info = rig().0.info();
+        assert_eq!((info[1].moved_vertices, info[1].max_displacement), (1, 7.0));
+        assert_eq!(info[0].max_displacement, 77f64.sqrt());
+    }
+}

@@ -1,0 +1,208 @@
+//! Rigs from folders, of two layouts.
+//!
+//! **Arrays**: `neutral.npy` (V, 3) and/or `template.obj` or `.ply`; `expression_deltas.npy` (K, V, 3) with
+//! `expression_names.json`, `identity_deltas.npy` with `identity_names.json`, either of which may be absent;
+//! `landmarks_multipie68.json`. Recognised by any of the arrays.
+//!
+//! **Meshes**: one OBJ or PLY file a shape, named after it. `neutral` is the neutral and `template` gives the polygons;
+//! if only one of them is there it does both. The others are whole shapes, or differences: option, or `rig.json` with
+//! `{"kind": "full"}` or `{"kind": "delta"}`.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::{Family, MOTIONLESS_SHARE, Rig, RigError, RigWarning, Shape};
+use crate::mesh::io::{NpyArray, Place, ReadError, read_npy_points, read_polygon_mesh};
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
+
+/// What the files of a folder of meshes hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ShapeKind {
+    /// Positions of the whole shape.
+    #[default]
+    Full,
+    /// Differences to the neutral, in place of positions.
+    Delta,
+}
+
+/// How to read a rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RigReadOptions {
+    /// How many identity modes to read at most; the rest of the file stays unread. Default: all.
+    pub identity_modes: usize,
+    /// What a folder of meshes holds; default: what `rig.json` says, or else whole shapes.
+    pub kind: Option<ShapeKind>,
+}
+
+impl Default for RigReadOptions {
+    fn default() -> Self {
+        Self { identity_modes: usize::MAX, kind: None }
+    }
+}
+
+impl Rig {
+    /// Reads a rig from a folder of either layout. Shapes that move nothing are dropped and reported.
+    ///
+    /// # Errors
+    /// When a file is missing or malformed, numbers of vertices or shapes do not fit together (the message has both), or
+    /// a coordinate is not finite.
+    pub fn read(folder: &Path, options: &RigReadOptions) -> Result<(Self, Vec<RigWarning>), RigError> {
+        let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
+        if arrays.iter().any(|name| folder.join(name).exists()) {
+            read_arrays(folder, options)
+        } else {
+            read_meshes(folder, options)
+        }
+    }
+}
+
+fn read_arrays(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigWarning>), RigError> {
+    let template = ["template.obj", "template.ply"].map(|name| folder.join(name)).into_iter().find(|p| p.exists());
+    let mesh = template.as_deref().map(read_polygon_mesh).transpose()?;
+    let neutral_path = folder.join("neutral.npy");
+    let mut warnings = Vec::new();
+    let neutral = match (&mesh, neutral_path.exists()) {
+        (Some(mesh), false) => mesh.positions.clone(),
+        _ => read_npy_points(&neutral_path)?,
+    };
+    if let (Some(mesh), Some(path)) = (&mesh, &template) {
+        check_count(path, mesh.positions.len(), neutral.len())?;
+        let far = mesh.positions.iter().zip(&neutral).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        // two roundings of one number agree to far less than this
+        if far > 10.0 * MOTIONLESS_SHARE * bounding_box_diagonal(&neutral) {
+            warnings.push(RigWarning::NeutralDiffers { distance: far });
+        }
+    }
+    let mut shapes = Vec::new();
+    let mut deltas: Vec<f32> = Vec::new();
+    for (stem, family, most) in
+        [("expression", Family::Expression, usize::MAX), ("identity", Family::Identity, options.identity_modes)]
+    {
+        let path = folder.join(format!("{stem}_deltas.npy"));
+        if !path.exists() {
+            continue;
+        }
+        let names_path = folder.join(format!("{stem}_names.json"));
+        let names: Vec<String> = read_json(&names_path, "an array of names")?;
+        let array = NpyArray::open(&path)?;
+        array.expect_shape(&[None, None, Some(3)])?;
+        let (count, vertices) = (array.shape()[0], array.shape()[1]);
+        check_count(&path, vertices, neutral.len())?;
+        if count != names.len() {
+            let (array, names_file) = (path.display().to_string(), names_path.display().to_string());
+            return Err(RigError::NameCount { array, found: count, names: names_file, expected: names.len() });
+        }
+        let most = most.min(count);
+        let new = array.read_f32_rows(most)?;
+        if let Some(i) = new.iter().position(|x| !x.is_finite()) {
+            let what = format!("{}: shape {:?}", path.display(), names[i / (3 * vertices)]);
+            return Err(RigError::NotFinite { what, vertex: i / 3 % vertices });
+        }
+        if deltas.is_empty() {
+            deltas = new;
+        } else {
+            deltas.extend_from_slice(&new);
+        }
+        shapes.extend(names.into_iter().take(most).map(|name| Shape { name, family }));
+    }
+    let vertices = neutral.len();
+    let (mut rig, dropped) = Rig::new(neutral, mesh, shapes, deltas)?;
+    warnings.extend(dropped);
+    let landmarks_path = folder.join("landmarks_multipie68.json");
+    if landmarks_path.exists() {
+        let landmarks: Vec<u32> = read_json(&landmarks_path, "an array of vertex indices")?;
+        if let Some(v) = landmarks.iter().find(|&&v| v as usize >= vertices) {
+            let expected = format!("vertex indices below {vertices}");
+            return Err(ReadError::malformed(&landmarks_path, Place::File, expected, v.to_string()).into());
+        }
+        rig.landmarks = Some(landmarks);
+    }
+    Ok((rig, warnings))
+}
+
+fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(RigError::VertexCount { what: path.display().to_string(), found, expected })
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
+    let bytes = std::fs::read(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    serde_json::from_slice(&bytes)
+        .map_err(|e| ReadError::malformed(path, Place::Line(e.line().max(1)), expected, e.to_string()))
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RigFile {
+    kind: RigFileKind,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum RigFileKind {
+    Full,
+    Delta,
+}
+
+fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigWarning>), RigError> {
+    let rig_file = folder.join("rig.json");
+    let stated = if rig_file.exists() {
+        let file: RigFile = read_json(&rig_file, "{\"kind\": \"full\"} or {\"kind\": \"delta\"}")?;
+        Some(match file.kind {
+            RigFileKind::Full => ShapeKind::Full,
+            RigFileKind::Delta => ShapeKind::Delta,
+        })
+    } else {
+        None
+    };
+    let kind = options.kind.or(stated).unwrap_or_default();
+
+    let fail = |source| ReadError::Io { path: folder.to_owned(), source };
+    let mut files: Vec<(String, PathBuf)> = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        if let (Some("obj" | "ply"), Some(stem)) = (extension.as_deref(), path.file_stem()) {
+            files.push((stem.to_string_lossy().into_owned(), path.clone()));
+        }
+    }
+    files.sort();
+    let mut take = |name: &str| files.iter().position(|(stem, _)| stem == name).map(|i| files.remove(i).1);
+    let (neutral_path, template_path) = (take("neutral"), take("template"));
+    let Some(base_path) = neutral_path.as_ref().or(template_path.as_ref()) else {
+        let expected = "neutral.obj, template.obj (or .ply), or arrays such as neutral.npy";
+        let found = if files.is_empty() { "no mesh".to_owned() } else { format!("only {} other meshes", files.len()) };
+        return Err(ReadError::malformed(folder, Place::File, expected, found).into());
+    };
+    let base = read_polygon_mesh(base_path)?;
+    let neutral = base.positions.clone();
+    let mesh = match template_path.as_ref().filter(|_| neutral_path.is_some()) {
+        None => base,
+        Some(path) => {
+            let mesh = read_polygon_mesh(path)?;
+            check_count(path, mesh.positions.len(), neutral.len())?;
+            PolygonMesh { positions: neutral.clone(), ..mesh }
+        }
+    };
+    let read: Vec<Result<Vec<f32>, RigError>> =
+        files.par_iter().map(|(_, path)| read_shape(path, kind, &neutral)).collect();
+    let mut deltas = Vec::with_capacity(3 * neutral.len() * files.len());
+    for shape in read {
+        deltas.extend(shape?);
+    }
+    let shapes = files.into_iter().map(|(name, _)| Shape { name, family: Family::Other }).collect();
+    Rig::new(neutral, Some(mesh), shapes, deltas)
+}
+
+fn read_shape(path: &Path, kind: ShapeKind, neutral: &[Vec3]) -> Result<Vec<f32>, RigError> {
+    let positions = read_polygon_mesh(path)?.positions;
+    check_count(path, positions.len(), neutral.len())?;
+    let delta = |(p, n): (&Vec3, &Vec3)| {
+        let d = if kind == ShapeKind::Delta { *p } else { p - n };
+        [d.x as f32, d.y as f32, d.z as f32]
+    };
+    Ok(positions.iter().zip(neutral).flat_map(delta).collect())
+}
