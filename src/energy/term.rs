@@ -1,10 +1,10 @@
 //! Data terms: functions of sample positions.
 
-use num_dual::{DualNum, DualSVec64};
+use num_dual::DualSVec64;
 
 use super::QuadricField;
 use crate::mesh::Vec3;
-use crate::nlls::RobustKernel;
+use crate::nlls::{RobustKernel, Scalar};
 
 /// A data term `alpha sum_m rho(|r_m|^2)`. It sees sample positions only; which model moves them is not its business.
 pub trait DataTerm: Send + Sync {
@@ -35,8 +35,7 @@ impl<T: DataTerm + ?Sized> DataTerm for Box<T> {
 /// A residual of one sample's position, stated once for any dual number. [`Pointwise`] makes a [`DataTerm`] of it.
 ///
 /// ```
-/// use nonrigid::{energy::{DataTerm, Pointwise, SampleResidual}, mesh::Vec3, nlls::Kernel};
-/// use num_dual::DualNum;
+/// use nonrigid::{energy::{DataTerm, Pointwise, SampleResidual}, mesh::Vec3, nlls::{Kernel, Scalar}};
 ///
 /// /// Keeps samples on a sphere round the origin: r = |v| - radius.
 /// struct OnSphere { samples: Vec<usize>, radius: f64 }
@@ -45,7 +44,7 @@ impl<T: DataTerm + ?Sized> DataTerm for Box<T> {
 ///     fn len(&self) -> usize { self.samples.len() }
 ///     fn sample(&self, m: usize) -> usize { self.samples[m] }
 ///     fn weight(&self, _m: usize) -> f64 { 1.0 }
-///     fn residual<D: DualNum<Primitive = f64> + Copy>(&self, _m: usize, v: [D; 3]) -> [D; 1] {
+///     fn residual<D: Scalar>(&self, _m: usize, v: [D; 3]) -> [D; 1] {
 ///         [(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt() - self.radius]
 ///     }
 /// }
@@ -69,7 +68,7 @@ pub trait SampleResidual<const R: usize>: Send + Sync {
     fn weight(&self, m: usize) -> f64;
 
     /// The residual at sample position `v`.
-    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; R];
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; R];
 }
 
 /// Residuals of single samples under a robust kernel.

@@ -30,7 +30,7 @@ use super::{NodeGraph, ShapeBasis};
 use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{add_outer, rank_update_lower, vectorized};
-use crate::nlls::{BlockRow, BlockStructure, NormalEquations};
+use crate::nlls::{BlockRow, BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
 
 /// How stiff the model is; changed from level to level of a registration.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -196,7 +196,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
     /// The blendshape weights `w` in `x`.
     #[must_use]
     pub fn weights<'a>(&self, x: &'a [f64]) -> &'a [f64] {
-        &x[self.node_count() * T::AMBIENT..]
+        &x[self.node_count() * T::Parameters::AMBIENT..]
     }
 
     /// `b_i(w)`, eq. (4), at `x`: the shape before the graph moves it.
@@ -213,12 +213,11 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         if self.placed.x == x && !self.placed.maps.is_empty() {
             return;
         }
-        let zero = [0.0; W];
         self.placed.x.clear();
         self.placed.x.extend_from_slice(x);
         self.placed.maps.clear();
-        self.placed.maps.extend((0..self.node_count()).map(|j| T::map(node_parameters::<T, W>(x, j), &zero[..W - 3])));
-        let (rest, shapes, w) = (&self.rest, &self.shapes, &x[self.graph.nodes().len() * T::AMBIENT..]);
+        self.placed.maps.extend((0..self.node_count()).map(|j| T::map(node_parameters::<T, W>(x, j))));
+        let (rest, shapes, w) = (&self.rest, &self.shapes, &x[self.graph.nodes().len() * T::Parameters::AMBIENT..]);
         self.placed.blend.resize(rest.len(), Vec3::zeros());
         self.placed.blend.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             vectorized(
@@ -238,7 +237,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         self.seeded.clear();
         self.seeded.extend((0..self.node_count()).map(|j| {
             let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
-            T::map(node_parameters::<T, W>(x, j), &tangent[..W - 3])
+            moved_map::<T, W, _>(node_parameters::<T, W>(x, j), &tangent[..W - 3])
         }));
     }
 
@@ -262,7 +261,15 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
 
 #[inline(always)]
 fn node_parameters<T: NodeTransform<W>, const W: usize>(x: &[f64], j: usize) -> &[f64] {
-    &x[j * T::AMBIENT..(j + 1) * T::AMBIENT]
+    &x[j * T::Parameters::AMBIENT..(j + 1) * T::Parameters::AMBIENT]
+}
+
+/// The map of a node's parameters moved by `tangent`.
+#[inline(always)]
+fn moved_map<T: NodeTransform<W>, const W: usize, D: Scalar>(parameters: &[f64], tangent: &[D]) -> AffineMap<D> {
+    let mut point = <T::Parameters as Manifold>::Point::<D>::filled(D::from(0.0));
+    T::Parameters::plus(parameters, tangent, point.as_mut());
+    T::map(point.as_ref())
 }
 
 #[inline(always)]
@@ -280,13 +287,13 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     }
 
     fn parameter_len(&self) -> usize {
-        self.node_count() * T::AMBIENT + self.shapes.len()
+        self.node_count() * T::Parameters::AMBIENT + self.shapes.len()
     }
 
     fn rest_parameters(&self) -> Vec<f64> {
         let mut x = vec![0.0; self.parameter_len()];
         for j in 0..self.node_count() {
-            T::identity(&mut x[j * T::AMBIENT..(j + 1) * T::AMBIENT]);
+            x[j * T::Parameters::AMBIENT..(j + 1) * T::Parameters::AMBIENT].copy_from_slice(T::IDENTITY);
         }
         x
     }
@@ -405,7 +412,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
             out.push(("graph smoothness (7)", self.stiffness.graph * sum));
         }
         if !self.shapes.is_empty() {
-            let w = &x[self.node_count() * T::AMBIENT..];
+            let w = &x[self.node_count() * T::Parameters::AMBIENT..];
             let sum: f64 = w.iter().zip(self.shapes.sigmas()).map(|(w, s)| (w / s) * (w / s)).sum();
             out.push(("blendshape prior (5)", self.stiffness.blend * sum));
         }
@@ -443,11 +450,12 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
         let n = self.node_count();
         for j in 0..n {
-            let range = j * T::AMBIENT..(j + 1) * T::AMBIENT;
-            T::retract(&x[range.clone()], &step[j * (W - 3)..(j + 1) * (W - 3)], &mut out[range]);
+            let range = j * T::Parameters::AMBIENT..(j + 1) * T::Parameters::AMBIENT;
+            T::Parameters::plus(&x[range.clone()], &step[j * (W - 3)..(j + 1) * (W - 3)], &mut out[range.clone()]);
+            T::Parameters::normalize(&mut out[range]);
         }
         for k in 0..self.shapes.len() {
-            out[n * T::AMBIENT + k] = x[n * T::AMBIENT + k] + step[n * (W - 3) + k];
+            out[n * T::Parameters::AMBIENT + k] = x[n * T::Parameters::AMBIENT + k] + step[n * (W - 3) + k];
         }
     }
 }
@@ -632,7 +640,7 @@ impl<const W: usize> SampleChunk<W> {
         const STRIDE: usize = 16;
         type Dual = DualSVec64<STRIDE>;
         let (nb, tangent) = (shapes.len(), W - 3);
-        let w = &x[graph.nodes().len() * T::AMBIENT..];
+        let w = &x[graph.nodes().len() * T::Parameters::AMBIENT..];
         self.begin(quadrics, nb);
         for (s, quadric) in quadrics.iter().enumerate() {
             if quadric.rows().is_empty() {
@@ -663,7 +671,7 @@ impl<const W: usize> SampleChunk<W> {
                         let seeds: [Dual; W] = std::array::from_fn(|t| {
                             if t < tangent { seed(slot as usize * tangent + t, 0.0) } else { Dual::from_re(0.0) }
                         });
-                        let map = T::map(node_parameters::<T, W>(x, j as usize), &seeds[..tangent]);
+                        let map = moved_map::<T, W, _>(node_parameters::<T, W>(x, j as usize), &seeds[..tangent]);
                         let x_j = graph.nodes()[j as usize];
                         let moved = map.apply(std::array::from_fn(|a| b[a] - x_j[a]));
                         for a in 0..3 {

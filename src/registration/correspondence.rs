@@ -26,11 +26,7 @@ impl ScanSurface {
     ///
     /// # Errors
     /// When a coordinate is not finite or there is no triangle.
-    pub fn new(
-        mesh: TriangleMesh,
-        normals: Option<&[Vec3]>,
-        options: &ScanOptions,
-    ) -> Result<Self, RegistrationError> {
+    pub fn new(mesh: TriangleMesh, normals: Option<&[Vec3]>, options: &ScanOptions) -> Result<Self, RegistrationError> {
         let unusable = |e: MeshError| RegistrationError::Scan(e.to_string());
         let surface = ClosestPoint::new(&mesh).map_err(unusable)?;
         let mut used = vec![false; mesh.positions.len()];
@@ -137,8 +133,7 @@ impl Found {
         self.triangle = Some(hit.triangle);
         self.point = hit.point;
         let corners = scan.mesh.triangles[hit.triangle as usize];
-        let interpolated: Vec3 =
-            corners.iter().zip(hit.barycentric).map(|(&v, b)| scan.normals[v as usize] * b).sum();
+        let interpolated: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| scan.normals[v as usize] * b).sum();
         let Some(scan_normal) = interpolated.try_normalize(0.0) else { return };
         self.normal = scan_normal;
         let on_rim = scan.reject_boundary && scan.boundary.holds(hit.triangle as usize, corners, hit.barycentric);

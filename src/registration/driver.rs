@@ -5,14 +5,14 @@ use std::ops::ControlFlow;
 use serde::Serialize;
 
 use super::{
-    Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm, Schedule,
-    ScanSurface, TermFactory, TermInput, TermKind, closest_pose,
+    Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm,
+    ScanSurface, Schedule, TermFactory, TermInput, TermKind, closest_pose,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::io::{Landmark, TemplatePoint};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::model::ShapeBasis;
-use crate::nlls::{GaussNewton, Workspace};
+use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
 
 /// What is registered to what.
 #[derive(Debug, Clone, Copy)]
@@ -143,8 +143,9 @@ pub fn register_with(
     let mut x = problem.model.rest_parameters();
     let mut run = Run {
         correspondences: Correspondences::default(),
-        minimizer: GaussNewton::default().with_max_iterations(1),
-        workspace: Workspace::default(),
+        minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9))
+            .expect("proven: the defaults and these two values are in bounds"),
+        workspace: Workspace::new(),
         history: Vec::new(),
         vertices: problem.vertices(&x).to_vec(),
     };
@@ -224,7 +225,7 @@ fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -
 
 struct Run {
     correspondences: Correspondences,
-    minimizer: GaussNewton,
+    minimizer: Minimizer,
     workspace: Workspace,
     history: Vec<StepRecord>,
     /// Current vertex positions, model frame.
@@ -250,12 +251,21 @@ impl Run {
         for step in 0..level.steps {
             self.correspondences.find(scan, &self.vertices, &rest.mesh, &level);
             if !self.correspondences.any() {
-                return Err(RegistrationError::NoOverlap { level: index + 1, cap: schedule.levels[index].distance_cap });
+                return Err(RegistrationError::NoOverlap {
+                    level: index + 1,
+                    cap: schedule.levels[index].distance_cap,
+                });
             }
             problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
-            let summary = self.minimizer.minimize(problem, x, &mut self.workspace);
-            if !summary.final_energy.is_finite() {
-                return Err(RegistrationError::Diverged { level: index + 1, step: step + 1 });
+            let summary = self.minimizer.minimize_with(problem, x, &mut self.workspace, &mut Silent);
+            let final_energy = summary.final_energy;
+            match summary.stop {
+                StopReason::LinearSolverFailed(reason) => {
+                    let reason = reason.to_string();
+                    return Err(RegistrationError::Solver { level: index + 1, step: step + 1, reason });
+                }
+                StopReason::NonFinite => return Err(RegistrationError::Diverged { level: index + 1, step: step + 1 }),
+                _ => {}
             }
             let moved = problem.vertices(x);
             let motion = moved.iter().zip(&self.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
@@ -263,7 +273,7 @@ impl Run {
             let record = StepRecord {
                 level: index,
                 step,
-                energy: summary.final_energy,
+                energy: final_energy,
                 energies: problem.energies(x),
                 inliers: self.correspondences.inlier_share(),
                 motion,

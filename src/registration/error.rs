@@ -24,7 +24,9 @@ pub enum RegistrationError {
     #[error("the scan has no triangles; a registration needs its surface")]
     EmptyScan,
     /// Something does not belong to the template.
-    #[error("the {what} has {found} vertices, the template has {template}; both must have the same vertices in the same order")]
+    #[error(
+        "the {what} has {found} vertices, the template has {template}; both must have the same vertices in the same order"
+    )]
     VertexCount {
         /// What does not fit.
         what: &'static str,
@@ -52,6 +54,16 @@ pub enum RegistrationError {
         level: usize,
         /// Distance cap, millimetres.
         cap: f64,
+    },
+    /// No step could be computed.
+    #[error("level {level}, step {step}: {reason}")]
+    Solver {
+        /// Level, from 1.
+        level: usize,
+        /// Step, from 1.
+        step: usize,
+        /// What the linear solver said.
+        reason: String,
     },
     /// The energy became infinite or NaN.
     #[error("level {level}, step {step}: the energy is no longer finite")]

@@ -10,12 +10,13 @@ mod terms;
 
 pub use correspondence::{Correspondences, ScanSurface};
 pub use driver::{
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register,
-    register_with,
+    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register, register_with,
 };
 pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
-pub use schedule::{GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SigmaOptions, StopOptions};
+pub use schedule::{
+    GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SigmaOptions, StopOptions,
+};
 pub use start::{Pose, StartError, StartKind, closest_pose, weighted_closest_pose};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 

@@ -150,7 +150,7 @@ impl Level {
     pub fn scaled(&self, unit: f64) -> Self {
         Self {
             lambda_blend: self.lambda_blend * unit * unit,
-            kernel: self.kernel.scaled(unit),
+            kernel: self.kernel.scale().map_or(self.kernel, |s| self.kernel.with_scale(s * unit)),
             distance_cap: self.distance_cap * unit,
             ..*self
         }
@@ -177,6 +177,14 @@ pub enum ScheduleError {
         /// What would do.
         bound: &'static str,
     },
+    /// A kernel's scale out of bounds.
+    #[error("level {level}: {reason}")]
+    Kernel {
+        /// Level, from 1.
+        level: usize,
+        /// Field, value and bound.
+        reason: String,
+    },
     /// No levels.
     #[error("the schedule has no [[level]]")]
     NoLevels,
@@ -197,7 +205,8 @@ impl Schedule {
 
     /// Reads and validates a schedule. The error quotes the line of an unknown key or a malformed value.
     pub fn from_toml(text: &str) -> Result<Self, ScheduleError> {
-        let schedule: Self = toml::from_str(text).map_err(|e| ScheduleError::Syntax(e.to_string().trim_end().to_owned()))?;
+        let schedule: Self =
+            toml::from_str(text).map_err(|e| ScheduleError::Syntax(e.to_string().trim_end().to_owned()))?;
         schedule.validate()?;
         Ok(schedule)
     }
@@ -208,7 +217,8 @@ impl Schedule {
             return Err(ScheduleError::NoLevels);
         }
         let positive = |field: String, value: f64| check(field, value, value > 0.0, "positive and finite");
-        let not_negative = |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
+        let not_negative =
+            |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
         positive("reference_size".into(), self.reference_size)?;
         positive("reference_vertices".into(), self.reference_vertices)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
@@ -225,8 +235,14 @@ impl Schedule {
             not_negative(name("point_to_plane"), level.point_to_plane)?;
             not_negative(name("point_to_point"), level.point_to_point)?;
             not_negative(name("landmarks"), level.landmarks)?;
+            level.kernel.validate().map_err(|e| ScheduleError::Kernel { level: i + 1, reason: e.to_string() })?;
             positive(name("distance_cap"), level.distance_cap)?;
-            check(name("normal_angle"), level.normal_angle, level.normal_angle > 0.0 && level.normal_angle <= 180.0, "above 0 and at most 180 degrees")?;
+            check(
+                name("normal_angle"),
+                level.normal_angle,
+                level.normal_angle > 0.0 && level.normal_angle <= 180.0,
+                "above 0 and at most 180 degrees",
+            )?;
         }
         Ok(())
     }

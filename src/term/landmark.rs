@@ -1,9 +1,8 @@
 //! Landmarks: named points of the template, at a vertex or inside a face, pulled to known places: `r = v - c`.
 
-use num_dual::DualNum;
-
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
+use crate::nlls::Scalar;
 
 /// Pulls sample `samples[m]` towards `targets[m]` with weight `weights[m] * scale`.
 #[derive(Debug, Clone, Default)]
@@ -32,7 +31,7 @@ impl SampleResidual<3> for Landmarks {
     }
 
     #[inline(always)]
-    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
         let c = self.targets[m];
         std::array::from_fn(|a| v[a] - c[a])
     }

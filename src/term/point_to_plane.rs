@@ -1,9 +1,8 @@
 //! Point-to-plane distance, eq. (3) of Klimov 2020 (squared, under the kernel): `r = n . (v - c)`.
 
-use num_dual::DualNum;
-
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
+use crate::nlls::Scalar;
 
 /// Pulls sample `m` towards the plane through `targets[m]` with unit normal `normals[m]`, weight `scale * weights[m]`.
 #[derive(Debug, Clone, Default)]
@@ -32,7 +31,7 @@ impl SampleResidual<1> for PointToPlane {
     }
 
     #[inline(always)]
-    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; 1] {
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
         let (c, n) = (self.targets[m], self.normals[m]);
         [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
     }

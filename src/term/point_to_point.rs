@@ -1,9 +1,8 @@
 //! Point-to-point distance, eq. (2) of Klimov 2020 (squared, under the kernel): `r = v - c`.
 
-use num_dual::DualNum;
-
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
+use crate::nlls::Scalar;
 
 /// Pulls sample `m` (the m-th of the problem's samples) towards `targets[m]` with weight `scale * weights[m]`.
 #[derive(Debug, Clone, Default)]
@@ -30,7 +29,7 @@ impl SampleResidual<3> for PointToPoint {
     }
 
     #[inline(always)]
-    fn residual<D: DualNum<Primitive = f64> + Copy>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
         let c = self.targets[m];
         std::array::from_fn(|a| v[a] - c[a])
     }

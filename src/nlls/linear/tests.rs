@@ -30,8 +30,8 @@ fn random_equations(structure: &Arc<BlockStructure>, seed: u64) -> NormalEquatio
     for i in 0..s.block_count() {
         for &j in s.row(i) {
             for _ in 0..4 {
-                let mut touched: Vec<usize> = [i, j].iter().flat_map(|&a| s.offset(a)..s.offset(a) + s.size(a)).collect();
-                touched.dedup();
+                let mut touched: Vec<usize> =
+                    [i, j].iter().flat_map(|&a| s.offset(a)..s.offset(a) + s.size(a)).collect();
                 touched.extend(n..n + m);
                 let row: Vec<f64> = touched.iter().map(|&c| if c < n { 1.0 } else { 0.3 } * random.next()).collect();
                 for (&r, x) in touched.iter().zip(&row) {

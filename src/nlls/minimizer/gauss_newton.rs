@@ -1,0 +1,67 @@
+//! Gauss-Newton with backtracking, the method of Klimov 2020.
+//!
+//! ```text
+//!     H d = -g        x <- x + t d        t = 1, 1/2, 1/4, ..  until  E(x + t d) <= E(x) + c t 2 g'd
+//! ```
+//!
+//! `2 g'd` is the slope of E along d (the equations are those of E/2); it is negative whenever H is positive definite, so a
+//! short enough step always lowers the energy, and the sequence of energies is monotone.
+
+use std::ops::ControlFlow;
+
+use super::run::{Proposal, Run};
+use super::{Convergence, GaussNewton, StopReason};
+use crate::nlls::Problem;
+
+pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &GaussNewton) -> StopReason {
+    let mut energy = match run.start() {
+        Ok(energy) => energy,
+        Err(stop) => return stop,
+    };
+    for iteration in 1..=run.options.max_iterations {
+        if iteration > 1 {
+            energy = run.linearize();
+        }
+        if run.gradient_norm() <= run.options.gradient_tolerance {
+            return StopReason::Converged(Convergence::Gradient);
+        }
+        if let Err(error) = run.solve(0.0, 0.0) {
+            return StopReason::LinearSolverFailed(error);
+        }
+        let Proposal { slope, predicted, step_norm, step_is_small } = run.proposal();
+        if predicted <= f64::EPSILON * energy {
+            return StopReason::Converged(Convergence::Energy);
+        }
+        let mut accepted = None;
+        let mut scale = 1.0;
+        for _ in 0..=options.max_halvings {
+            let trial = run.try_step(scale);
+            // The comparison with `energy` keeps the sequence monotone even when the slope is lost in rounding.
+            if trial <= energy + options.sufficient_decrease * scale * slope && trial <= energy {
+                accepted = Some(trial);
+                break;
+            }
+            scale *= 0.5;
+        }
+        let Some(trial) = accepted else {
+            let negligible = predicted <= run.options.energy_tolerance * energy;
+            return if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease };
+        };
+        run.accept(trial);
+        let decrease = energy - trial;
+        // Of the step of length t the model predicts t (2 - t) of the whole.
+        let gain = decrease / (scale * (2.0 - scale) * predicted);
+        if run.record(decrease, scale * step_norm, scale, 0.0, gain, true) == ControlFlow::Break(()) {
+            return StopReason::StoppedByObserver;
+        }
+        // A small decrease after halvings is no proof of convergence unless the model expected no more.
+        let small = run.options.energy_tolerance * energy;
+        if decrease <= small && (scale == 1.0 || predicted <= small) {
+            return StopReason::Converged(Convergence::Energy);
+        }
+        if step_is_small {
+            return StopReason::Converged(Convergence::Step);
+        }
+    }
+    StopReason::MaxIterations
+}

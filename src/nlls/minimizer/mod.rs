@@ -1,0 +1,188 @@
+//! Minimisers of nonlinear least-squares problems.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::{BlockStructure, LinearSolver, LinearSolverKind, NormalEquations, OptionError, Problem};
+
+pub mod gauss_newton;
+pub mod levenberg_marquardt;
+mod observer;
+mod options;
+mod run;
+mod summary;
+
+pub use observer::{Observer, Silent};
+pub use options::{Algorithm, GaussNewton, LevenbergMarquardt, Options};
+pub use summary::{Convergence, IterationRecord, ProblemSize, StageTimes, StopReason, Summary};
+
+use run::{Buffers, Run};
+
+/// Minimises `E(x)` over any [`Problem`].
+///
+/// ```
+/// # use std::sync::Arc;
+/// # use nonrigid::nlls::{BlockStructure, Minimizer, NormalEquations, Options, Problem};
+/// /// E(x) = (x - 3)^2
+/// struct Parabola(Arc<BlockStructure>);
+///
+/// impl Problem for Parabola {
+///     fn structure(&self) -> &Arc<BlockStructure> { &self.0 }
+///     fn parameter_len(&self) -> usize { 1 }
+///     fn energy(&mut self, x: &[f64]) -> f64 { (x[0] - 3.0).powi(2) }
+///     fn linearize(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+///         equations.border[0] = 1.0;
+///         equations.gradient[0] = x[0] - 3.0;
+///         self.energy(x)
+///     }
+///     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) { out[0] = x[0] + step[0] }
+/// }
+///
+/// let mut problem = Parabola(Arc::new(BlockStructure::dense(1)));
+/// let mut x = [0.0];
+/// let summary = Minimizer::new(Options::gauss_newton())?.minimize(&mut problem, &mut x);
+/// assert!(summary.stop.converged() && x[0] == 3.0, "{summary}");
+/// # Ok::<(), nonrigid::nlls::OptionError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Minimizer {
+    options: Options,
+}
+
+impl Minimizer {
+    /// A minimiser with these options.
+    ///
+    /// # Errors
+    /// The first option that is out of bounds: field, value, bound.
+    pub fn new(options: Options) -> Result<Self, OptionError> {
+        options.validate()?;
+        Ok(Self { options })
+    }
+
+    /// The options.
+    #[must_use]
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Minimises from `x` in place, with buffers of its own. `x` never ends with a higher energy than it had.
+    ///
+    /// # Panics
+    /// If `x` does not have [`Problem::parameter_len`] entries.
+    pub fn minimize<P: Problem + ?Sized>(&self, problem: &mut P, x: &mut [f64]) -> Summary {
+        let mut workspace = Workspace::new();
+        self.minimize_with(problem, x, &mut workspace, &mut Silent);
+        workspace.summary
+    }
+
+    /// Minimises from `x` in place, with the buffers of a workspace and under the eyes of an observer. From the second call
+    /// on nothing is allocated, as long as the structure of the problem stays the same (and `max_iterations` too: it sizes the
+    /// list of records).
+    ///
+    /// # Panics
+    /// If `x` does not have [`Problem::parameter_len`] entries.
+    pub fn minimize_with<'w, P: Problem + ?Sized>(
+        &self,
+        problem: &mut P,
+        x: &mut [f64],
+        workspace: &'w mut Workspace,
+        observer: &mut dyn Observer,
+    ) -> &'w Summary {
+        assert_eq!(x.len(), problem.parameter_len(), "x must hold the ambient coordinates of all parameters");
+        let clock = Instant::now();
+        let records = std::mem::take(&mut workspace.summary.records);
+        workspace.summary = Summary {
+            options: self.options,
+            size: ProblemSize::of(problem.structure(), x.len()),
+            records,
+            ..Summary::empty()
+        };
+        workspace.summary.records.clear();
+        let mut run = Run::new(&self.options, problem, x, workspace, observer);
+        let stop = match &self.options.algorithm {
+            Algorithm::GaussNewton(options) => gauss_newton::minimize(&mut run, options),
+            Algorithm::LevenbergMarquardt(options) => levenberg_marquardt::minimize(&mut run, options),
+        };
+        run.finish(stop);
+        workspace.summary.total_time = clock.elapsed();
+        &workspace.summary
+    }
+}
+
+/// Everything that a minimisation allocates: equations, linear solver with its symbolic analysis, vectors, records. Keep it
+/// across calls that share a structure, as the steps of an alternation (non-rigid ICP) do.
+#[derive(Debug)]
+pub struct Workspace {
+    equations: Option<NormalEquations>,
+    solver: Option<Box<dyn LinearSolver>>,
+    kind: LinearSolverKind,
+    own_solver: bool,
+    buffers: Buffers,
+    summary: Summary,
+    lambda: Option<f64>,
+}
+
+impl Default for Workspace {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Workspace {
+    /// An empty workspace; the first minimisation fills it.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            equations: None,
+            solver: None,
+            kind: LinearSolverKind::Auto,
+            own_solver: false,
+            buffers: Buffers::default(),
+            summary: Summary::empty(),
+            lambda: None,
+        }
+    }
+
+    /// A workspace that solves with the given solver, whatever the options say.
+    #[must_use]
+    pub fn with_linear_solver(solver: Box<dyn LinearSolver>) -> Self {
+        Self { solver: Some(solver), own_solver: true, ..Self::new() }
+    }
+
+    /// The report of the last minimisation.
+    #[must_use]
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// The equations of the last linearisation, if there was one.
+    #[must_use]
+    pub fn equations(&self) -> Option<&NormalEquations> {
+        self.equations.as_ref()
+    }
+
+    /// Levenberg-Marquardt damping at the end of the last minimisation.
+    #[must_use]
+    pub fn lambda(&self) -> Option<f64> {
+        self.lambda
+    }
+
+    /// Makes equations and solver fit the structure.
+    fn prepare(&mut self, structure: &Arc<BlockStructure>, kind: LinearSolverKind) {
+        let fits = |e: &NormalEquations| Arc::ptr_eq(e.structure(), structure) || e.structure() == structure;
+        if !self.equations.as_ref().is_some_and(fits) {
+            self.equations = Some(NormalEquations::new(structure.clone()));
+            self.lambda = None;
+            if !self.own_solver {
+                self.solver = None;
+            }
+        }
+        if self.solver.is_none() || (self.kind != kind && !self.own_solver) {
+            self.solver = Some(kind.build(structure));
+            self.kind = kind;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

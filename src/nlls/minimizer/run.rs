@@ -1,0 +1,206 @@
+//! The parts that all minimisers share: linearise, solve, try, accept, record.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use super::{IterationRecord, Observer, Options, StageTimes, StopReason, Workspace};
+use crate::nlls::linear::dot;
+use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
+
+/// One minimisation in progress.
+pub(super) struct Run<'a, P: Problem + ?Sized> {
+    pub options: &'a Options,
+    problem: &'a mut P,
+    x: &'a mut [f64],
+    observer: &'a mut dyn Observer,
+    equations: &'a mut NormalEquations,
+    solver: &'a mut dyn LinearSolver,
+    buffers: &'a mut Buffers,
+    summary: &'a mut super::Summary,
+    lambda: &'a mut Option<f64>,
+    times: StageTimes,
+}
+
+/// Vectors of a run; sized on first use.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    diagonal: Vec<f64>,
+    damping: Vec<f64>,
+    step: Vec<f64>,
+    scaled: Vec<f64>,
+    trial: Vec<f64>,
+}
+
+/// What the quadratic model says of a step.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Proposal {
+    /// Slope of E along the step, `2 g'd`.
+    pub slope: f64,
+    /// Predicted decrease of E, `-2 g'd - d'Hd` with the undamped H.
+    pub predicted: f64,
+    /// `|d|`.
+    pub step_norm: f64,
+    /// `|d| <= tolerance (|x| + tolerance)`.
+    pub step_is_small: bool,
+}
+
+impl<'a, P: Problem + ?Sized> Run<'a, P> {
+    pub(super) fn new(
+        options: &'a Options,
+        problem: &'a mut P,
+        x: &'a mut [f64],
+        workspace: &'a mut Workspace,
+        observer: &'a mut dyn Observer,
+    ) -> Self {
+        workspace.prepare(problem.structure(), options.linear_solver);
+        let Workspace { equations, solver, buffers, summary, lambda, .. } = workspace;
+        let (equations, solver) = match (equations, solver) {
+            (Some(equations), Some(solver)) => (equations, solver.as_mut()),
+            _ => unreachable!("`prepare` fills both"),
+        };
+        let n = problem.structure().dimension();
+        for vector in [&mut buffers.diagonal, &mut buffers.step, &mut buffers.scaled] {
+            vector.resize(n, 0.0);
+        }
+        buffers.trial.resize(x.len(), 0.0);
+        Self {
+            options,
+            problem,
+            x,
+            observer,
+            equations,
+            solver,
+            buffers,
+            summary,
+            lambda,
+            times: StageTimes::default(),
+        }
+    }
+
+    /// The energy of the start, linearised if there is going to be a step.
+    pub(super) fn start(&mut self) -> Result<f64, StopReason> {
+        let energy = if self.options.max_iterations == 0 { self.energy_at_x() } else { self.linearize() };
+        self.summary.initial_energy = energy;
+        self.summary.final_energy = energy;
+        if energy.is_finite() { Ok(energy) } else { Err(StopReason::NonFinite) }
+    }
+
+    fn energy_at_x(&mut self) -> f64 {
+        let clock = Instant::now();
+        let energy = self.problem.energy(self.x);
+        self.times.energy += clock.elapsed();
+        energy
+    }
+
+    pub(super) fn linearize(&mut self) -> f64 {
+        let clock = Instant::now();
+        let energy = self.problem.linearize(self.x, self.equations);
+        self.times.linearize += clock.elapsed();
+        energy
+    }
+
+    /// Damping that the last run ended with.
+    pub(super) fn lambda(&mut self) -> &mut Option<f64> {
+        self.lambda
+    }
+
+    /// `max |g_i|`; NaN if any entry is.
+    pub(super) fn gradient_norm(&self) -> f64 {
+        self.equations.gradient.iter().fold(0.0, |max: f64, g| if g.abs() <= max { max } else { g.abs() })
+    }
+
+    /// Solves `(H + lambda D + floor) d = -g`.
+    pub(super) fn solve(&mut self, lambda: f64, min_diagonal: f64) -> Result<(), LinearError> {
+        let clock = Instant::now();
+        let floor = self.options.damping_floor;
+        let Buffers { diagonal, damping, step, .. } = &mut *self.buffers;
+        damping.clear();
+        if lambda > 0.0 || floor > 0.0 {
+            self.equations.copy_diagonal(diagonal);
+            let largest = diagonal.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+            damping.extend(
+                diagonal.iter().map(|&h| lambda * h.max(min_diagonal * largest) + floor * h.max(floor * largest)),
+            );
+        }
+        let result = self.solver.solve(self.equations, damping, step);
+        self.times.solve += clock.elapsed();
+        result
+    }
+
+    /// The decrease of E that coordinate-wise steps promise, `sum_i g_i^2 / H_ii`: a measure of how far the minimum is that does
+    /// not shrink with the damping. For use after a damped solve.
+    pub(super) fn attainable(&self) -> f64 {
+        let terms = self.equations.gradient.iter().zip(&self.buffers.diagonal);
+        terms.map(|(g, h)| if *h > 0.0 { g * g / h } else { 0.0 }).sum()
+    }
+
+    /// What the model says of the step that was just computed.
+    pub(super) fn proposal(&self) -> Proposal {
+        let d = &self.buffers.step;
+        let slope = 2.0 * dot(&self.equations.gradient, d);
+        let norm = |v: &[f64]| dot(v, v).sqrt();
+        let (step_norm, tolerance) = (norm(d), self.options.step_tolerance);
+        Proposal {
+            slope,
+            predicted: -slope - self.equations.quadratic_form(d),
+            step_norm,
+            step_is_small: step_norm <= tolerance * (norm(self.x) + tolerance),
+        }
+    }
+
+    /// Moves a copy of x by `scale` times the step; returns its energy, infinity if that is not finite.
+    pub(super) fn try_step(&mut self, scale: f64) -> f64 {
+        let clock = Instant::now();
+        let Buffers { step, scaled, trial, .. } = &mut *self.buffers;
+        for (t, d) in scaled.iter_mut().zip(step) {
+            *t = scale * *d;
+        }
+        self.problem.retract(self.x, scaled, trial);
+        let energy = self.problem.energy(trial);
+        self.times.energy += clock.elapsed();
+        if energy.is_finite() { energy } else { f64::INFINITY }
+    }
+
+    /// Takes the step that was tried last.
+    pub(super) fn accept(&mut self, energy: f64) {
+        self.x.copy_from_slice(&self.buffers.trial);
+        self.summary.final_energy = energy;
+    }
+
+    /// Files the iteration and shows it to the observer.
+    pub(super) fn record(
+        &mut self,
+        decrease: f64,
+        step_norm: f64,
+        step_scale: f64,
+        lambda: f64,
+        gain: f64,
+        accepted: bool,
+    ) -> ControlFlow<()> {
+        self.summary.iterations += 1;
+        let times = std::mem::take(&mut self.times);
+        self.summary.times += times;
+        let record = IterationRecord {
+            iteration: self.summary.iterations,
+            energy: self.summary.final_energy,
+            decrease,
+            gradient_norm: self.gradient_norm(),
+            step_norm,
+            step_scale,
+            lambda,
+            gain,
+            accepted,
+            weak_directions: self.solver.weak_pivots(),
+            times,
+        };
+        self.summary.records.push(record);
+        self.observer.on_iteration(&record)
+    }
+
+    /// Times spent since the last record.
+    pub(super) fn finish(self, stop: StopReason) {
+        self.summary.times += self.times;
+        self.summary.stop = stop;
+        self.summary.linear_solver = self.solver.name();
+    }
+}

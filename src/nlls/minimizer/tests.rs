@@ -1,0 +1,251 @@
+//! Laws of the minimisers on small dense problems with known answers.
+
+use std::ops::ControlFlow;
+
+use super::*;
+use crate::nlls::linear::{Coordinate, LinearError};
+
+/// Residuals and their Jacobian, row by row.
+type Residuals = fn(&[f64]) -> Vec<(f64, Vec<f64>)>;
+
+/// A dense problem over plain coordinates.
+struct Dense {
+    structure: Arc<BlockStructure>,
+    residuals: Residuals,
+    linearizations: usize,
+}
+
+impl Dense {
+    fn new(n: usize, residuals: Residuals) -> Self {
+        Self { structure: Arc::new(BlockStructure::dense(n)), residuals, linearizations: 0 }
+    }
+}
+
+impl Problem for Dense {
+    fn structure(&self) -> &Arc<BlockStructure> {
+        &self.structure
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.structure.dimension()
+    }
+
+    fn energy(&mut self, x: &[f64]) -> f64 {
+        (self.residuals)(x).iter().map(|(r, _)| r * r).sum()
+    }
+
+    fn linearize(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+        self.linearizations += 1;
+        equations.clear();
+        let n = x.len();
+        for (r, row) in (self.residuals)(x) {
+            for i in 0..n {
+                equations.gradient[i] += row[i] * r;
+                for j in 0..n {
+                    equations.border[i * n + j] += row[i] * row[j];
+                }
+            }
+        }
+        self.energy(x)
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        for i in 0..x.len() {
+            out[i] = x[i] + step[i];
+        }
+    }
+}
+
+fn linear(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+    vec![
+        (x[0] + 2.0 * x[1] - 1.0, vec![1.0, 2.0]),
+        (3.0 * x[0] - x[1] - 2.0, vec![3.0, -1.0]),
+        (x[0] + x[1], vec![1.0, 1.0]),
+    ]
+}
+
+fn rosenbrock(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+    vec![(10.0 * (x[1] - x[0] * x[0]), vec![-20.0 * x[0], 10.0]), (1.0 - x[0], vec![-1.0, 0.0])]
+}
+
+fn powell_singular(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+    let (five, ten) = (5.0_f64.sqrt(), 10.0_f64.sqrt());
+    let (u, v) = (x[1] - 2.0 * x[2], x[0] - x[3]);
+    vec![
+        (x[0] + 10.0 * x[1], vec![1.0, 10.0, 0.0, 0.0]),
+        (five * (x[2] - x[3]), vec![0.0, 0.0, five, -five]),
+        (u * u, vec![0.0, 2.0 * u, -4.0 * u, 0.0]),
+        (ten * v * v, vec![2.0 * ten * v, 0.0, 0.0, -2.0 * ten * v]),
+    ]
+}
+
+/// The third coordinate is seen by nothing.
+fn unobserved(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+    vec![(x[0] * x[0] - 2.0, vec![2.0 * x[0], 0.0, 0.0]), (x[1] - x[0], vec![-1.0, 1.0, 0.0])]
+}
+
+fn run(options: Options, n: usize, residuals: Residuals, start: &[f64]) -> (Summary, Vec<f64>) {
+    let mut x = start.to_vec();
+    let summary = Minimizer::new(options).unwrap().minimize(&mut Dense::new(n, residuals), &mut x);
+    (summary, x)
+}
+
+fn both() -> [Options; 2] {
+    [Options::gauss_newton(), Options::levenberg_marquardt()]
+}
+
+#[test]
+fn gauss_newton_solves_a_linear_problem_in_one_step() {
+    let (summary, x) = run(Options::gauss_newton(), 2, linear, &[30.0, -40.0]);
+    assert!(summary.stop.converged(), "{summary}");
+    assert_eq!(summary.records[0].step_scale, 1.0);
+    assert!((summary.records[0].gain - 1.0).abs() < 1e-12, "{summary}");
+    assert!((summary.records[0].energy - summary.final_energy).abs() < 1e-15);
+    // Normal equations by hand: [11 0; 0 6] x = [7; 0].
+    assert!((x[0] - 7.0 / 11.0).abs() < 1e-14 && x[1].abs() < 1e-14, "{x:?}");
+}
+
+#[test]
+fn rosenbrock_from_the_classical_start() {
+    for options in both() {
+        let (summary, x) = run(options, 2, rosenbrock, &[-1.2, 1.0]);
+        assert!(summary.stop.converged(), "{summary}");
+        assert!((x[0] - 1.0).abs() < 1e-9 && (x[1] - 1.0).abs() < 1e-9, "{summary}\n{x:?}");
+        assert_eq!(summary.initial_energy, 24.199999999999996);
+    }
+}
+
+#[test]
+fn powell_singular_converges_though_its_hessian_does_not_stay_regular() {
+    let options = Options::levenberg_marquardt().with_max_iterations(200);
+    let (summary, x) = run(options, 4, powell_singular, &[3.0, -1.0, 0.0, 1.0]);
+    assert!(summary.stop.was_successful(), "{summary}");
+    assert!(summary.final_energy < 1e-16 && x.iter().all(|v| v.abs() < 1e-4), "{summary}\n{x:?}");
+}
+
+#[test]
+fn energies_never_rise() {
+    for options in both() {
+        for (n, residuals, start) in
+            [(2, rosenbrock as Residuals, &[-1.2, 1.0][..]), (4, powell_singular, &[3.0, -1.0, 0.0, 1.0])]
+        {
+            let (summary, _) = run(options, n, residuals, start);
+            let mut last = summary.initial_energy;
+            for r in &summary.records {
+                assert!(r.energy <= last, "{summary}");
+                last = r.energy;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_singular_problem_ends_with_a_named_reason() {
+    let (summary, x) = run(Options::gauss_newton(), 3, unobserved, &[1.0, 0.0, 5.0]);
+    let reason = LinearError::NotPositiveDefinite { at: Coordinate::Border { index: 2 } };
+    assert_eq!(summary.stop, StopReason::LinearSolverFailed(reason));
+    assert!(!summary.stop.was_successful());
+    assert_eq!(x, [1.0, 0.0, 5.0]);
+    assert!(summary.to_string().contains("border coordinate 2"), "{summary}");
+}
+
+#[test]
+fn a_damping_floor_leaves_unobserved_directions_where_they_are() {
+    for options in both() {
+        let (summary, x) = run(options.with_damping_floor(1e-9), 3, unobserved, &[1.0, 0.0, 5.0]);
+        assert!(summary.stop.converged(), "{summary}");
+        assert!((x[0] - 2.0_f64.sqrt()).abs() < 1e-9 && (x[1] - x[0]).abs() < 1e-9);
+        assert_eq!(x[2], 5.0);
+        assert!(summary.weak_directions() >= 1, "{summary}");
+    }
+}
+
+#[test]
+fn rejected_steps_do_not_linearise_again() {
+    let options = Options::levenberg_marquardt();
+    let mut problem = Dense::new(2, rosenbrock);
+    let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut [-1.2, 1.0]);
+    assert!(summary.accepted_steps() < summary.iterations, "{summary}");
+    assert!(problem.linearizations <= summary.accepted_steps() + 1, "{summary}");
+}
+
+#[test]
+fn the_observer_stops_the_run() {
+    for options in both() {
+        let mut x = vec![-1.2, 1.0];
+        let mut seen = 0;
+        let mut observer = |record: &IterationRecord| {
+            seen = record.iteration;
+            if record.iteration == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let mut workspace = Workspace::new();
+        let minimizer = Minimizer::new(options).unwrap();
+        let summary = minimizer.minimize_with(&mut Dense::new(2, rosenbrock), &mut x, &mut workspace, &mut observer);
+        assert_eq!((summary.stop, summary.iterations), (StopReason::StoppedByObserver, 3));
+        assert_eq!(seen, 3);
+    }
+}
+
+#[test]
+fn non_finite_energies_are_survived() {
+    fn logarithm(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        vec![(x[0].ln(), vec![1.0 / x[0]])]
+    }
+    for options in both() {
+        // From 5 the first full step goes to 5 - 5 ln 5 < 0, where the residual is NaN.
+        let (summary, x) = run(options, 1, logarithm, &[5.0]);
+        assert!(summary.stop.converged() && (x[0] - 1.0).abs() < 1e-9, "{summary}");
+        let (summary, x) = run(options, 1, logarithm, &[-1.0]);
+        assert_eq!(summary.stop, StopReason::NonFinite);
+        assert_eq!(x, [-1.0]);
+    }
+}
+
+#[test]
+fn a_wrong_gradient_ends_in_no_decrease() {
+    fn lying(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        vec![(x[0] - 3.0, vec![-1.0])]
+    }
+    for options in both() {
+        let (summary, x) = run(options, 1, lying, &[0.0]);
+        assert_eq!(summary.stop, StopReason::NoDecrease, "{summary}");
+        assert_eq!(x, [0.0]);
+    }
+}
+
+#[test]
+fn no_iterations_and_a_minimum_at_the_start() {
+    for options in both() {
+        let (summary, _) = run(options.with_max_iterations(0), 2, rosenbrock, &[-1.2, 1.0]);
+        assert_eq!((summary.stop, summary.iterations), (StopReason::MaxIterations, 0));
+        let (summary, x) = run(options, 2, rosenbrock, &[1.0, 1.0]);
+        assert_eq!((summary.stop, summary.iterations), (StopReason::Converged(Convergence::Gradient), 0));
+        assert_eq!(x, [1.0, 1.0]);
+    }
+}
+
+#[test]
+fn a_used_workspace_gives_the_bits_of_a_fresh_one() {
+    let mut workspace = Workspace::new();
+    for options in both() {
+        let minimizer = Minimizer::new(options).unwrap();
+        let mut first = vec![3.0, -1.0, 0.0, 1.0];
+        minimizer.minimize_with(&mut Dense::new(4, powell_singular), &mut first, &mut workspace, &mut Silent);
+        let mut x = vec![-1.2, 1.0];
+        let used = minimizer.minimize_with(&mut Dense::new(2, rosenbrock), &mut x, &mut workspace, &mut Silent);
+        let (fresh, y) = run(options, 2, rosenbrock, &[-1.2, 1.0]);
+        assert_eq!(x, y);
+        assert_eq!(used.deterministic_report(), fresh.deterministic_report());
+        assert_eq!(serde_json::to_string(used).unwrap(), serde_json::to_string(&fresh).unwrap());
+    }
+}
+
+#[test]
+fn options_name_what_is_wrong_with_them() {
+    let error = Minimizer::new(Options::default().with_energy_tolerance(-1.0)).unwrap_err();
+    assert_eq!(error.to_string(), "energy_tolerance is -1, but must be finite and not negative");
+    assert!(Options::default().with_damping_floor(f64::NAN).validate().is_err());
+    let options: Options = toml::from_str("max_iterations = 7\n[algorithm.gauss_newton]\nmax_halvings = 3\n").unwrap();
+    assert_eq!(options.algorithm, Algorithm::GaussNewton(GaussNewton { max_halvings: 3, ..Default::default() }));
+    assert!(toml::from_str::<Options>("max_iteration = 7").is_err());
+}
