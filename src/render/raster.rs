@@ -450,8 +450,8 @@ impl Lights {
     /// Diffuse factor and a faint, broad highlight for a normal of any length.
     fn intensity(&self, normal: Vec3) -> (f32, f32) {
         let Some(n) = normal.try_normalize(1e-30) else { return (0.5, 0.0) };
-        let diffuse = 0.80 * n.dot(&self.key).max(0.0)
-            + 0.16 * n.dot(&self.fill).max(0.0)
+        let diffuse = 0.92 * n.dot(&self.key).max(0.0)
+            + 0.22 * n.dot(&self.fill).max(0.0)
             + 0.05
             + 0.05 * (0.5 + 0.5 * n.dot(&self.up))
             + 0.06 * n.dot(&self.viewer).max(0.0);
