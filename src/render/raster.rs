@@ -221,14 +221,14 @@ impl<'p, 'a> Band<'p, 'a> {
         let p = self.prepared;
         let rows = pixels.len() / (3 * (p.width / p.factor)) * p.factor;
         let mut solid = vec![NOTHING; p.width * rows];
-        let mut films: Vec<(usize, Vec<Hit>)> = Vec::new();
+        let mut films: Vec<Vec<Hit>> = Vec::new();
         for (layer, surface) in p.surfaces.iter().enumerate() {
             if surface.look.opacity() >= 1.0 {
                 self.draw_surface(layer, &mut solid);
             } else {
                 let mut film = vec![NOTHING; p.width * rows];
                 self.draw_surface(layer, &mut film);
-                films.push((layer, film));
+                films.push(film);
             }
         }
         for layer in 0..p.points.len() {
@@ -241,10 +241,12 @@ impl<'p, 'a> Band<'p, 'a> {
         for (i, pixel) in pixels.chunks_exact_mut(3).enumerate() {
             let (column, row) = (i % columns, i / columns);
             let mut sum = [0.0f32; 3];
+            // Samples of one pixel on one triangle look alike: shade them once.
+            let mut last = (NOTHING, p.background);
             for sub_row in 0..p.factor {
                 for sub_column in 0..p.factor {
                     let (x, y) = (column * p.factor + sub_column, row * p.factor + sub_row);
-                    let colour = self.sample(x, y, &solid, &films, &lines);
+                    let colour = self.sample(x, y, &solid, &films, &lines, &mut last);
                     for c in 0..3 {
                         sum[c] += colour[c];
                     }
@@ -257,7 +259,15 @@ impl<'p, 'a> Band<'p, 'a> {
     }
 
     /// Colour of one sample; `y` counts from the top of the band.
-    fn sample(&self, x: usize, y: usize, solid: &[Hit], films: &[(usize, Vec<Hit>)], lines: &[Vec<f32>]) -> Linear {
+    fn sample(
+        &self,
+        x: usize,
+        y: usize,
+        solid: &[Hit],
+        films: &[Vec<Hit>],
+        lines: &[Vec<f32>],
+        last: &mut (Hit, Linear),
+    ) -> Linear {
         let p = self.prepared;
         let at = y * p.width + x;
         let hit = solid[at];
@@ -267,10 +277,13 @@ impl<'p, 'a> Band<'p, 'a> {
                 colour = points.colour;
             }
         } else {
-            colour = self.shade(hit, x, y);
+            if (hit.layer, hit.primitive) != (last.0.layer, last.0.primitive) {
+                *last = (hit, self.shade(hit, x, y));
+            }
+            colour = last.1;
         }
         if !films.is_empty() {
-            let mut front: Vec<Hit> = films.iter().map(|(_, film)| film[at]).filter(|f| f.key > hit.key).collect();
+            let mut front: Vec<Hit> = films.iter().map(|film| film[at]).filter(|f| f.key > hit.key).collect();
             front.sort_by(|a, b| a.key.total_cmp(&b.key));
             for film in front {
                 let opacity = p.surfaces[film.layer as usize].look.opacity();
@@ -450,8 +463,8 @@ impl Lights {
     /// Diffuse factor and a faint, broad highlight for a normal of any length.
     fn intensity(&self, normal: Vec3) -> (f32, f32) {
         let Some(n) = normal.try_normalize(1e-30) else { return (0.5, 0.0) };
-        let diffuse = 0.80 * n.dot(&self.key).max(0.0)
-            + 0.16 * n.dot(&self.fill).max(0.0)
+        let diffuse = 0.92 * n.dot(&self.key).max(0.0)
+            + 0.22 * n.dot(&self.fill).max(0.0)
             + 0.05
             + 0.05 * (0.5 + 0.5 * n.dot(&self.up))
             + 0.06 * n.dot(&self.viewer).max(0.0);

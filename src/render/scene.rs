@@ -76,7 +76,7 @@ impl Scene {
     /// Adds the edges of the polygons (not of their triangles) as thin dark lines.
     #[must_use]
     pub fn wireframe(self, mesh: &PolygonMesh) -> Self {
-        self.wireframe_with(mesh, [40, 44, 52], 0.8)
+        self.wireframe_with(mesh, [62, 60, 64], 0.6)
     }
 
     /// Adds the edges of the polygons as lines of `width` output pixels. The mesh's own surface hides what is behind it,

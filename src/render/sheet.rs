@@ -103,8 +103,18 @@ fn tick_texts(scale: &ColourScale) -> Vec<(f64, String)> {
     ticks
 }
 
+/// Label and unit, broken into lines of at most 12 characters where the words allow it.
 fn bar_label(scale: &ColourScale) -> Vec<String> {
-    let mut lines: Vec<String> = scale.label.split_whitespace().map(String::from).collect();
+    let mut lines: Vec<String> = Vec::new();
+    for word in scale.label.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= 12 => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.into()),
+        }
+    }
     if !scale.unit.is_empty() {
         lines.push(format!("[{}]", scale.unit));
     }
@@ -180,7 +190,7 @@ pub fn registration_sheet(
     result: &PolygonMesh,
     panel: u32,
 ) -> RgbImage {
-    let frame = Frame::of(&result.positions).scaled(1.08);
+    let frame = Frame::of(&result.positions).scaled(0.95);
     let template_frame = Frame::of(&template.positions).at_scale_of(frame);
     let (template_surface, result_surface) = (template.triangulate(), result.triangulate());
     let add_scan = |scene: Scene, style: Style| {
@@ -211,7 +221,7 @@ pub fn error_sheet(
     panel: u32,
 ) -> RgbImage {
     let frame = results.iter().map(|r| Frame::of(&r.1.positions)).reduce(Frame::union);
-    let frame = frame.unwrap_or_else(|| Frame::of(&[])).scaled(1.04);
+    let frame = frame.unwrap_or_else(|| Frame::of(&[])).scaled(0.95);
     let headings: Vec<&str> = results.iter().map(|r| r.0).collect();
     let mut sheet = Sheet::new(title).columns(&headings).colour_bar(scale);
     let size = [panel, panel];
