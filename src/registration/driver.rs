@@ -31,6 +31,14 @@ pub struct RegistrationInput<'a> {
     pub landmarks: &'a [Landmark],
 }
 
+impl RegistrationInput<'_> {
+    /// The positions that the registration deforms: `neutral`, or else the template's.
+    #[must_use]
+    pub fn rest_positions(&self) -> &[Vec3] {
+        self.neutral.unwrap_or(&self.template.positions)
+    }
+}
+
 /// What happened in one step, as an observer sees it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StepRecord {
@@ -84,6 +92,8 @@ pub struct RegistrationResult {
     pub weights: Vec<(String, f64)>,
     /// Which vertices had an accepted correspondence at the end.
     pub accepted: Vec<bool>,
+    /// Directions that nothing observed and damping held still, in the last step.
+    pub weak_directions: usize,
     /// Every step.
     pub history: Vec<StepRecord>,
     /// Why it ended.
@@ -163,6 +173,7 @@ pub fn register_with(
         start,
         weights: problem.model.named_weights(&x),
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
+        weak_directions: run.workspace.summary().weak_directions(),
         history: run.history,
         stop,
         schedule: schedule.clone(),
@@ -182,9 +193,7 @@ struct Rest {
 impl Rest {
     fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Self {
         let mut mesh = input.template.triangulate();
-        if let Some(neutral) = input.neutral {
-            mesh.positions = neutral.to_vec();
-        }
+        mesh.positions.copy_from_slice(input.rest_positions());
         let count = mesh.positions.len() as f64;
         let centre = mesh.positions.iter().sum::<Vec3>() / count;
         mesh.positions.iter_mut().for_each(|p| *p -= centre);

@@ -4,6 +4,7 @@ mod correspondence;
 mod driver;
 mod error;
 mod model_kind;
+mod report;
 mod schedule;
 mod start;
 mod terms;
@@ -14,6 +15,7 @@ pub use driver::{
 };
 pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
+pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
     GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SigmaOptions, StopOptions,
 };

@@ -1,0 +1,134 @@
+//! `nonrigid eval`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::inputs::read_positions;
+use super::{Failure, Stage};
+use crate::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
+use crate::registration::WITHIN_MM;
+use crate::render::{ColourScale, View, error_sheet, save_png};
+
+/// Arguments of `nonrigid eval`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  nonrigid eval --result wrapped.obj --template face.obj --truth truth.npy --heatmap error.png")]
+pub struct Arguments {
+    /// Result to measure: any mesh or .npy in the template's vertex order
+    #[arg(long, value_name = "FILE")]
+    result: PathBuf,
+    /// Template that was registered
+    #[arg(long, value_name = "MESH")]
+    template: PathBuf,
+    /// True position of every template vertex (.npy N x 3, .obj or .ply)
+    #[arg(long, value_name = "FILE", conflicts_with = "target", required_unless_present = "target")]
+    truth: Option<PathBuf>,
+    /// Which vertices the scan shows (.npy, N booleans) [default: all]
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    observed: Option<PathBuf>,
+    /// The scan, where there is no truth: surface distances both ways
+    #[arg(long, value_name = "MESH")]
+    target: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Picture (.png) of the error on the result
+    #[arg(long, value_name = "FILE")]
+    heatmap: Option<PathBuf>,
+}
+
+/// What is printed when there is no truth.
+#[derive(Serialize)]
+struct ScanFit {
+    #[serde(flatten)]
+    distances: SurfaceDistances,
+    stretch: EdgeStretch,
+}
+
+/// Runs the command.
+pub fn run(a: &Arguments) -> Result<(), Failure> {
+    let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
+    let positions = read_positions(&a.result)?;
+    same_count("the result", positions.len(), &template)?;
+    let result = PolygonMesh { positions, ..template.clone() };
+    let (text, json, per_vertex, label) = match (&a.truth, &a.target) {
+        (Some(truth), _) => against_truth(a, &result, &read_positions(truth)?)?,
+        (None, Some(target)) => {
+            let scan = io::read_scan(target).map_err(Failure::loading)?.mesh;
+            against_scan(&template, &result, &scan)?
+        }
+        (None, None) => return Err(Failure::new(Stage::Arguments, "give --truth or --target")),
+    };
+    println!("{}", if a.json { json } else { text });
+    if let Some(path) = &a.heatmap {
+        let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
+        let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let sheet = error_sheet(&name, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
+        save_png(&sheet, path).map_err(Failure::writing)?;
+    }
+    Ok(())
+}
+
+type Outcome = (String, String, Vec<f64>, &'static str);
+
+fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<Outcome, Failure> {
+    same_count("the truth", truth.len(), result)?;
+    let observed = match &a.observed {
+        Some(path) => io::read_npy_mask(path, Some(truth.len())).map_err(Failure::loading)?,
+        None => vec![true; truth.len()],
+    };
+    let triangles = result.triangulate().triangles;
+    let (errors, vertices) =
+        TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
+    let text = format!(
+        "rmse {:.4} mm (off {:.4}, slide {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles",
+        errors.rmse, errors.off, errors.slide, errors.median, errors.p95, errors.max, errors.unobserved, errors.flipped
+    );
+    Ok((text, to_json(&errors)?, vertices.observed_distance(&observed), "distance to the truth"))
+}
+
+fn against_scan(template: &PolygonMesh, result: &PolygonMesh, scan: &TriangleMesh) -> Result<Outcome, Failure> {
+    let on_scan = ClosestPoint::new(scan).map_err(Failure::computation)?;
+    let on_result = ClosestPoint::new(&result.triangulate()).map_err(Failure::computation)?;
+    let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
+    let fit = ScanFit {
+        distances: SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM),
+        stretch: EdgeStretch::new(template, &result.positions).map_err(Failure::computation)?,
+    };
+    let (forth, back) = (&fit.distances.result_to_scan, &fit.distances.scan_to_result);
+    let text = format!(
+        "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\
+         scan to result: median {:.4} mm, p95 {:.4}, max {:.4}\n\
+         edge stretch: {:.2} to {:.2}, median {:.3}",
+        forth.median,
+        forth.p95,
+        forth.max,
+        100.0 * forth.share_within,
+        back.median,
+        back.p95,
+        back.max,
+        fit.stretch.min,
+        fit.stretch.max,
+        fit.stretch.median
+    );
+    Ok((text, to_json(&fit)?, to_scan, "distance to the scan"))
+}
+
+fn distances(surface: &ClosestPoint, points: &[Vec3]) -> Vec<f64> {
+    points.iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect()
+}
+
+fn same_count(what: &str, found: usize, template: &PolygonMesh) -> Result<(), Failure> {
+    let expected = template.positions.len();
+    if found == expected {
+        return Ok(());
+    }
+    Err(Failure::loading(format!("{what} has {found} vertices, the template has {expected}; they must correspond")))
+}
+
+fn to_json(value: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string_pretty(value).map_err(Failure::computation)
+}

@@ -1,0 +1,230 @@
+//! `nonrigid register`.
+
+use std::io::IsTerminal;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::inputs::RigArguments;
+use super::{Failure, Stage, on_threads, warn};
+use crate::mesh::io::{self, write_atomically};
+use crate::registration::{
+    InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
+    Schedule, StepRecord, WITHIN_MM, register,
+};
+use crate::render::{registration_sheet, save_png};
+
+/// Arguments of `nonrigid register`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
+    --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png")]
+pub struct Arguments {
+    /// Template mesh (.obj or .ply); the result keeps its vertex order, polygons, UVs, groups and materials
+    #[arg(long, value_name = "MESH")]
+    template: PathBuf,
+    /// Scan (.obj or .ply), millimetres
+    #[arg(long, value_name = "MESH")]
+    target: PathBuf,
+    /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
+    #[arg(long, value_name = "FILE")]
+    neutral: Option<PathBuf>,
+    #[command(flatten)]
+    rig: RigArguments,
+    /// Landmarks (.json): template vertex or name -> point on the scan, or Wrap's [triangle, u, v]
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
+    /// What the landmarks' names mean on the template (.json)
+    #[arg(long, value_name = "FILE", requires = "landmarks")]
+    template_landmarks: Option<PathBuf>,
+    /// Deformation model: hybrid, graph, blendshape, rigid or similarity
+    #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
+    model: ModelKind,
+    /// Schedule (.toml) [default: the model's own]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Threads [default: all cores]; the result does not depend on them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Result (.obj or .ply)
+    #[arg(long, value_name = "MESH")]
+    out: PathBuf,
+    /// Report (.json); times go to a second file, *.timing.json
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Picture (.png) of template, scan, result, and result over scan
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+}
+
+fn run_here(a: &Arguments) -> Result<(), Failure> {
+    let clock = Instant::now();
+    let schedule = read_schedule(a)?;
+    check_extensions(a)?;
+    let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
+    let scan = io::read_scan(&a.target).map_err(Failure::loading)?;
+    let neutral = a.neutral.as_deref().map(super::inputs::read_positions).transpose()?;
+    let shapes = a.rig.read()?;
+    let landmarks = match &a.landmarks {
+        None => Vec::new(),
+        Some(path) => io::read_landmarks(path, a.template_landmarks.as_deref(), &template, Some(&scan.mesh))
+            .map_err(Failure::loading)?,
+    };
+    if shapes.is_empty() && a.model == ModelKind::Hybrid {
+        warn("no rig given: without blendshapes the hybrid model is the graph model");
+    }
+    let input = RegistrationInput {
+        template: &template,
+        neutral: neutral.as_deref(),
+        shapes: &shapes,
+        scan: &scan.mesh,
+        scan_normals: scan.normals.as_deref(),
+        landmarks: &landmarks,
+    };
+    let reading = clock.elapsed().as_secs_f64();
+
+    let mut progress = Progress::new();
+    let result = register(&input, &a.model, &schedule, &mut progress).map_err(|e| Failure::at(e.stage(), e))?;
+    progress.bar.finish_and_clear();
+    let registering = clock.elapsed().as_secs_f64() - reading;
+
+    let mut registered = template.clone();
+    registered.positions.clone_from(&result.positions);
+    io::write_polygon_mesh(&a.out, &registered).map_err(Failure::writing)?;
+    let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
+    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64());
+    if let Some(path) = &a.report {
+        let report = Report::new(a.model.name(), input_files(a)?, &result, quality);
+        write_json(path, &report)?;
+        let timing = Timing {
+            reading_seconds: reading,
+            registration_seconds: registering,
+            total_seconds: clock.elapsed().as_secs_f64(),
+            threads: rayon::current_num_threads(),
+        };
+        write_json(&path.with_extension("timing.json"), &timing)?;
+    }
+    if let Some(path) = &a.picture {
+        let title = format!("{} onto {}", a.model.name(), file_name(&a.target));
+        let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
+        save_png(&sheet, path).map_err(Failure::writing)?;
+    }
+    Ok(())
+}
+
+/// What differs from run to run.
+#[derive(Serialize)]
+struct Timing {
+    reading_seconds: f64,
+    registration_seconds: f64,
+    total_seconds: f64,
+    threads: usize,
+}
+
+fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
+    let Some(path) = &a.config else { return a.model.schedule().map_err(Failure::loading) };
+    let text = std::fs::read_to_string(path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?;
+    Schedule::from_toml(&text).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
+}
+
+/// Outputs that could not be written are refused before the work is done.
+fn check_extensions(a: &Arguments) -> Result<(), Failure> {
+    let known = |path: &Path, wanted: &[&str]| {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if wanted.contains(&extension.as_str()) {
+            return Ok(());
+        }
+        let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), wanted.join(" and ."));
+        Err(Failure::new(Stage::Arguments, message))
+    };
+    known(&a.out, &["obj", "ply"])?;
+    a.picture.as_deref().map_or(Ok(()), |p| known(p, &["png"]))?;
+    a.report.as_deref().map_or(Ok(()), |p| known(p, &["json"]))
+}
+
+fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
+    let mut files = vec![("template", a.template.clone()), ("target", a.target.clone())];
+    files.extend(a.neutral.clone().map(|p| ("neutral", p)));
+    files.extend(a.landmarks.clone().map(|p| ("landmarks", p)));
+    files.extend(a.template_landmarks.clone().map(|p| ("template landmarks", p)));
+    files.extend(a.config.clone().map(|p| ("schedule", p)));
+    if let Some(folder) = &a.rig.rig {
+        let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));
+        let mut inside: Vec<PathBuf> = std::fs::read_dir(folder)
+            .and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect())
+            .map_err(failed)?;
+        inside.retain(|p| p.is_file());
+        inside.sort();
+        files.extend(inside.into_iter().map(|p| ("rig", p)));
+    }
+    let hash = |(role, path): (&str, PathBuf)| {
+        InputFile::hash(role, &path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
+    };
+    files.into_iter().map(hash).collect()
+}
+
+fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) {
+    let inliers = result.history.last().map_or(0.0, |h| h.inliers);
+    println!(
+        "{}: {} steps in {seconds:.2} s, {:.0} % of the vertices accepted",
+        a.model.name(),
+        result.history.len(),
+        100.0 * inliers
+    );
+    println!(
+        "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} flipped triangles",
+        100.0 * quality.to_scan.share_within,
+        quality.median_within,
+        quality.flipped
+    );
+    println!("wrote {}", a.out.display());
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
+    write_atomically(path, |out| writeln!(out, "{text}")).map_err(Failure::writing)
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// A progress bar on a terminal, nothing when piped.
+struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    fn new() -> Self {
+        let bar = if std::io::stderr().is_terminal() { ProgressBar::new(0) } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len}  {msg}") {
+            bar.set_style(style);
+        }
+        Self { bar }
+    }
+}
+
+impl RegistrationObserver for Progress {
+    fn on_start(&mut self, _levels: usize, steps: usize) {
+        self.bar.set_length(steps as u64);
+    }
+
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
+        self.bar.inc(1);
+        self.bar.set_message(format!(
+            "level {}  {:.0} % accepted  moved {:.2} mm",
+            record.level + 1,
+            100.0 * record.inliers,
+            record.motion
+        ));
+        ControlFlow::Continue(())
+    }
+}

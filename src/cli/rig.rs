@@ -1,0 +1,45 @@
+//! `nonrigid rig`.
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+
+use super::Failure;
+use super::inputs::{ShapeKindArgument, read_rig};
+
+/// `nonrigid rig` and its subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// List a rig's shapes: family, how many vertices each moves, and how far
+    Info {
+        /// The rig: a folder of .npy deltas with names, or a folder of .obj/.ply shapes
+        #[arg(value_name = "DIR")]
+        folder: PathBuf,
+        /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
+        #[arg(long, value_enum)]
+        shape_kind: Option<ShapeKindArgument>,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// Runs the command.
+pub fn run(command: &Command) -> Result<(), Failure> {
+    let Command::Info { folder, shape_kind, json } = command;
+    let rig = read_rig(folder, usize::MAX, *shape_kind)?;
+    let info = rig.info();
+    if *json {
+        let text = serde_json::to_string_pretty(&info).map_err(Failure::computation)?;
+        println!("{text}");
+        return Ok(());
+    }
+    println!("{} vertices, {} shapes", rig.neutral().len(), info.len());
+    let width = info.iter().map(|s| s.name.len()).max().unwrap_or(0).max(4);
+    println!("{:width$}  {:10}  {:>8}  {:>8}", "name", "family", "vertices", "max mm");
+    for shape in info {
+        let family = format!("{:?}", shape.family).to_lowercase();
+        println!("{:width$}  {family:10}  {:8}  {:8.2}", shape.name, shape.moved_vertices, shape.max_displacement);
+    }
+    Ok(())
+}

@@ -1,0 +1,134 @@
+//! The report of a registration: everything that two equal runs have in common. Times, threads and machine belong in a
+//! file of their own, so that reports can be compared byte for byte.
+
+use std::path::Path;
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::{Pose, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, closest_pose};
+use crate::evaluation::{DistanceSummary, EdgeStretch, EvaluationError, flipped_triangles};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::{MeshError, Vec3};
+
+/// A file that was read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct InputFile {
+    /// What it was read as.
+    pub role: String,
+    /// Its name, without folders.
+    pub name: String,
+    /// SHA-256 of its bytes, hexadecimal.
+    pub sha256: String,
+}
+
+impl InputFile {
+    /// Hashes a file.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn hash(role: &str, path: &Path) -> std::io::Result<Self> {
+        let digest = Sha256::digest(std::fs::read(path)?);
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Self { role: role.to_owned(), name, sha256: digest.iter().map(|b| format!("{b:02x}")).collect() })
+    }
+}
+
+/// How well the result fits, without any ground truth.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Quality {
+    /// Distances of the result's vertices to the scan's surface; `share_within` counts those within 3 mm.
+    pub to_scan: DistanceSummary,
+    /// Median distance of the vertices within 3 mm.
+    pub median_within: f64,
+    /// Triangles whose normal turned by more than 90 degrees against the rest shape, after the best rigid motion.
+    pub flipped: usize,
+    /// Edge lengths over those of the rest shape.
+    pub stretch: EdgeStretch,
+}
+
+/// Distance in millimetres up to which a vertex counts as on the scan in [`Quality`].
+pub const WITHIN_MM: f64 = 3.0;
+
+impl Quality {
+    /// Measures a result.
+    ///
+    /// # Errors
+    /// When the scan has no usable triangle or the vertex counts differ.
+    pub fn measure(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
+        let surface = ClosestPoint::new(input.scan)?;
+        let distances: Vec<f64> =
+            positions.iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect();
+        let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
+        let rest = input.rest_positions();
+        let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();
+        let pose = closest_pose(&pairs, super::StartKind::Rigid).unwrap_or_else(|_| Pose::identity());
+        let posed: Vec<Vec3> = rest.iter().map(|&p| pose.apply(p)).collect();
+        let mut template = input.template.clone();
+        template.positions = rest.to_vec();
+        Ok(Self {
+            to_scan: DistanceSummary::new(&distances, WITHIN_MM),
+            median_within: DistanceSummary::new(&within, WITHIN_MM).median,
+            flipped: flipped_triangles(&posed, positions, &template.triangulate().triangles)?,
+            stretch: EdgeStretch::new(&template, positions)?,
+        })
+    }
+}
+
+/// Why a result could not be measured.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum QualityError {
+    /// The scan.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The result.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
+}
+
+/// The report, as it is written to JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Version of this crate.
+    pub version: String,
+    /// Model name.
+    pub model: String,
+    /// What was read.
+    pub inputs: Vec<InputFile>,
+    /// The schedule as it was used.
+    pub schedule: Schedule,
+    /// Where the registration started.
+    pub start: Pose,
+    /// Why it ended.
+    pub stop: RegistrationStop,
+    /// Share of the template's vertices with an accepted correspondence at the end.
+    pub inliers: f64,
+    /// Directions that nothing observed and damping held still, in the last step.
+    pub weak_directions: usize,
+    /// How well the result fits.
+    pub quality: Quality,
+    /// Blendshape weights by name.
+    pub weights: Vec<(String, f64)>,
+    /// Every step.
+    pub history: Vec<StepRecord>,
+}
+
+impl Report {
+    /// The report of a result.
+    #[must_use]
+    pub fn new(model: &str, inputs: Vec<InputFile>, result: &RegistrationResult, quality: Quality) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            model: model.to_owned(),
+            inputs,
+            schedule: result.schedule.clone(),
+            start: result.start,
+            stop: result.stop,
+            inliers: result.history.last().map_or(0.0, |h| h.inliers),
+            weak_directions: result.weak_directions,
+            quality,
+            weights: result.weights.clone(),
+            history: result.history.clone(),
+        }
+    }
+}
