@@ -253,9 +253,14 @@ impl Rig {
         }
         let nb = chosen.len();
         let mut slab = vec![0.0; 3 * neutral.len() * nb];
-        for (column, &k) in chosen.iter().enumerate() {
-            for (row, &delta) in self.deltas(k).iter().enumerate() {
-                slab[row * nb + column] = f64::from(delta);
+        // a few rows at a time, so that the part of the slab being filled stays in the cache
+        const ROWS: usize = 48;
+        for (block, rows) in slab.chunks_mut((ROWS * nb).max(1)).enumerate() {
+            for (column, &k) in chosen.iter().enumerate() {
+                let deltas = &self.deltas(k)[block * ROWS..];
+                for (row, &delta) in rows.chunks_exact_mut(nb).zip(deltas) {
+                    row[column] = f64::from(delta);
+                }
             }
         }
         let shapes = chosen.into_iter().map(|k| self.shapes[k].clone()).collect();
