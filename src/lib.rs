@@ -1,4 +1,5 @@
 //! Deform meshes by nonlinear least squares.
+pub mod cli;
 pub mod energy;
 pub mod evaluation;
 pub mod mesh;

@@ -1,1 +1,5 @@
-fn main() {}
+//! The `nonrigid` command.
+
+fn main() -> std::process::ExitCode {
+    nonrigid::cli::main()
+}

@@ -15,7 +15,9 @@ use crate::render::{ColourScale, View, error_sheet, save_png};
 
 /// Arguments of `nonrigid eval`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  nonrigid eval --result wrapped.obj --template face.obj --truth truth.npy --heatmap error.png")]
+#[command(
+    after_help = "Example:\n  nonrigid eval --result wrapped.obj --template face.obj --truth truth.npy --heatmap error.png"
+)]
 pub struct Arguments {
     /// Result to measure: any mesh or .npy in the template's vertex order
     #[arg(long, value_name = "FILE")]
@@ -66,7 +68,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &a.heatmap {
         let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
         let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sheet = error_sheet(&name, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
+        let sheet =
+            error_sheet(&name, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     Ok(())

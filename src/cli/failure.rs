@@ -44,11 +44,6 @@ impl Failure {
         Self::new(Stage::Writing, error.to_string())
     }
 
-    /// For `map_err` at an argument.
-    pub fn arguments(error: impl fmt::Display) -> Self {
-        Self::new(Stage::Arguments, error.to_string())
-    }
-
     /// The process' exit code.
     #[must_use]
     pub fn exit_code(&self) -> ExitCode {

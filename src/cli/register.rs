@@ -1,6 +1,6 @@
 //! `nonrigid register`.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -20,8 +20,10 @@ use crate::render::{registration_sheet, save_png};
 
 /// Arguments of `nonrigid register`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
-    --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png")]
+#[command(
+    after_help = "Example:\n  nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
+    --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png"
+)]
 pub struct Arguments {
     /// Template mesh (.obj or .ply); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
@@ -92,7 +94,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let reading = clock.elapsed().as_secs_f64();
 
     let mut progress = Progress::new();
-    let result = register(&input, &a.model, &schedule, &mut progress).map_err(|e| Failure::at(e.stage(), e))?;
+    let result = register(&input, &a.model, &schedule, &mut progress).map_err(|e| {
+        let stage = if e.is_input() { Stage::Loading } else { Stage::Computation };
+        Failure::new(stage, e.to_string())
+    })?;
     progress.bar.finish_and_clear();
     let registering = clock.elapsed().as_secs_f64() - reading;
 

@@ -320,7 +320,8 @@ fn closest_on_segment(a: Point, b: Point) -> (f64, Point, f64) {
 fn closest_on_triangle(a: Point, b: Point, c: Point) -> ([f64; 3], Point, f64) {
     let normal = cross(sub(b, a), sub(c, a));
     let areas = [dot(normal, cross(b, c)), dot(normal, cross(c, a)), dot(normal, cross(a, b))];
-    let (barycentric, mut point) = if areas[0] > 0.0 && areas[1] > 0.0 && areas[2] > 0.0 {
+    let inside = areas.map(|area| area > 0.0);
+    let (barycentric, mut point) = if inside == [true; 3] {
         let sum = areas[0] + areas[1] + areas[2];
         let w = [areas[0] / sum, areas[1] / sum, areas[2] / sum];
         // the projection of the origin along the normal
@@ -328,17 +329,17 @@ fn closest_on_triangle(a: Point, b: Point, c: Point) -> ([f64; 3], Point, f64) {
         (w, [height * normal[0], height * normal[1], height * normal[2]])
     } else {
         let mut best = ([1.0, 0.0, 0.0], a, f64::INFINITY);
-        if !(areas[2] > 0.0) {
+        if !inside[2] {
             let (t, point, d) = closest_on_segment(a, b);
             best = ([1.0 - t, t, 0.0], point, d);
         }
-        if !(areas[0] > 0.0) {
+        if !inside[0] {
             let (t, point, d) = closest_on_segment(b, c);
             if d < best.2 {
                 best = ([0.0, 1.0 - t, t], point, d);
             }
         }
-        if !(areas[1] > 0.0) {
+        if !inside[1] {
             let (t, point, d) = closest_on_segment(c, a);
             if d < best.2 {
                 best = ([t, 0.0, 1.0 - t], point, d);

@@ -25,12 +25,13 @@
 use num_dual::DualSVec64;
 use rayon::prelude::*;
 
+use super::NodeGraph;
 use super::transform::{AffineMap, NodeTransform};
-use super::{NodeGraph, ShapeBasis};
 use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{add_outer, rank_update_lower, vectorized};
 use crate::nlls::{BlockRow, BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
+use crate::rig::ShapeBasis;
 
 /// How stiff the model is; changed from level to level of a registration.
 #[derive(Debug, Clone, Copy, PartialEq)]

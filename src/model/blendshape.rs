@@ -1,7 +1,8 @@
 //! Blendshapes or PCA components, eqs. (4) and (5) of Klimov 2020, under one rigid motion.
 
-use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
 use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
 
 /// Linear shapes and a rigid motion.
 pub type Blendshape = NodeAssembly<RigidMotion, 9>;

@@ -1,7 +1,8 @@
 //! The embedded deformation graph of Sumner et al. 2007 with rigid nodes, eqs. (6) and (7) of Klimov 2020.
 
-use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
 use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
 
 /// A deformation graph.
 pub type Graph = NodeAssembly<RigidMotion, 9>;

@@ -1,7 +1,8 @@
 //! Klimov's hybrid: blendshapes inside the deformation graph, both solved together, eqs. (8) and (9) of Klimov 2020.
 
-use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
 use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
 
 /// Blendshapes inside a deformation graph.
 pub type Hybrid = NodeAssembly<RigidMotion, 9>;

@@ -6,7 +6,6 @@ mod graph;
 mod hybrid;
 mod node_graph;
 mod rigid;
-mod shapes;
 mod similarity;
 mod transform;
 
@@ -16,7 +15,6 @@ pub use graph::{Graph, graph};
 pub use hybrid::{Hybrid, hybrid};
 pub use node_graph::NodeGraph;
 pub use rigid::{Rigid, rigid};
-pub use shapes::ShapeBasis;
 pub use similarity::{Similarity, similarity};
 pub use transform::{AffineMap, NodeTransform, RigidMotion, SimilarityMotion};
 

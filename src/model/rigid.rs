@@ -1,7 +1,8 @@
 //! Rigid motion, SE(3) about the centroid: one node, no shapes, no regulariser.
 
-use super::{NodeAssembly, NodeGraph, RigidMotion, ShapeBasis, Stiffness};
+use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
 use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
 
 /// A rigid motion of the whole template.
 pub type Rigid = NodeAssembly<RigidMotion, 9>;

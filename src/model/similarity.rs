@@ -1,7 +1,8 @@
 //! Similarity, Sim(3) about the centroid: rotation, translation and one scale; no regulariser.
 
-use super::{NodeAssembly, NodeGraph, ShapeBasis, SimilarityMotion, Stiffness};
+use super::{NodeAssembly, NodeGraph, SimilarityMotion, Stiffness};
 use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
 
 /// A similarity of the whole template.
 pub type Similarity = NodeAssembly<SimilarityMotion, 10>;

@@ -11,8 +11,8 @@ use super::{
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::io::{Landmark, TemplatePoint};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use crate::model::ShapeBasis;
 use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
+use crate::rig::ShapeBasis;
 
 /// What is registered to what.
 #[derive(Debug, Clone, Copy)]
@@ -145,7 +145,8 @@ pub fn register_with(
         };
         landmarks.push((sample, to_rest(landmark.target)));
     }
-    let model = model.build(&ModelInput { rest: &template.mesh, shapes: input.shapes, schedule })?;
+    let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
+    let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
     let mut problem: Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>> =
         Deformation::new(model, samples);
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks })));

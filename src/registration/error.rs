@@ -74,3 +74,11 @@ pub enum RegistrationError {
         step: usize,
     },
 }
+
+impl RegistrationError {
+    /// Whether the inputs, as opposed to the computation on them, are at fault.
+    #[must_use]
+    pub fn is_input(&self) -> bool {
+        !matches!(self, Self::NoOverlap { .. } | Self::Solver { .. } | Self::Diverged { .. })
+    }
+}

@@ -7,9 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
 use crate::energy::DeformationModel;
 use crate::mesh::TriangleMesh;
-use crate::model::{
-    NodeAssembly, NodeGraph, NodeTransform, ShapeBasis, Stiffness, blendshape, graph, hybrid, rigid, similarity,
-};
+use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
 pub trait RegistrationModel: DeformationModel {
@@ -127,6 +126,6 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, 
     }
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
-        self.shapes().names().iter().cloned().zip(self.weights(x).iter().copied()).collect()
+        self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
     }
 }

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::StartKind;
 use crate::nlls::Kernel;
+use crate::rig::Family;
 
 /// Everything that steers a registration.
 ///
@@ -112,6 +113,17 @@ pub struct SigmaOptions {
 impl Default for SigmaOptions {
     fn default() -> Self {
         Self { expression: 1.0, identity: 1.0 }
+    }
+}
+
+impl SigmaOptions {
+    /// `sigma_k` of a shape of the given family; shapes of unknown family count as expressions.
+    #[must_use]
+    pub fn of(&self, family: Family) -> f64 {
+        match family {
+            Family::Identity => self.identity,
+            Family::Expression | Family::Other => self.expression,
+        }
     }
 }
 

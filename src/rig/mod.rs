@@ -4,9 +4,11 @@
 //! A [`Rig`] is what the files hold, in 32 bits; [`Rig::select`] takes out the shapes that a fit uses, as the slab of
 //! 64-bit numbers that the solver reads. Stands on [`crate::mesh`].
 
+mod basis;
 mod error;
 mod read;
 
+pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
 pub use read::{RigReadOptions, ShapeKind};
 
@@ -49,45 +51,13 @@ pub struct Rig {
     landmarks: Option<Vec<u32>>,
 }
 
-/// Which shapes a fit uses, and on which neutral.
+/// Which shapes a fit uses.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ShapeSelection<'a> {
     /// Names of shapes in the order of their weights; `None` for all that are not identity modes, in the rig's order.
     pub names: Option<&'a [String]>,
     /// How many of the first identity modes follow them.
     pub identity_modes: usize,
-    /// Positions to add the shapes to, instead of the rig's neutral.
-    pub neutral: Option<&'a [Vec3]>,
-}
-
-/// The shapes of a fit, as the solver reads them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SelectedShapes {
-    /// n_i, millimetres.
-    pub neutral: Vec<Vec3>,
-    /// Name and family of each shape, in the order of the weights w_k.
-    pub shapes: Vec<Shape>,
-    /// The differences s_i^k - n_i, 3N x nb, row-major: `slab[(3 * i + axis) * nb + k]`, so that vertex `i` owns the
-    /// 3 x nb slab B_i from `3 * i * nb` on. Millimetres.
-    pub slab: Vec<f64>,
-}
-
-impl SelectedShapes {
-    /// nb.
-    #[must_use]
-    pub fn shape_count(&self) -> usize {
-        self.shapes.len()
-    }
-
-    /// B_i, 3 x nb, row-major.
-    ///
-    /// # Panics
-    /// When `vertex` is not one.
-    #[must_use]
-    pub fn vertex_slab(&self, vertex: usize) -> &[f64] {
-        let width = 3 * self.shapes.len();
-        &self.slab[vertex * width..(vertex + 1) * width]
-    }
 }
 
 /// What a shape moves.
@@ -222,9 +192,8 @@ impl Rig {
     /// Takes out the shapes that a fit uses.
     ///
     /// # Errors
-    /// When a name is unknown or comes twice, there are fewer identity modes, or the neutral has another number of
-    /// vertices or is not finite.
-    pub fn select(&self, selection: ShapeSelection<'_>) -> Result<SelectedShapes, RigError> {
+    /// When a name is unknown or comes twice, or there are fewer identity modes.
+    pub fn select(&self, selection: ShapeSelection<'_>) -> Result<ShapeBasis, RigError> {
         let of_family = |identity: bool| {
             (0..self.shapes.len()).filter(move |&k| (self.shapes[k].family == Family::Identity) == identity)
         };
@@ -243,23 +212,20 @@ impl Rig {
                 return Err(RigError::DuplicateName { name: self.shapes[k].name.clone() });
             }
         }
-        let neutral = selection.neutral.unwrap_or(&self.neutral);
-        if neutral.len() != self.neutral.len() {
-            let (found, expected) = (neutral.len(), self.neutral.len());
-            return Err(RigError::VertexCount { what: "the given neutral".into(), found, expected });
-        }
-        if let Some(vertex) = neutral.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(RigError::NotFinite { what: "the given neutral".into(), vertex });
-        }
         let nb = chosen.len();
-        let mut slab = vec![0.0; 3 * neutral.len() * nb];
-        for (column, &k) in chosen.iter().enumerate() {
-            for (row, &delta) in self.deltas(k).iter().enumerate() {
-                slab[row * nb + column] = f64::from(delta);
+        let mut slab = vec![0.0; 3 * self.neutral.len() * nb];
+        // a few rows at a time, so that the part of the slab being filled stays in the cache
+        const ROWS: usize = 48;
+        for (block, rows) in slab.chunks_mut((ROWS * nb).max(1)).enumerate() {
+            for (column, &k) in chosen.iter().enumerate() {
+                let deltas = &self.deltas(k)[block * ROWS..];
+                for (row, &delta) in rows.chunks_exact_mut(nb).zip(deltas) {
+                    row[column] = f64::from(delta);
+                }
             }
         }
         let shapes = chosen.into_iter().map(|k| self.shapes[k].clone()).collect();
-        Ok(SelectedShapes { neutral: neutral.to_vec(), shapes, slab })
+        Ok(ShapeBasis::new(shapes, slab))
     }
 
     /// What each shape moves.
@@ -326,11 +292,11 @@ mod tests {
         let (rig, warnings) = rig();
         assert_eq!(warnings, [RigWarning::Motionless { name: "still".into() }]);
         let selected = rig.select(ShapeSelection { identity_modes: 1, ..ShapeSelection::default() }).unwrap();
-        assert_eq!(selected.slab, [1.0, 7.0, 2.0, 0.0, 3.0, 0.0, 4.0, 0.0, 5.0, 0.0, 6.0, 0.0]);
-        assert_eq!(selected.vertex_slab(1), [4.0, 0.0, 5.0, 0.0, 6.0, 0.0]);
+        assert_eq!(selected.vertex(0), [1.0, 7.0, 2.0, 0.0, 3.0, 0.0]);
+        assert_eq!(selected.vertex(1), [4.0, 0.0, 5.0, 0.0, 6.0, 0.0]);
         let names = ["id1".to_owned(), "jawOpen".to_owned()];
         let selected = rig.select(ShapeSelection { names: Some(&names), ..ShapeSelection::default() }).unwrap();
-        assert_eq!(selected.vertex_slab(1), [0.0, 4.0, 9.0, 5.0, 0.0, 6.0]);
+        assert_eq!(selected.vertex(1), [0.0, 4.0, 9.0, 5.0, 0.0, 6.0]);
     }
 
     #[test]
@@ -338,7 +304,7 @@ mod tests {
         let (rig, _) = rig();
         let select = |names: &[&str], identity_modes| {
             let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
-            rig.select(ShapeSelection { names: Some(&names), identity_modes, neutral: None }).unwrap_err().to_string()
+            rig.select(ShapeSelection { names: Some(&names), identity_modes }).unwrap_err().to_string()
         };
         let message = select(&["jawopn"], 0);
         assert!(message.contains("jawopn") && message.contains("did you mean \"jawOpen\""), "{message}");

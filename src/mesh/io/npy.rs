@@ -179,9 +179,11 @@ impl<'a> NpyArray<'a> {
 
     fn read_with<T: Copy>(mut self, rows: usize, decode: impl Fn(&[u8]) -> T) -> Result<Vec<T>, ReadError> {
         let header = &self.header;
-        let row: usize = header.shape.iter().skip(1).product(); // at most `length`, or `length` is 0
-        let first = header.shape.first().copied().unwrap_or(1);
-        let kept = if header.length == 0 { 0 } else { row * rows.min(first) };
+        if header.length == 0 {
+            return Ok(Vec::new()); // the product of the other axes need not fit in memory
+        }
+        let row: usize = header.shape.iter().skip(1).product();
+        let kept = row * rows.min(header.shape.first().copied().unwrap_or(1));
         let wanted = if header.fortran { header.length } else { kept };
         // grown as data arrive: an archive's claims about sizes are not trusted
         let mut items = Vec::with_capacity(wanted.min(1 << 20));

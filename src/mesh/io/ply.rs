@@ -1,9 +1,9 @@
 //! PLY, the Stanford polygon format: ascii, binary little and big endian. Source: Greg Turk, "The PLY Polygon File
 //! Format", 1994.
 //!
-//! Our own reader rather than `ply-rs-bw`, because the header's counts have to be weighed against the size of the file
-//! before anything is read, errors have to say which row is missing at which byte, and one pass over the bytes straight
-//! into positions and corners needs no map of named properties for every row.
+//! Our own reader rather than `ply-rs-bw`: the header's counts are weighed against the size of the file before anything
+//! is allocated, errors say which row of which element is missing at which byte or line, and one pass over the bytes
+//! goes straight into positions and corners, where the crate hands over every property of every row by its name.
 //!
 //! Read are `vertex` (x, y, z; nx, ny, nz; red, green, blue) and `face` (vertex_indices or vertex_index, any number of
 //! corners); other elements and properties are stepped over.

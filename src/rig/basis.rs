@@ -1,14 +1,17 @@
-//! Blendshapes as the solver sees them: one constant slab of displacements.
+//! The shapes of a fit, as the solver reads them: one constant slab of displacements.
 
+use std::sync::Arc;
+
+use super::Shape;
 use crate::mesh::Vec3;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
-/// `sigma_k` on each weight, eq. (5).
+/// `sigma_k` on each weight, eq. (5). Cloning shares the slab.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapeBasis {
-    names: Vec<String>,
+    shapes: Vec<Shape>,
     sigmas: Vec<f64>,
-    deltas: Vec<f64>,
+    slab: Arc<Vec<f64>>,
 }
 
 impl ShapeBasis {
@@ -18,44 +21,46 @@ impl ShapeBasis {
         Self::default()
     }
 
-    /// Shapes of the given names and `sigma_k`; `deltas` holds `3 N` rows of one entry per shape: row `3 i + a` is the
-    /// displacement of vertex `i` along axis `a` at weight one.
+    /// Shapes with `sigma_k = 1`. `slab` holds `3 N` rows of one entry per shape: row `3 i + a` is the displacement of
+    /// vertex `i` along axis `a` at weight one, millimetres.
     ///
     /// # Panics
-    /// If the lengths do not fit together.
+    /// If the slab is not made of whole vertices.
     #[must_use]
-    pub fn new(names: Vec<String>, sigmas: Vec<f64>, deltas: Vec<f64>) -> Self {
-        assert_eq!(names.len(), sigmas.len(), "one sigma per shape");
-        assert!(
-            deltas.is_empty() || deltas.len() % (3 * names.len()) == 0,
-            "deltas must be 3 N rows of {} shapes",
-            names.len()
-        );
-        Self { names, sigmas, deltas }
+    pub fn new(shapes: Vec<Shape>, slab: Vec<f64>) -> Self {
+        assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
+        Self { sigmas: vec![1.0; shapes.len()], shapes, slab: Arc::new(slab) }
+    }
+
+    /// The same shapes with `sigma_k = sigma(shape k)`.
+    #[must_use]
+    pub fn with_sigmas(mut self, sigma: impl Fn(&Shape) -> f64) -> Self {
+        self.sigmas = self.shapes.iter().map(sigma).collect();
+        self
     }
 
     /// Number of shapes.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.names.len()
+        self.shapes.len()
     }
 
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.names.is_empty()
+        self.shapes.is_empty()
     }
 
     /// Number of vertices that the shapes move; zero without shapes.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
-        if self.is_empty() { 0 } else { self.deltas.len() / (3 * self.len()) }
+        self.slab.len() / (3 * self.len()).max(1)
     }
 
-    /// Shape names, in the order of the weights.
+    /// Name and family of each shape, in the order of the weights `w_k`.
     #[must_use]
-    pub fn names(&self) -> &[String] {
-        &self.names
+    pub fn shapes(&self) -> &[Shape] {
+        &self.shapes
     }
 
     /// Prior standard deviations `sigma_k`.
@@ -64,12 +69,15 @@ impl ShapeBasis {
         &self.sigmas
     }
 
-    /// The three rows of vertex `i`: `3 x len`, row-major.
+    /// `B_i`, the three rows of vertex `i`: `3 x len`, row-major.
+    ///
+    /// # Panics
+    /// When there is no vertex `i`.
     #[inline(always)]
     #[must_use]
     pub fn vertex(&self, i: usize) -> &[f64] {
         let n = 3 * self.len();
-        &self.deltas[i * n..(i + 1) * n]
+        &self.slab[i * n..(i + 1) * n]
     }
 
     /// `b_i(w)` for vertex `i` at rest in `rest`.
