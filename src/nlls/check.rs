@@ -59,7 +59,8 @@ impl GradientReport {
 
 impl fmt::Display for GradientReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let wrong = self.entries.iter().filter(|e| !(e.relative_error <= self.tolerance)).count();
+        let wrong =
+            self.entries.iter().filter(|e| e.relative_error.is_nan() || e.relative_error > self.tolerance).count();
         let verdict = if self.passed() { "passed" } else { "FAILED" };
         writeln!(
             f,

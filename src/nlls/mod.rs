@@ -1,4 +1,29 @@
 //! Generic nonlinear least squares. Knows nothing of meshes.
+//!
+//! ```text
+//!     min E(x),   E(x) = sum_m alpha_m rho( |r_m(x)|^2 )          no factor 1/2 in E
+//!     (H + D) d = -g,   x <- x [+] d                              g and H are those of E/2
+//! ```
+//!
+//! | to do this | use |
+//! |---|---|
+//! | state a problem residual by residual | [`Residual`], [`Family`], [`ResidualProblem`] |
+//! | bring derivatives of your own | [`Problem`], [`BlockStructure`], [`NormalEquations`] |
+//! | minimise | [`Minimizer`], [`Options`], [`Workspace`], [`Summary`] |
+//! | watch and stop | [`Observer`] |
+//! | resist outliers | [`Kernel`], [`RobustKernel`], [`mad_scale`] |
+//! | move on a manifold | [`Manifold`], [`So3`], [`UnitQuaternion`], [`Se3`], [`Sim3`] |
+//! | solve linear equations | [`linear`], [`LinearSolver`] |
+//! | distrust what you wrote | [`check_gradient`], [`check_hessian`], [`check_manifold`], [`check_kernel`] |
+//!
+//! For users of Ceres: a `CostFunction` is a [`Residual`], a `LossFunction` a [`RobustKernel`] (same convention), a `Manifold`
+//! a [`Manifold`], a `Problem` a [`ResidualProblem`], `Solver::Summary` a [`Summary`]. Ceres minimises E/2: its costs are half
+//! of our energies, its gradients are equal to ours. What is fixed by structure there (`linear_solver_ordering`) is said when
+//! a block is added: [`add_block`](ResidualProblemBuilder::add_block) or
+//! [`add_border_block`](ResidualProblemBuilder::add_border_block).
+//!
+//! Results are the same bits at any number of threads, and after its first iteration a [`Workspace`] allocates nothing.
+//! This module may import nothing from the rest of the crate.
 
 mod check;
 mod error;
