@@ -35,9 +35,9 @@ fn the_face_rig() {
     let selected = rig.select(ShapeSelection { identity_modes: 40, ..ShapeSelection::default() }).unwrap();
     let nb = selected.len();
     let jaw = rig.find("jawOpen").unwrap();
-    let column = selected.shapes.iter().position(|s| s.name == "jawOpen").unwrap();
+    let column = selected.shapes().iter().position(|s| s.name == "jawOpen").unwrap();
     for (row, delta) in rig.deltas(jaw).iter().enumerate() {
-        assert_eq!(selected.slab[row * nb + column], f64::from(*delta));
+        assert_eq!(selected.vertex(row / 3)[row % 3 * nb + column], f64::from(*delta));
     }
     assert!(rig.info()[jaw].max_displacement > 5.0);
 

@@ -80,7 +80,7 @@ fn structures() -> Vec<Arc<BlockStructure>> {
         BlockStructure::new(&[6; 12], (1..12).map(|i| (0, i)), 5).unwrap(),
         BlockStructure::new(&[2, 6, 3, 1, 4], [], 3).unwrap(),
     ];
-    for border in [0, 1, 31, 40] {
+    for border in [0, 1, 55, 130] {
         let sizes: Vec<usize> = (0..40).map(|_| 1 + random.index(6)).collect();
         let pairs: Vec<_> = (0..90).map(|_| (random.index(40), random.index(40))).collect();
         all.push(BlockStructure::new(&sizes, pairs, border).unwrap());
