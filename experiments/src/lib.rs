@@ -1,2 +1,4 @@
-//! Studies on top of `nonrigid`.
+//! Studies on top of `nonrigid`: one file each, which reads like its description.
+
+pub mod random_pose;
 pub mod scan_bench;

@@ -1,43 +1,161 @@
-//! Studies on top of `nonrigid`.
-use experiments::scan_bench::*;
-use nonrigid::registration::*;
-use std::path::Path;
-fn main() -> anyhow::Result<()> {
-    let a: Vec<String> = std::env::args().collect();
-    let rig = RigData::read(Path::new(&a[2]))?;
-    let model: ModelKind = a[3].parse().map_err(anyhow::Error::msg)?;
-    let schedule =
-        if a.len() > 4 { Schedule::from_toml(&std::fs::read_to_string(&a[4])?)? } else { model.schedule()? };
-    let lm: LandmarkUse = a.get(5).map_or("all", |s| s).parse().map_err(anyhow::Error::msg)?;
-    let mut dirs: Vec<_> =
-        std::fs::read_dir(&a[1])?.map(|d| d.unwrap().path()).filter(|p| p.join("case.json").exists()).collect();
-    dirs.sort();
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
-    let mut sum = (0.0, 0.0f64, 0.0, 0.0, 0.0f64, 0.0);
-    for d in &dirs {
-        let case = BenchCase::read(d, &rig)?;
-        let (row, _) = run_case(&case, &model, &terms, &schedule, lm)?;
-        let e = &row.errors;
-        println!(
-            "{:12} rmse {:.3} off {:.3} slide {:.3} un {:.3} p95 {:.3} max {:.2} flips {} it {} {:.2}s",
-            row.case, e.rmse, e.off, e.slide, e.unobserved, e.p95, e.max, e.flipped, row.iterations, row.seconds
-        );
-        sum.0 += e.rmse;
-        sum.1 = sum.1.max(e.rmse);
-        sum.2 += e.off;
-        sum.3 += e.slide;
-        sum.4 = sum.4.max(e.unobserved);
-        sum.5 += row.seconds;
+//! Studies on top of `nonrigid`, one subcommand each.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use comfy_table::{CellAlignment, Table, presets};
+use experiments::random_pose::random_pose;
+use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, scan_bench, summarize};
+use nonrigid::mesh::io::{write_atomically, write_polygon_mesh};
+use nonrigid::registration::{ModelFactory, ModelKind, TermFactory, TermKind};
+
+#[derive(Parser)]
+#[command(name = "experiments", version, about, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Register every case below DIR with every model and compare with the ground truth
+    ScanBench(ScanBench),
+}
+
+#[derive(clap::Args)]
+struct ScanBench {
+    /// Folder of cases
+    #[arg(value_name = "DIR")]
+    cases: PathBuf,
+    /// Rig folder; its polygons are the template
+    #[arg(long, value_name = "DIR")]
+    rig: PathBuf,
+    /// Where results, tables and timings go
+    #[arg(long, value_name = "DIR", default_value = "out/scan-bench")]
+    out: PathBuf,
+    /// Models to run
+    #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
+    models: Vec<ModelKind>,
+    /// Landmarks: all, align (for the start only), or how many
+    #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
+    landmarks: LandmarkUse,
+    /// Turn every scan by this many degrees about a random axis
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    turn: f64,
+    /// Move every scan by this many millimetres in a random direction
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    shift: f64,
+    /// Seed of the random poses
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+fn main() -> std::process::ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) => {
+            let _ = e.print(); // a closed pipe is all that can go wrong, and there is nobody left to tell
+            return u8::from(e.use_stderr()).into();
+        }
+    };
+    let Command::ScanBench(arguments) = cli.command;
+    match run_scan_bench(&arguments) {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("error: {e:#}");
+            2.into()
+        }
     }
-    let n = dirs.len() as f64;
-    println!(
-        "mean {:.4} worst {:.3} off {:.3} slide {:.3} un {:.3} sec {:.2}",
-        sum.0 / n,
-        sum.1,
-        sum.2 / n,
-        sum.3 / n,
-        sum.4,
-        sum.5 / n
-    );
+}
+
+fn run_scan_bench(a: &ScanBench) -> Result<()> {
+    let threads = a.threads.map_or(0, usize::from);
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
+    let rig = BenchRig::read(&a.rig)?;
+    let mut cases = BenchCase::read_all(&a.cases, &rig)?;
+    if a.turn != 0.0 || a.shift != 0.0 {
+        println!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed);
+        let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));
+        cases = cases.into_iter().enumerate().map(moved).collect();
+    }
+    println!("{} cases x {} models, {} threads", cases.len(), a.models.len(), rayon::current_num_threads());
+    let models: Vec<&dyn ModelFactory> = a.models.iter().map(|m| m as &dyn ModelFactory).collect();
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {
+        let folder = a.out.join(&row.case);
+        fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let mesh = case.template.with_positions(result.positions.clone());
+        write_polygon_mesh(&folder.join(format!("{}.obj", row.model)), &mesh)?;
+        eprintln!("{:16} {:12} rmse {:.3} mm  {:.2} s", row.case, row.model, row.errors.rmse, row.seconds);
+        Ok(())
+    })?;
+    write_tables(&a.out, &rows)?;
+    println!("{}", table_of(&rows));
+    println!("{}", summary_table(&rows));
+    println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
     Ok(())
+}
+
+/// `scan-bench.csv` and `.json` hold what two equal runs have in common, `scan-bench.timing.csv` the rest.
+fn write_tables(out: &Path, rows: &[BenchRow]) -> Result<()> {
+    let header = "case,model,rmse,off,slide,median,p95,max,unobserved,flips,iterations";
+    write_atomically(&out.join("scan-bench.csv"), |file| {
+        writeln!(file, "{header}")?;
+        for r in rows {
+            let e = &r.errors;
+            let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}"));
+            writeln!(file, "{},{},{},{},{}", r.case, r.model, numbers.join(","), e.flipped, r.iterations)?;
+        }
+        Ok(())
+    })?;
+    let json = serde_json::json!({ "rows": rows, "summary": summarize(rows) });
+    write_atomically(&out.join("scan-bench.json"), |file| writeln!(file, "{json:#}"))?;
+    write_atomically(&out.join("scan-bench.timing.csv"), |file| {
+        writeln!(file, "case,model,seconds,threads")?;
+        rows.iter().try_for_each(|r| {
+            writeln!(file, "{},{},{:.4},{}", r.case, r.model, r.seconds, rayon::current_num_threads())
+        })
+    })?;
+    Ok(())
+}
+
+fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header).add_rows(rows);
+    table.column_iter_mut().skip(1).for_each(|c| c.set_cell_alignment(CellAlignment::Right));
+    table
+}
+
+fn table_of(rows: &[BenchRow]) -> Table {
+    let header = ["case / mm", "model", "rmse", "off", "slide", "median", "p95", "unobserved", "flips", "steps", "s"];
+    table(
+        &header,
+        rows.iter().map(|r| {
+            let e = &r.errors;
+            let mut cells = vec![r.case.clone(), r.model.clone()];
+            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
+            cells.extend([e.flipped.to_string(), r.iterations.to_string(), format!("{:.2}", r.seconds)]);
+            cells
+        }),
+    )
+}
+
+fn summary_table(rows: &[BenchRow]) -> Table {
+    let header = ["model / mm", "mean rmse", "worst rmse", "mean off", "mean slide", "worst unobserved", "mean s"];
+    table(
+        &header,
+        summarize(rows).into_iter().map(|s| {
+            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
+            let mut cells = vec![s.model];
+            cells.extend(numbers.map(|x| format!("{x:.3}")));
+            cells.push(format!("{:.2}", s.mean_seconds));
+            cells
+        }),
+    )
 }

@@ -1,16 +1,20 @@
 //! `scan-bench`: every model on every case with exact dense ground truth, in one table.
+//!
+//! Varied: the model. Held: the case, its shapes and landmarks, and each model's one schedule. Measured: the error against
+//! the true position of every template vertex, split into the part along the surface's normal and the part along it.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::evaluation::TruthErrors;
-use nonrigid::mesh::io::{self, Landmark};
-use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use nonrigid::model::ShapeBasis;
+use nonrigid::mesh::io::{self, Landmark, Scan};
+use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{
-    ModelFactory, Pose, RegistrationInput, RegistrationResult, Schedule, TermFactory, register_with,
+    ModelFactory, Pose, RegistrationInput, RegistrationResult, Schedule, StepRecord, TermFactory, register_with,
 };
+use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};
 
 /// One case: a scan with the true position of every template vertex.
@@ -24,8 +28,8 @@ pub struct BenchCase {
     /// The shapes that a fit may use.
     pub shapes: ShapeBasis,
     /// The scan.
-    pub scan: TriangleMesh,
-    /// True vertex positions, scan frame.
+    pub scan: Scan,
+    /// True vertex positions in the scan's frame, millimetres.
     pub truth: Vec<Vec3>,
     /// Which vertices the scan shows.
     pub observed: Vec<bool>,
@@ -38,6 +42,85 @@ pub struct BenchCase {
 struct CaseFile {
     rig_expressions: Vec<String>,
     rig_identity_modes: usize,
+}
+
+/// The template and rig that all cases share.
+pub struct BenchRig {
+    template: PolygonMesh,
+    rig: Rig,
+}
+
+impl BenchRig {
+    /// Reads a rig folder; its polygons are the template.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let (rig, _) = Rig::read(folder, &nonrigid::rig::RigReadOptions::default())?;
+        let template = rig.mesh().with_context(|| format!("{}: the rig has no template mesh", folder.display()))?;
+        Ok(Self { template: template.clone(), rig })
+    }
+}
+
+impl BenchCase {
+    /// Reads a case folder.
+    pub fn read(folder: &Path, rig: &BenchRig) -> Result<Self> {
+        let path = folder.join("case.json");
+        let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+        let case: CaseFile = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+        let vertices = rig.template.positions.len();
+        let points = |file: &str| -> Result<Vec<Vec3>> {
+            let path = folder.join(file);
+            let points = io::read_npy_points(&path)?;
+            if points.len() != vertices {
+                bail!("{}: {} points, but the template has {vertices} vertices", path.display(), points.len());
+            }
+            Ok(points)
+        };
+        let selection = ShapeSelection { names: Some(&case.rig_expressions), identity_modes: case.rig_identity_modes };
+        let scan = io::read_scan(&folder.join("scan.ply"))?;
+        Ok(Self {
+            name: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            template: rig.template.clone(),
+            neutral: if folder.join("neutral.npy").exists() { Some(points("neutral.npy")?) } else { None },
+            shapes: rig.rig.select(selection).with_context(|| path.display().to_string())?,
+            truth: points("truth.npy")?,
+            observed: io::read_npy_mask(&folder.join("observed.npy"), Some(vertices))?,
+            landmarks: io::read_landmarks(&folder.join("landmarks.json"), None, &rig.template, Some(&scan.mesh))?,
+            scan,
+        })
+    }
+
+    /// Reads every case folder (one with a `case.json`) below `folder`, by name.
+    pub fn read_all(folder: &Path, rig: &BenchRig) -> Result<Vec<Self>> {
+        let mut folders = case_folders(folder)?;
+        folders.sort();
+        if folders.is_empty() {
+            bail!("{}: no folder with a case.json in it", folder.display());
+        }
+        folders.iter().map(|f| Self::read(f, rig)).collect()
+    }
+
+    /// The same case with scan, truth and landmarks moved by `pose`, which must not scale: what a fit has to undo.
+    #[must_use]
+    pub fn moved(mut self, pose: &Pose) -> Self {
+        let points = self.scan.mesh.positions.iter_mut().chain(&mut self.truth);
+        points.chain(self.landmarks.iter_mut().map(|l| &mut l.target)).for_each(|p| *p = pose.apply(*p));
+        for normal in self.scan.normals.iter_mut().flatten() {
+            *normal = pose.rotation * *normal;
+        }
+        self
+    }
+}
+
+fn case_folders(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let path = entry?.path();
+        if path.join("case.json").exists() {
+            found.push(path);
+        } else if path.is_dir() {
+            found.extend(case_folders(&path)?);
+        }
+    }
+    Ok(found)
 }
 
 /// How landmarks take part.
@@ -55,83 +138,45 @@ impl std::str::FromStr for LandmarkUse {
     type Err = String;
 
     fn from_str(s: &str) -> Result<Self, String> {
-        match s {
-            "all" => Ok(Self::All),
-            "align" => Ok(Self::Align),
-            _ => match s.parse() {
-                Ok(n) if n >= 3 => Ok(Self::Some(n)),
-                _ => Err(format!("'{s}' is not 'all', 'align' or a number of at least 3")),
-            },
+        match (s, s.parse()) {
+            ("all", _) => Ok(Self::All),
+            ("align", _) => Ok(Self::Align),
+            (_, Ok(n)) if n >= 3 => Ok(Self::Some(n)),
+            _ => Err(format!("'{s}' is neither 'all' nor 'align' nor a number of at least 3")),
         }
     }
 }
 
-impl BenchCase {
-    /// Reads a case folder.
-    pub fn read(dir: &Path, rig: &RigData) -> Result<Self> {
-        let name = dir.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let text = std::fs::read_to_string(dir.join("case.json"))
-            .with_context(|| format!("{}", dir.join("case.json").display()))?;
-        let case: CaseFile =
-            serde_json::from_str(&text).with_context(|| format!("{}", dir.join("case.json").display()))?;
-        let neutral_path = dir.join("neutral.npy");
-        let neutral = if neutral_path.exists() { Some(io::read_npy_points(&neutral_path)?) } else { None };
-        let scan = io::read_scan(&dir.join("scan.ply"))?.mesh;
-        let landmarks = io::read_landmarks(&dir.join("landmarks.json"), None, &rig.template, Some(&scan))?;
-        Ok(Self {
-            name,
-            neutral,
-            shapes: rig.select(&case.rig_expressions, case.rig_identity_modes)?,
-            truth: io::read_npy_points(&dir.join("truth.npy"))?,
-            observed: io::read_npy_mask(&dir.join("observed.npy"), Some(rig.template.positions.len()))?,
-            template: rig.template.clone(),
-            landmarks,
-            scan,
-        })
-    }
-}
-
-/// provisional
-pub struct RigData {
-    template: PolygonMesh,
-    expr: Vec<f32>,
-    names: Vec<String>,
-    ids: Vec<f32>,
-}
-impl RigData {
-    /// provisional
-    pub fn read(dir: &Path) -> Result<Self> {
-        let template = io::read_polygon_mesh(&dir.join("template.obj"))?;
-        let names = serde_json::from_str(&std::fs::read_to_string(dir.join("expression_names.json"))?)?;
-        Ok(Self {
-            template,
-            expr: io::NpyArray::open(&dir.join("expression_deltas.npy"))?.read_f32()?,
-            names,
-            ids: io::NpyArray::open(&dir.join("identity_deltas.npy"))?.read_f32()?,
-        })
-    }
-    fn select(&self, names: &[String], modes: usize) -> Result<ShapeBasis> {
-        let n3 = 3 * self.template.positions.len();
-        let mut cols: Vec<&[f32]> = vec![];
-        let mut all = vec![];
-        for n in names {
-            let k = self.names.iter().position(|m| m == n).context("shape")?;
-            cols.push(&self.expr[k * n3..(k + 1) * n3]);
-            all.push(n.clone());
-        }
-        for k in 0..modes {
-            cols.push(&self.ids[k * n3..(k + 1) * n3]);
-            all.push(format!("identity{k:03}"));
-        }
-        let mut d = Vec::with_capacity(n3 * cols.len());
-        for r in 0..n3 {
-            for c in &cols {
-                d.push(f64::from(c[r]));
+impl LandmarkUse {
+    /// The landmarks and schedule of a run.
+    fn apply(self, case: &BenchCase, schedule: &Schedule) -> (Vec<Landmark>, Schedule) {
+        let mut schedule = schedule.clone();
+        let landmarks = match self {
+            Self::All => case.landmarks.clone(),
+            Self::Some(n) => spread(&case.landmarks, &case.template, n),
+            Self::Align => {
+                schedule.levels.iter_mut().for_each(|level| level.landmarks = 0.0);
+                case.landmarks.clone()
             }
-        }
-        let s = vec![1.0; cols.len()];
-        Ok(ShapeBasis::new(all, s, d))
+        };
+        (landmarks, schedule)
     }
+}
+
+/// `n` landmarks spread over the face: the one nearest to the middle of all, then always the farthest from those chosen.
+fn spread(landmarks: &[Landmark], template: &PolygonMesh, n: usize) -> Vec<Landmark> {
+    let at: Vec<Vec3> = landmarks.iter().map(|l| l.template.position(&template.positions)).collect();
+    let middle = at.iter().sum::<Vec3>() / at.len().max(1) as f64;
+    let mut next = (0..at.len()).min_by(|&a, &b| (at[a] - middle).norm().total_cmp(&(at[b] - middle).norm()));
+    let mut distance = vec![f64::INFINITY; at.len()];
+    let mut chosen = Vec::new();
+    while let Some(i) = next.filter(|_| chosen.len() < n) {
+        chosen.push(landmarks[i].clone());
+        distance.iter_mut().zip(&at).for_each(|(d, p)| *d = d.min((p - at[i]).norm()));
+        // The first of equals, so that the choice is the same everywhere.
+        next = (0..at.len()).rev().max_by(|&a, &b| distance[a].total_cmp(&distance[b])).filter(|&i| distance[i] > 0.0);
+    }
+    chosen
 }
 
 /// One model on one case.
@@ -146,66 +191,100 @@ pub struct BenchRow {
     pub errors: TruthErrors,
     /// Steps taken.
     pub iterations: usize,
-    /// Wall time
+    /// Wall time of the registration; not part of what is compared.
+    #[serde(skip)]
     pub seconds: f64,
 }
 
-/// Runs one.
+/// Runs one model with its schedule on one case.
 pub fn run_case(
-    case: &BenchCase,
     model: &dyn ModelFactory,
     terms: &[&dyn TermFactory],
     schedule: &Schedule,
+    case: &BenchCase,
     landmarks: LandmarkUse,
 ) -> Result<(BenchRow, RegistrationResult)> {
-    let mut schedule = schedule.clone();
-    let mut used = case.landmarks.clone();
-    match landmarks {
-        LandmarkUse::All => {}
-        LandmarkUse::Align => schedule.levels.iter_mut().for_each(|l| l.landmarks = 0.0),
-        LandmarkUse::Some(n) => used = spread(&case.landmarks, &case.template, n),
-    }
+    let (landmarks, schedule) = landmarks.apply(case, schedule);
     let input = RegistrationInput {
         template: &case.template,
         neutral: case.neutral.as_deref(),
         shapes: &case.shapes,
-        scan: &case.scan,
-        scan_normals: None,
-        landmarks: &used,
+        scan: &case.scan.mesh,
+        scan_normals: case.scan.normals.as_deref(),
+        landmarks: &landmarks,
     };
-    let start = Instant::now();
-    let result = register_with(&input, model, terms, &schedule, &mut |_: &nonrigid::registration::StepRecord| {
-        std::ops::ControlFlow::Continue(())
-    })?;
-    let seconds = start.elapsed().as_secs_f64();
-    let (errors, _) =
-        TruthErrors::new(&result.positions, &case.truth, &case.observed, &case.template.triangulate().triangles)?;
-    Ok((
-        BenchRow {
-            case: case.name.clone(),
-            model: model.name().to_owned(),
-            errors,
-            iterations: result.history.len(),
-            seconds,
-        },
-        result,
-    ))
+    let clock = Instant::now();
+    let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+        .with_context(|| format!("{} on {}", model.name(), case.name))?;
+    let seconds = clock.elapsed().as_secs_f64();
+    let triangles = case.template.triangulate().triangles;
+    let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
+    let iterations = result.history.len();
+    Ok((BenchRow { case: case.name.clone(), model: model.name().to_owned(), errors, iterations, seconds }, result))
 }
 
-/// `n` landmarks spread over the face: farthest-point order on the template, from the one nearest to the centroid of all.
-pub fn spread(landmarks: &[Landmark], template: &PolygonMesh, n: usize) -> Vec<Landmark> {
-    let at: Vec<Vec3> = landmarks.iter().map(|l| l.template.position(&template.positions)).collect();
-    let mut distance = vec![f64::INFINITY; at.len()];
-    let centre = at.iter().sum::<Vec3>() / at.len().max(1) as f64;
-    let nearest = |d: &[f64], sign: f64| (0..d.len()).fold(0, |b, i| if sign * d[i] > sign * d[b] { i } else { b });
-    let mut next = nearest(&at.iter().map(|p| (p - centre).norm()).collect::<Vec<_>>(), -1.0);
-    let mut chosen = Vec::new();
-    while chosen.len() < n.min(at.len()) {
-        chosen.push(landmarks[next].clone());
-        for (d, p) in distance.iter_mut().zip(&at) {
-            *d = d.min((p - at[next]).norm());
+/// Every model, each with its own default schedule, on every case. `visit` sees each row and result as it arrives. Your own
+/// [`ModelFactory`] or [`TermFactory`] lands in the same table.
+pub fn scan_bench(
+    models: &[&dyn ModelFactory],
+    terms: &[&dyn TermFactory],
+    cases: &[BenchCase],
+    landmarks: LandmarkUse,
+    mut visit: impl FnMut(&BenchRow, &BenchCase, &RegistrationResult) -> Result<()>,
+) -> Result<Vec<BenchRow>> {
+    let mut rows = Vec::new();
+    for case in cases {
+        for &model in models {
+            let (row, result) = run_case(model, terms, &model.schedule()?, case, landmarks)?;
+            visit(&row, case, &result)?;
+            rows.push(row);
         }
-        next = nearest(&distance, 1.0);
     }
-    chosen
+    Ok(rows)
+}
+
+/// Means over the cases of one model.
+#[derive(Debug, Clone, Serialize)]
+pub struct BenchSummary {
+    /// Model name.
+    pub model: String,
+    /// Mean over the cases of the rmse, millimetres.
+    pub mean_rmse: f64,
+    /// Largest rmse of a case.
+    pub worst_rmse: f64,
+    /// Mean of the part along the normal.
+    pub mean_off: f64,
+    /// Mean of the part along the surface.
+    pub mean_slide: f64,
+    /// Largest rmse over the unobserved vertices of a case.
+    pub worst_unobserved: f64,
+    /// Mean wall time; not part of what is compared.
+    #[serde(skip)]
+    pub mean_seconds: f64,
+}
+
+/// Summaries by model, in the order of the rows.
+#[must_use]
+pub fn summarize(rows: &[BenchRow]) -> Vec<BenchSummary> {
+    let mut models: Vec<&str> = Vec::new();
+    rows.iter().for_each(|r| {
+        if !models.contains(&r.model.as_str()) {
+            models.push(&r.model);
+        }
+    });
+    let summary = |model: &str| {
+        let of: Vec<&BenchRow> = rows.iter().filter(|r| r.model == model).collect();
+        let mean = |f: fn(&BenchRow) -> f64| of.iter().map(|r| f(r)).sum::<f64>() / of.len() as f64;
+        let worst = |f: fn(&BenchRow) -> f64| of.iter().map(|r| f(r)).fold(0.0, f64::max);
+        BenchSummary {
+            model: model.to_owned(),
+            mean_rmse: mean(|r| r.errors.rmse),
+            worst_rmse: worst(|r| r.errors.rmse),
+            mean_off: mean(|r| r.errors.off),
+            mean_slide: mean(|r| r.errors.slide),
+            worst_unobserved: worst(|r| r.errors.unobserved),
+            mean_seconds: mean(|r| r.seconds),
+        }
+    };
+    models.into_iter().map(summary).collect()
 }

@@ -72,6 +72,12 @@ impl ModelKind {
     pub const ALL: [Self; 5] = [Self::Hybrid, Self::Graph, Self::Blendshape, Self::Rigid, Self::Similarity];
 }
 
+impl std::fmt::Display for ModelKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 impl FromStr for ModelKind {
     type Err = String;
 

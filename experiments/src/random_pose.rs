@@ -1,0 +1,32 @@
+//! Random rigid motions from a seed.
+
+use nonrigid::mesh::Vec3;
+use nonrigid::nlls::so3;
+use nonrigid::registration::Pose;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A turn by `degrees` about a random axis through the origin and a shift by `millimetres` in a random direction. `stream`
+/// tells apart the poses drawn from one seed.
+#[must_use]
+pub fn random_pose(degrees: f64, millimetres: f64, seed: u64, stream: u64) -> Pose {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(stream);
+    let omega = direction(&mut rng) * degrees.to_radians();
+    let rotation = so3::exp(omega.into());
+    Pose {
+        rotation: nalgebra::Matrix3::from_fn(|r, c| rotation[r][c]),
+        translation: direction(&mut rng) * millimetres,
+        ..Pose::identity()
+    }
+}
+
+/// Uniform on the unit sphere.
+fn direction(rng: &mut ChaCha8Rng) -> Vec3 {
+    loop {
+        let v = Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+        if (0.1..1.0).contains(&v.norm()) {
+            return v.normalize();
+        }
+    }
+}
