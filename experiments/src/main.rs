@@ -8,9 +8,9 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use comfy_table::{CellAlignment, Table, presets};
 use experiments::random_pose::random_pose;
-use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, scan_bench, summarize};
+use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
 use nonrigid::mesh::io::{write_atomically, write_polygon_mesh};
-use nonrigid::registration::{ModelFactory, ModelKind, TermFactory, TermKind};
+use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 
 #[derive(Parser)]
 #[command(name = "experiments", version, about, max_term_width = 110)]
@@ -39,6 +39,9 @@ struct ScanBench {
     /// Models to run
     #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
     models: Vec<ModelKind>,
+    /// Schedule (.toml) for every model instead of its own
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// Landmarks: all, align (for the start only), or how many
     #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
     landmarks: LandmarkUse,
@@ -85,7 +88,18 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
         cases = cases.into_iter().enumerate().map(moved).collect();
     }
     println!("{} cases x {} models, {} threads", cases.len(), a.models.len(), rayon::current_num_threads());
-    let models: Vec<&dyn ModelFactory> = a.models.iter().map(|m| m as &dyn ModelFactory).collect();
+    let scheduled = a.models.iter().map(|model| {
+        let schedule = match &a.config {
+            None => model.schedule()?,
+            Some(path) => {
+                let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+                Schedule::from_toml(&text).with_context(|| path.display().to_string())?
+            }
+        };
+        Ok(Scheduled { model, schedule })
+    });
+    let scheduled: Vec<Scheduled<'_>> = scheduled.collect::<Result<_>>()?;
+    let models: Vec<&dyn ModelFactory> = scheduled.iter().map(|m| m as &dyn ModelFactory).collect();
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {
         let folder = a.out.join(&row.case);

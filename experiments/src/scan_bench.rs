@@ -12,7 +12,8 @@ use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{
-    ModelFactory, Pose, RegistrationInput, RegistrationResult, Schedule, StepRecord, TermFactory, register_with,
+    ModelFactory, ModelInput, Pose, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult,
+    Schedule, ScheduleError, StepRecord, TermFactory, register_with,
 };
 use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};
@@ -241,6 +242,32 @@ pub fn scan_bench(
         }
     }
     Ok(rows)
+}
+
+/// A model with another schedule than its default.
+pub struct Scheduled<'a> {
+    /// The model.
+    pub model: &'a dyn ModelFactory,
+    /// Its schedule.
+    pub schedule: Schedule,
+}
+
+impl ModelFactory for Scheduled<'_> {
+    fn name(&self) -> &str {
+        self.model.name()
+    }
+
+    fn schedule(&self) -> Result<Schedule, ScheduleError> {
+        Ok(self.schedule.clone())
+    }
+
+    fn needs_shapes(&self) -> bool {
+        self.model.needs_shapes()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
+        self.model.build(input)
+    }
 }
 
 /// Means over the cases of one model.

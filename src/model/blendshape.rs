@@ -11,5 +11,5 @@ pub type Blendshape = NodeAssembly<RigidMotion, 9>;
 #[must_use]
 pub fn blendshape(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Blendshape {
     let graph = NodeGraph::single(super::centroid(&rest), rest.len());
-    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { graph: 0.0, blend: lambda_blend })
+    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
 }

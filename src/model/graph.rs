@@ -10,5 +10,11 @@ pub type Graph = NodeAssembly<RigidMotion, 9>;
 /// The graph model on the rest positions `rest`.
 #[must_use]
 pub fn graph(rest: Vec<Vec3>, nodes: NodeGraph, lambda_graph: f64) -> Graph {
-    NodeAssembly::new("graph", rest, nodes, ShapeBasis::none(), Stiffness { graph: lambda_graph, blend: 0.0 })
+    NodeAssembly::new(
+        "graph",
+        rest,
+        nodes,
+        ShapeBasis::none(),
+        Stiffness { graph: lambda_graph, ..Stiffness::default() },
+    )
 }

@@ -11,5 +11,5 @@ pub type Rigid = NodeAssembly<RigidMotion, 9>;
 #[must_use]
 pub fn rigid(rest: Vec<Vec3>) -> Rigid {
     let graph = NodeGraph::single(super::centroid(&rest), rest.len());
-    NodeAssembly::new("rigid", rest, graph, ShapeBasis::none(), Stiffness { graph: 0.0, blend: 0.0 })
+    NodeAssembly::new("rigid", rest, graph, ShapeBasis::none(), Stiffness::default())
 }

@@ -11,5 +11,5 @@ pub type Similarity = NodeAssembly<SimilarityMotion, 10>;
 #[must_use]
 pub fn similarity(rest: Vec<Vec3>) -> Similarity {
     let graph = NodeGraph::single(super::centroid(&rest), rest.len());
-    NodeAssembly::new("similarity", rest, graph, ShapeBasis::none(), Stiffness { graph: 0.0, blend: 0.0 })
+    NodeAssembly::new("similarity", rest, graph, ShapeBasis::none(), Stiffness::default())
 }

@@ -106,7 +106,7 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
         let rest = input.rest.positions.clone();
-        let stiffness = Stiffness { graph: 1.0, blend: 1.0 };
+        let stiffness = Stiffness { graph: 1.0, blend: 1.0, ..Stiffness::default() };
         Ok(match self {
             Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
             Self::Graph => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
@@ -128,7 +128,8 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {
     fn set_level(&mut self, level: &Level) {
-        self.stiffness = Stiffness { graph: level.lambda_graph, blend: level.lambda_blend };
+        self.stiffness =
+            Stiffness { graph: level.lambda_graph, graph_kernel: level.graph_kernel, blend: level.lambda_blend };
     }
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {

@@ -136,6 +136,9 @@ pub struct Level {
     /// `lambda_graph` of (7), per directed edge.
     #[serde(default)]
     pub lambda_graph: f64,
+    /// Robust kernel of (7), scale in millimetres.
+    #[serde(default)]
+    pub graph_kernel: Kernel,
     /// `lambda_blend` of (5), per shape.
     #[serde(default)]
     pub lambda_blend: f64,
@@ -145,6 +148,9 @@ pub struct Level {
     /// Weight of point-to-point (2), towards the nearest scan vertex, per accepted vertex.
     #[serde(default)]
     pub point_to_point: f64,
+    /// Robust kernel of point-to-point, scale in millimetres; without one, `kernel`.
+    #[serde(default)]
+    pub point_kernel: Option<Kernel>,
     /// Weight of each landmark, 1 / square millimetre.
     #[serde(default)]
     pub landmarks: f64,
@@ -160,9 +166,12 @@ impl Level {
     /// The level with its lengths times `unit` (and energies times its square).
     #[must_use]
     pub fn scaled(&self, unit: f64) -> Self {
+        let scaled = |kernel: Kernel| kernel.scale().map_or(kernel, |s| kernel.with_scale(s * unit));
         Self {
             lambda_blend: self.lambda_blend * unit * unit,
-            kernel: self.kernel.scale().map_or(self.kernel, |s| self.kernel.with_scale(s * unit)),
+            graph_kernel: scaled(self.graph_kernel),
+            kernel: scaled(self.kernel),
+            point_kernel: self.point_kernel.map(scaled),
             distance_cap: self.distance_cap * unit,
             ..*self
         }
@@ -247,7 +256,9 @@ impl Schedule {
             not_negative(name("point_to_plane"), level.point_to_plane)?;
             not_negative(name("point_to_point"), level.point_to_point)?;
             not_negative(name("landmarks"), level.landmarks)?;
-            level.kernel.validate().map_err(|e| ScheduleError::Kernel { level: i + 1, reason: e.to_string() })?;
+            for kernel in [Some(level.kernel), Some(level.graph_kernel), level.point_kernel].into_iter().flatten() {
+                kernel.validate().map_err(|e| ScheduleError::Kernel { level: i + 1, reason: e.to_string() })?;
+            }
             positive(name("distance_cap"), level.distance_cap)?;
             check(
                 name("normal_angle"),

@@ -76,7 +76,7 @@ impl RegistrationTerm for Pointwise<PointToPlane, Kernel, 1> {
 impl RegistrationTerm for Pointwise<PointToPoint, Kernel, 3> {
     fn set_level(&mut self, level: &Level, density: f64) {
         self.residuals.scale = level.point_to_point * density;
-        self.kernel = level.kernel;
+        self.kernel = level.point_kernel.unwrap_or(level.kernel);
     }
 
     fn update(&mut self, correspondences: &Correspondences) {
