@@ -89,7 +89,7 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Box<dyn Fn() -> Box<dyn Tes
     let rest = rest(&mut rng);
     let graph_of = nodes(&mut rng, &rest);
     let basis = shapes(&mut rng);
-    let stiffness = Stiffness { graph: 0.7, graph_kernel: Kernel::Cauchy { delta: 2.0 }, blend: 0.3 };
+    let stiffness = Stiffness { graph: 0.7, blend: 0.3 };
     let (r, g, b) = (rest.clone(), graph_of.clone(), basis.clone());
     visit(&mut rng, Box::new(move || Box::new(hybrid(r.clone(), g.clone(), b.clone(), stiffness))), rest.clone());
     let (r, g) = (rest.clone(), graph_of);
@@ -160,8 +160,7 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     let rest = rest(&mut rng);
     let nodes = nodes(&mut rng, &rest);
     let centres = nodes.nodes().to_vec();
-    let mut model =
-        hybrid(rest.clone(), nodes, shapes(&mut rng), Stiffness { graph: 5.0, blend: 5.0, ..Stiffness::default() });
+    let mut model = hybrid(rest.clone(), nodes, shapes(&mut rng), Stiffness { graph: 5.0, blend: 5.0 });
     let rotation = nalgebra::Rotation3::from_euler_angles(0.4, -2.0, 1.1);
     let shift = Vec3::new(30.0, -80.0, 12.0);
     let mut x = model.rest_parameters();

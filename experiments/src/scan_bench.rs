@@ -192,6 +192,9 @@ pub struct BenchRow {
     pub errors: TruthErrors,
     /// Steps taken.
     pub iterations: usize,
+    /// Significance of the scan's vertices coinciding with the template's, at the first level that tested it: above 5, the
+    /// scan gives true vertex positions away.
+    pub vertex_coincidence: Option<f64>,
     /// Wall time of the registration; not part of what is compared.
     #[serde(skip)]
     pub seconds: f64,
@@ -220,8 +223,15 @@ pub fn run_case(
     let seconds = clock.elapsed().as_secs_f64();
     let triangles = case.template.triangulate().triangles;
     let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
-    let iterations = result.history.len();
-    Ok((BenchRow { case: case.name.clone(), model: model.name().to_owned(), errors, iterations, seconds }, result))
+    let row = BenchRow {
+        case: case.name.clone(),
+        model: model.name().to_owned(),
+        errors,
+        iterations: result.history.len(),
+        vertex_coincidence: result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance()),
+        seconds,
+    };
+    Ok((row, result))
 }
 
 /// Every model, each with its own default schedule, on every case. `visit` sees each row and result as it arrives. Your own

@@ -3,7 +3,7 @@
 //! ```text
 //!     b_i(w) = n_i + sum_k w_k delta_ik                                       (4)
 //!     v_i    = sum_j omega_ij ( T_j(b_i - x_j) + x_j )                        (6), (8)   T_j(q) = R_j q + t_j
-//!     E_smooth = lambda_graph sum_(i,j) rho(|T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2)     (7)
+//!     E_smooth = lambda_graph sum_(i,j) |T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2          (7)
 //!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5)
 //! ```
 //!
@@ -30,7 +30,7 @@ use super::transform::{AffineMap, NodeTransform};
 use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{add_outer, rank_update_lower, vectorized};
-use crate::nlls::{BlockRow, BlockStructure, Kernel, Manifold, NormalEquations, PointArray, RobustKernel, Scalar};
+use crate::nlls::{BlockRow, BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
 use crate::rig::ShapeBasis;
 
 /// How stiff the model is; changed from level to level of a registration.
@@ -38,8 +38,6 @@ use crate::rig::ShapeBasis;
 pub struct Stiffness {
     /// `lambda_graph` of (7), per directed edge.
     pub graph: f64,
-    /// `rho` of (7), applied to the squared length of each edge's residual (the paper: none).
-    pub graph_kernel: Kernel,
     /// `lambda_blend` of (5), per shape.
     pub blend: f64,
 }
@@ -129,8 +127,6 @@ struct NodeSample {
 #[derive(Clone)]
 struct EdgeJacobian<const W: usize> {
     residual: [f64; 3],
-    /// `lambda_graph rho'`.
-    weight: f64,
     source: [[f64; W]; 3],
     target: [[f64; W]; 3],
 }
@@ -249,7 +245,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
     /// Jacobians of all edges of (7) at the seeded nodes.
     fn linearize_edges(&mut self) {
         let nodes = self.graph.nodes();
-        let zero = EdgeJacobian { residual: [0.0; 3], weight: 0.0, source: [[0.0; W]; 3], target: [[0.0; W]; 3] };
+        let zero = EdgeJacobian { residual: [0.0; 3], source: [[0.0; W]; 3], target: [[0.0; W]; 3] };
         self.edges.resize(self.graph.edges().len(), zero);
         for (edge, &(i, j)) in self.edges.iter_mut().zip(self.graph.edges()) {
             let (xi, xj) = (nodes[i as usize], nodes[j as usize]);
@@ -260,8 +256,6 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
                 edge.source[a] = derivatives(&moved[a]);
                 edge.target[a] = derivatives(&origin[a]).map(|d| -d);
             }
-            let squared = edge.residual.iter().map(|r| r * r).sum();
-            edge.weight = self.stiffness.graph * self.stiffness.graph_kernel.weight(squared);
         }
     }
 }
@@ -415,7 +409,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
                 let (xi, xj) = (self.graph.nodes()[i as usize], self.graph.nodes()[j as usize]);
                 let moved: Vec3 = self.placed.maps[i as usize].apply((xj - xi).into()).into();
                 let residual = moved + xi - Vec3::from(self.placed.maps[j as usize].translation) - xj;
-                sum += self.stiffness.graph_kernel.evaluate(residual.norm_squared())[0];
+                sum += residual.norm_squared();
             }
             out.push(("graph smoothness (7)", self.stiffness.graph * sum));
         }
@@ -429,7 +423,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
         self.seed_nodes(x);
         self.linearize_edges();
-        let (edges, node_edges) = (&self.edges, &self.node_edges);
+        let (edges, node_edges, lambda) = (&self.edges, &self.node_edges, self.stiffness.graph);
         equations.for_each_block_row(&|j, row| {
             let diagonal = row.blocks.len() - (W - 3) * (W - 3);
             for at in &node_edges[j] {
@@ -437,12 +431,12 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
                 let (own, other) =
                     if at.is_source { (&edge.source, &edge.target) } else { (&edge.target, &edge.source) };
                 for r in 0..3 {
-                    add_block(&mut row.blocks[diagonal..], &own[r], &own[r], edge.weight);
+                    add_block(&mut row.blocks[diagonal..], &own[r], &own[r], lambda);
                     if let Some(block) = at.block {
-                        add_block(&mut row.blocks[block as usize..], &own[r], &other[r], edge.weight);
+                        add_block(&mut row.blocks[block as usize..], &own[r], &other[r], lambda);
                     }
                     for t in 0..W - 3 {
-                        row.gradient[t] += edge.weight * own[r][t] * edge.residual[r];
+                        row.gradient[t] += lambda * own[r][t] * edge.residual[r];
                     }
                 }
             }
@@ -450,8 +444,9 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         let (nb, lambda) = (self.shapes.len(), self.stiffness.blend);
         let start = equations.structure().sparse_dimension();
         for (k, (w, sigma)) in self.weights(x).iter().zip(self.shapes.sigmas()).enumerate() {
-            equations.border[k * nb + k] += lambda / (sigma * sigma);
-            equations.gradient[start + k] += lambda * w / (sigma * sigma);
+            let weight = lambda / (sigma * sigma);
+            equations.border[k * nb + k] += weight;
+            equations.gradient[start + k] += weight * w;
         }
     }
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Level, RegistrationError, ScanOptions};
+use super::{Level, RegistrationError, ScanOptions, StartKind, weighted_closest_pose};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use crate::mesh::normals::{NormalWeighting, vertex_normals, vertex_normals_into};
@@ -46,6 +46,16 @@ impl ScanSurface {
     }
 }
 
+impl ScanSurface {
+    /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
+    #[must_use]
+    pub fn closest_within(&self, p: Vec3, reach: f64) -> Option<Vec3> {
+        let hit = self.surface.query_within(&p, reach * reach)?;
+        let corners = self.mesh.triangles[hit.triangle as usize];
+        (!self.boundary.holds(hit.triangle as usize, corners, hit.barycentric)).then_some(hit.point)
+    }
+}
+
 /// Each normal averaged with its neighbours'.
 fn smooth_normals(edges: &EdgeGraph, normals: &[Vec3]) -> Vec<Vec3> {
     let average = |i: usize| {
@@ -66,6 +76,12 @@ pub struct Correspondences {
     pub nearest_vertices: Vec<Vec3>,
     /// One for an accepted correspondence, zero for a rejected one.
     pub weights: Vec<f64>,
+    /// Where the model's shapes predict each vertex, in the rigid pose that fits the accepted ones best.
+    pub predictions: Vec<Vec3>,
+    /// Points of the scan that close the template's [`Seams`](super::Seams), and where there is one.
+    pub seam_points: Vec<Vec3>,
+    /// One where [`seam_points`](Self::seam_points) has one.
+    pub seam_weights: Vec<f64>,
     template_normals: Vec<Vec3>,
     found: Vec<Found>,
 }
@@ -89,7 +105,15 @@ impl Default for Found {
 
 impl Correspondences {
     /// Finds the correspondences of `positions`, whose triangles are those of `template`. The last ones serve as hints.
-    pub fn find(&mut self, scan: &ScanSurface, positions: &[Vec3], template: &TriangleMesh, level: &Level) {
+    /// Vertices marked in `ignored` take none.
+    pub fn find(
+        &mut self,
+        scan: &ScanSurface,
+        positions: &[Vec3],
+        template: &TriangleMesh,
+        ignored: &[bool],
+        level: &Level,
+    ) {
         self.template_normals.resize(positions.len(), Vec3::zeros());
         vertex_normals_into(positions, &template.triangles, NormalWeighting::Area, &mut self.template_normals);
         self.found.resize(positions.len(), Found::default());
@@ -105,7 +129,43 @@ impl Correspondences {
         self.nearest_vertices.clear();
         self.nearest_vertices.extend(self.found.iter().map(|f| f.nearest));
         self.weights.clear();
+        self.found.iter_mut().zip(ignored).for_each(|(f, ignored)| f.accepted &= !ignored);
         self.weights.extend(self.found.iter().map(|f| f64::from(u8::from(f.accepted))));
+    }
+
+    /// Moves [`predictions`](Self::predictions), as the model wrote them, into the rigid pose that fits `positions` best
+    /// where correspondences were accepted.
+    pub fn pose_predictions(&mut self, positions: &[Vec3]) {
+        let pairs = self.predictions.iter().zip(positions).zip(&self.weights).map(|((&p, &v), &w)| (p, v, w));
+        if let Ok(pose) = weighted_closest_pose(pairs, StartKind::Rigid) {
+            self.predictions.iter_mut().for_each(|p| *p = pose.apply(*p));
+        } else {
+            self.predictions.copy_from_slice(positions);
+        }
+    }
+
+    /// Tests whether the scan's vertices lie nearer to the template's than chance would have it, see
+    /// [`VertexCoincidence`].
+    #[must_use]
+    pub fn vertex_coincidence(&self, scan: &ScanSurface) -> VertexCoincidence {
+        let accepted: Vec<usize> = (0..self.found.len()).filter(|&i| self.found[i].accepted).collect();
+        let to_nearest = |p: &Vec3| scan.vertices.query(p).map_or(f64::INFINITY, |c| c.squared_distance.sqrt());
+        let mut spacing: Vec<f64> = accepted.iter().map(|&i| to_nearest(&self.found[i].point)).collect();
+        let observed = spacing.clone();
+        spacing.sort_unstable_by(f64::total_cmp);
+        let offset = CONTROL_OFFSET * spacing.get(spacing.len() / 2).copied().unwrap_or(0.0);
+        let nearer = accepted.par_iter().zip(&observed).filter_map(|(&i, &observed)| {
+            let found = &self.found[i];
+            let u = found.normal.cross(&Vec3::ith(found.normal.iamin(), 1.0)).normalize();
+            let (sin, cos) = (GOLDEN_ANGLE * i as f64).sin_cos();
+            let aside = found.point + (u * cos + found.normal.cross(&u) * sin) * offset;
+            let hit = scan.surface.query_from(&aside, found.triangle?)?;
+            let corners = scan.mesh.triangles[hit.triangle as usize];
+            let on_rim = scan.boundary.holds(hit.triangle as usize, corners, hit.barycentric);
+            (!on_rim).then(|| observed < to_nearest(&hit.point))
+        });
+        let outcomes: Vec<bool> = nearer.collect();
+        VertexCoincidence { nearer: outcomes.iter().filter(|&&n| n).count(), of: outcomes.len() }
     }
 
     /// Whether any correspondence was accepted.
@@ -118,6 +178,41 @@ impl Correspondences {
     #[must_use]
     pub fn inlier_share(&self) -> f64 {
         self.weights.iter().filter(|&&w| w > 0.0).count() as f64 / self.weights.len().max(1) as f64
+    }
+}
+
+/// How far aside the control points of [`VertexCoincidence`] lie, in median distances to the nearest scan vertex.
+const CONTROL_OFFSET: f64 = 3.0;
+
+/// Directions that spread evenly, radians.
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+
+/// A paired sign test: is the scan vertex nearest to a template vertex' place on the scan nearer than the one nearest to a
+/// control point beside it?
+///
+/// The vertices of a real scan lie anywhere on its surface, so pulling the template to the nearest one only holds it where it
+/// is: measured, that doubles the sliding. A scan whose vertices *are* displaced template vertices (made from a registered
+/// mesh, or retopologised to the template) says where they belong, and the pull is worth following. The test tells the two
+/// apart before the pull is believed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct VertexCoincidence {
+    /// Pairs in which the template's place wins.
+    pub nearer: usize,
+    /// All pairs.
+    pub of: usize,
+}
+
+impl VertexCoincidence {
+    /// Standard deviations by which the share of wins exceeds one half.
+    #[must_use]
+    pub fn significance(&self) -> f64 {
+        (2.0 * self.nearer as f64 - self.of as f64) / (self.of as f64).sqrt().max(1.0)
+    }
+
+    /// Whether scan vertices say where template vertices belong: beyond five standard deviations.
+    #[must_use]
+    pub fn is_evident(&self) -> bool {
+        self.significance() > 5.0
     }
 }
 

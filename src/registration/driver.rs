@@ -6,11 +6,12 @@ use serde::Serialize;
 
 use super::{
     Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm,
-    ScanSurface, Schedule, TermFactory, TermInput, TermKind, closest_pose,
+    ScanSurface, Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence, closest_pose,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
+use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
 use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 
@@ -54,6 +55,8 @@ pub struct StepRecord {
     pub inliers: f64,
     /// Largest motion of a vertex in this step, millimetres.
     pub motion: f64,
+    /// Whether the scan's vertices were found to coincide with the template's, where the level asks for it.
+    pub vertex_coincidence: Option<VertexCoincidence>,
 }
 
 /// Sees every step and may stop the run; the result is then what was reached.
@@ -123,7 +126,7 @@ pub fn register_with(
 ) -> Result<RegistrationResult, RegistrationError> {
     schedule.validate()?;
     check_input(input, model)?;
-    let template = Rest::new(input, schedule);
+    let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
     let start = start_pose(input, &template, schedule)?;
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
     let scan_in_rest = TriangleMesh {
@@ -184,6 +187,9 @@ pub fn register_with(
 /// The rest shape, centred, and how the schedule's units translate to it.
 struct Rest {
     mesh: TriangleMesh,
+    /// Vertices that take no correspondence.
+    ignored: Vec<bool>,
+    seams: Seams,
     centre: Vec3,
     /// Length of one of the schedule's millimetres.
     unit: f64,
@@ -192,15 +198,30 @@ struct Rest {
 }
 
 impl Rest {
-    fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Self {
+    fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, MeshError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(input.rest_positions());
         let count = mesh.positions.len() as f64;
         let centre = mesh.positions.iter().sum::<Vec3>() / count;
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
         let size = (mesh.positions.iter().map(Vec3::norm_squared).sum::<f64>() / count).sqrt();
-        Self { mesh, centre, unit: size / schedule.reference_size, density: schedule.reference_vertices / count }
+        let ignored = rim(&mesh, schedule.scan.template_rim);
+        let unit = size / schedule.reference_size;
+        let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
+        let density = schedule.reference_vertices / count;
+        Ok(Self { mesh, ignored, seams, centre, unit, density })
     }
+}
+
+/// The vertices within `rings` rings of the open boundary; the boundary itself is the first.
+fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
+    let edges = EdgeGraph::of(mesh);
+    let mut marked = if rings > 0 { edges.boundary_vertices() } else { vec![false; mesh.positions.len()] };
+    for _ in 1..rings {
+        let grown = (0..marked.len()).map(|i| marked[i] || edges.neighbours(i).iter().any(|&j| marked[j as usize]));
+        marked = grown.collect();
+    }
+    marked
 }
 
 fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
@@ -254,18 +275,32 @@ impl Run {
         x: &mut [f64],
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
-        let level = schedule.levels[index].scaled(rest.unit);
+        let mut level = schedule.levels[index].scaled(rest.unit);
         problem.model.set_level(&level);
+        let mut coincidence = None;
+        if level.point_to_point > 0.0 && schedule.scan.test_vertices {
+            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
+            let test = self.correspondences.vertex_coincidence(scan);
+            if !test.is_evident() {
+                level.point_to_point = 0.0;
+            }
+            coincidence = Some(test);
+        }
         problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps {
-            self.correspondences.find(scan, &self.vertices, &rest.mesh, &level);
+            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
             if !self.correspondences.any() {
                 return Err(RegistrationError::NoOverlap {
                     level: index + 1,
                     cap: schedule.levels[index].distance_cap,
                 });
             }
+            problem.model.prediction(x, &rest.mesh.positions, &mut self.correspondences.predictions);
+            self.correspondences.pose_predictions(&self.vertices);
+            let c = &mut self.correspondences;
+            let widest = schedule.seam.widest * rest.unit;
+            rest.seams.targets(scan, &self.vertices, widest, &mut c.seam_points, &mut c.seam_weights);
             problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
             let summary = self.minimizer.minimize_with(problem, x, &mut self.workspace, &mut Silent);
             let final_energy = summary.final_energy;
@@ -287,6 +322,7 @@ impl Run {
                 energies: problem.energies(x),
                 inliers: self.correspondences.inlier_share(),
                 motion,
+                vertex_coincidence: coincidence,
             };
             let flow = observer.on_step(&record);
             let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);

@@ -6,10 +6,11 @@ mod error;
 mod model_kind;
 mod report;
 mod schedule;
+mod seam;
 mod start;
 mod terms;
 
-pub use correspondence::{Correspondences, ScanSurface};
+pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
 pub use driver::{
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register, register_with,
 };
@@ -17,8 +18,9 @@ pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
-    GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SigmaOptions, StopOptions,
+    GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
 };
+pub use seam::Seams;
 pub use start::{Pose, StartError, StartKind, closest_pose, weighted_closest_pose};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 

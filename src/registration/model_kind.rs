@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
 use crate::energy::DeformationModel;
-use crate::mesh::TriangleMesh;
+use crate::mesh::{TriangleMesh, Vec3};
 use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
 use crate::rig::ShapeBasis;
 
@@ -14,6 +14,13 @@ use crate::rig::ShapeBasis;
 pub trait RegistrationModel: DeformationModel {
     /// Takes a level's stiffness, lengths already in the model's unit.
     fn set_level(&mut self, level: &Level);
+
+    /// Writes the shape that the model deforms, before its local motions: where vertices belong, up to a rigid motion, when
+    /// nothing is seen of them. The rest shape, unless the model knows better.
+    fn prediction(&mut self, _x: &[f64], rest: &[Vec3], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend_from_slice(rest);
+    }
 
     /// Names and values of the blendshape weights in `x`, if the model has any.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
@@ -106,7 +113,7 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
         let rest = input.rest.positions.clone();
-        let stiffness = Stiffness { graph: 1.0, blend: 1.0, ..Stiffness::default() };
+        let stiffness = Stiffness { graph: 1.0, blend: 1.0 };
         Ok(match self {
             Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
             Self::Graph => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
@@ -128,8 +135,12 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {
     fn set_level(&mut self, level: &Level) {
-        self.stiffness =
-            Stiffness { graph: level.lambda_graph, graph_kernel: level.graph_kernel, blend: level.lambda_blend };
+        self.stiffness = Stiffness { graph: level.lambda_graph, blend: level.lambda_blend };
+    }
+
+    fn prediction(&mut self, x: &[f64], _rest: &[Vec3], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend_from_slice(self.blended(x));
     }
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {

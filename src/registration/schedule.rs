@@ -29,6 +29,9 @@ pub struct Schedule {
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
+    /// Where sheets of the template touch without being joined, as lips do.
+    #[serde(default)]
+    pub seam: SeamOptions,
     /// When a level ends before its last step.
     #[serde(default)]
     pub stop: StopOptions,
@@ -76,11 +79,34 @@ pub struct ScanOptions {
     pub normal_smoothing: usize,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
+    /// Rings of vertices along the template's own open boundary that take no correspondence: lips and lids roll inwards there,
+    /// out of the scanner's sight, and hair or collar lie beyond.
+    pub template_rim: usize,
+    /// Follow point-to-point only in levels at whose start the scan's vertices coincide with the template's more than chance
+    /// explains ([`VertexCoincidence`](super::VertexCoincidence)).
+    pub test_vertices: bool,
 }
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self { normal_smoothing: 2, reject_boundary: true }
+        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0, test_vertices: true }
+    }
+}
+
+/// Seams of the template, which close where the scan spans them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SeamOptions {
+    /// Vertices of the rest shape that lie nearer than this, but far apart along the surface, form a seam, millimetres; zero
+    /// for no seams.
+    pub width: f64,
+    /// Gaps wider than this are open, millimetres.
+    pub widest: f64,
+}
+
+impl Default for SeamOptions {
+    fn default() -> Self {
+        Self { width: 2.0, widest: 6.0 }
     }
 }
 
@@ -136,9 +162,6 @@ pub struct Level {
     /// `lambda_graph` of (7), per directed edge.
     #[serde(default)]
     pub lambda_graph: f64,
-    /// Robust kernel of (7), scale in millimetres.
-    #[serde(default)]
-    pub graph_kernel: Kernel,
     /// `lambda_blend` of (5), per shape.
     #[serde(default)]
     pub lambda_blend: f64,
@@ -154,6 +177,12 @@ pub struct Level {
     /// Weight of each landmark, 1 / square millimetre.
     #[serde(default)]
     pub landmarks: f64,
+    /// Weight, per vertex without an accepted correspondence, of staying with the blendshapes' prediction.
+    #[serde(default)]
+    pub prediction: f64,
+    /// Weight, per vertex of a seam that the scan spans, of closing it.
+    #[serde(default)]
+    pub seam: f64,
     /// Robust kernel of the data terms, scale in millimetres.
     pub kernel: Kernel,
     /// Longest correspondence, millimetres.
@@ -169,7 +198,6 @@ impl Level {
         let scaled = |kernel: Kernel| kernel.scale().map_or(kernel, |s| kernel.with_scale(s * unit));
         Self {
             lambda_blend: self.lambda_blend * unit * unit,
-            graph_kernel: scaled(self.graph_kernel),
             kernel: scaled(self.kernel),
             point_kernel: self.point_kernel.map(scaled),
             distance_cap: self.distance_cap * unit,
@@ -244,6 +272,8 @@ impl Schedule {
         positive("reference_vertices".into(), self.reference_vertices)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
         positive("graph.influences".into(), self.graph.influences as f64)?;
+        not_negative("seam.width".into(), self.seam.width)?;
+        not_negative("seam.widest".into(), self.seam.widest)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
         not_negative("stop.motion".into(), self.stop.motion)?;
         positive("sigma.expression".into(), self.sigma.expression)?;
@@ -256,7 +286,9 @@ impl Schedule {
             not_negative(name("point_to_plane"), level.point_to_plane)?;
             not_negative(name("point_to_point"), level.point_to_point)?;
             not_negative(name("landmarks"), level.landmarks)?;
-            for kernel in [Some(level.kernel), Some(level.graph_kernel), level.point_kernel].into_iter().flatten() {
+            not_negative(name("prediction"), level.prediction)?;
+            not_negative(name("seam"), level.seam)?;
+            for kernel in [Some(level.kernel), level.point_kernel].into_iter().flatten() {
                 kernel.validate().map_err(|e| ScheduleError::Kernel { level: i + 1, reason: e.to_string() })?;
             }
             positive(name("distance_cap"), level.distance_cap)?;

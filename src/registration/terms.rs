@@ -1,10 +1,10 @@
 //! Which data terms a registration uses; a user's own term joins through [`TermFactory`].
 
 use super::{Correspondences, Level};
-use crate::energy::{DataTerm, Pointwise};
+use crate::energy::{DataTerm, Pointwise, SampleResidual};
 use crate::mesh::Vec3;
-use crate::nlls::Kernel;
-use crate::term::{Landmarks, PointToPlane, PointToPoint};
+use crate::nlls::{Kernel, Scalar};
+use crate::term::{Landmarks, PointToPlane, PointToPoint, Prediction};
 
 /// A data term that follows the levels and correspondences of a registration.
 pub trait RegistrationTerm: DataTerm {
@@ -38,11 +38,15 @@ pub enum TermKind {
     PointToPoint,
     /// Distance to landmarks.
     Landmarks,
+    /// Where nothing is accepted, distance to the blendshapes' prediction in the fitted rigid pose.
+    Prediction,
+    /// Where the scan spans a seam of the template, distance to the point that closes it.
+    Seam,
 }
 
 impl TermKind {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::PointToPlane, Self::PointToPoint, Self::Landmarks];
+    pub const ALL: [Self; 5] = [Self::PointToPlane, Self::PointToPoint, Self::Landmarks, Self::Prediction, Self::Seam];
 }
 
 impl TermFactory for TermKind {
@@ -56,6 +60,8 @@ impl TermFactory for TermKind {
                 let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
                 Box::new(Pointwise::new("landmarks", residuals, Kernel::None))
             }
+            Self::Prediction => Box::new(Pointwise::new("prediction", Prediction::default(), Kernel::None)),
+            Self::Seam => Box::new(Pointwise::new("seams", SeamPull::default(), Kernel::None)),
         }
     }
 }
@@ -91,4 +97,49 @@ impl RegistrationTerm for Pointwise<Landmarks, Kernel, 3> {
     }
 
     fn update(&mut self, _correspondences: &Correspondences) {}
+}
+
+impl RegistrationTerm for Pointwise<Prediction, Kernel, 3> {
+    fn set_level(&mut self, level: &Level, density: f64) {
+        self.residuals.scale = level.prediction * density;
+    }
+
+    fn update(&mut self, correspondences: &Correspondences) {
+        self.residuals.targets.clone_from(&correspondences.predictions);
+        self.residuals.weights.clear();
+        self.residuals.weights.extend(correspondences.weights.iter().map(|w| 1.0 - w));
+    }
+}
+
+/// [`PointToPoint`] towards the points that close seams.
+#[derive(Debug, Clone, Default)]
+struct SeamPull(PointToPoint);
+
+impl SampleResidual<3> for SeamPull {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        self.0.sample(m)
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.0.weight(m)
+    }
+
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+        self.0.residual(m, v)
+    }
+}
+
+impl RegistrationTerm for Pointwise<SeamPull, Kernel, 3> {
+    fn set_level(&mut self, level: &Level, density: f64) {
+        self.residuals.0.scale = level.seam * density;
+    }
+
+    fn update(&mut self, correspondences: &Correspondences) {
+        self.residuals.0.targets.clone_from(&correspondences.seam_points);
+        self.residuals.0.weights.clone_from(&correspondences.seam_weights);
+    }
 }
