@@ -2,15 +2,18 @@
 //!
 //! [`FaceRig::generate`] makes a stylised face of quads by formulas: a template with expressions, identity modes and
 //! landmarks. [`simulate_scan`] deforms and poses it, adds detail that the rig cannot express, and looks at it the way a
-//! scanner does: irregular triangles, only what the cameras see, noise, holes, spikes, loose parts. Millimetres, Y up, the
+//! scanner does: irregular triangles, only what the cameras see, noise, holes, spikes, loose parts. [`write_rig`]
+//! and [`write_case`] make folders of them. Millimetres, Y up, the
 //! face looks towards +Z, the subject's left (`_L`) is +X. Equal options and seeds give equal bytes.
 
 mod expressions;
 mod face;
+mod files;
 mod identity;
 mod remesh;
 mod scan;
 mod visibility;
 
 pub use face::{FaceOptions, FaceRig, Landmark};
+pub use files::{Subject, write_case, write_rig};
 pub use scan::{Pose, ScanCase, ScanOptions, simulate_scan};

@@ -1,5 +1,6 @@
 //! A scan of a face: what a structured-light scanner would deliver, with the truth that it would not.
 
+use nonrigid::mesh::normals::{NormalWeighting::Area, vertex_normals};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
@@ -9,7 +10,7 @@ use serde::Serialize;
 
 use crate::FaceRig;
 use crate::remesh::Remesh;
-use crate::visibility::{seen_from, vertex_normals};
+use crate::visibility::seen_from;
 
 /// What is scanned and how badly. Lengths in millimetres, angles in degrees.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -145,14 +146,14 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> ScanCas
 
     let coarse_triangles = rig.mesh.triangulate().triangles;
     let face: Vec<Vec3> = rig.pose(&expression_weights, &identity_weights).iter().map(|p| pose.apply(p)).collect();
-    let face_normals = vertex_normals(&face, &coarse_triangles);
+    let face_normals = vertex_normals(&face, &coarse_triangles, Area);
     let fine = Remesh::new(&rig.mesh, options.density.clamp(1, 12), &mut stream(4));
     let mut points = fine.positions(&rig.mesh, &face, &face_normals);
-    let normals = vertex_normals(&points, &fine.triangles);
+    let normals = vertex_normals(&points, &fine.triangles, Area);
 
     // Detail is a function of the place on the neutral face, so that truth and scan carry the same.
     let wrinkles = Wrinkles::new(options.detail, &mut stream(5));
-    let rest_normals = vertex_normals(&rig.neutral, &coarse_triangles);
+    let rest_normals = vertex_normals(&rig.neutral, &coarse_triangles, Area);
     let rest = fine.positions(&rig.mesh, &rig.neutral, &rest_normals);
     for (p, (n, r)) in points.iter_mut().zip(normals.iter().zip(&rest)) {
         *p += n * wrinkles.height(r);

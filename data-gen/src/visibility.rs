@@ -63,23 +63,10 @@ pub(crate) fn seen_from(
         .collect()
 }
 
-/// Unit vertex normals, weighted by area; +Z where there is no face.
-// replaced by mesh::normals
-pub(crate) fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::zeros(); positions.len()];
-    for t in triangles {
-        let [a, b, c] = t.map(|v| positions[v as usize]);
-        let n = (b - a).cross(&(c - a));
-        for v in t {
-            normals[*v as usize] += n;
-        }
-    }
-    normals.into_iter().map(|n| n.try_normalize(1e-30).unwrap_or_else(Vec3::z)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 
     #[test]
     fn what_lies_behind_is_hidden() {
@@ -87,7 +74,7 @@ mod tests {
         let mut positions = square(0.0, 30.0).to_vec();
         positions.extend(square(-50.0, 10.0));
         let triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
-        let normals = vertex_normals(&positions, &triangles);
+        let normals = vertex_normals(&positions, &triangles, NormalWeighting::Area);
         let front = seen_from(Vec3::new(0.0, 0.0, 600.0), &positions, &normals, &triangles, 1.0);
         assert!(front[..4].iter().all(Option::is_some) && front[4..].iter().all(Option::is_none));
         let behind = seen_from(Vec3::new(0.0, 0.0, -600.0), &positions, &normals, &triangles, 1.0);

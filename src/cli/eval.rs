@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::inputs::read_positions;
-use super::{Failure, Stage};
+use super::{Failure, Stage, check_output};
 use crate::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "target", required_unless_present = "target")]
     truth: Option<PathBuf>,
     /// Which vertices the scan shows (.npy, N booleans) [default: all]
-    #[arg(long, value_name = "FILE", requires = "truth")]
+    #[arg(long, value_name = "FILE", requires = "truth", conflicts_with = "target")]
     observed: Option<PathBuf>,
     /// The scan, where there is no truth: surface distances both ways
     #[arg(long, value_name = "MESH")]
@@ -52,6 +52,7 @@ struct ScanFit {
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
+    a.heatmap.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
     let positions = read_positions(&a.result)?;
     same_count("the result", positions.len(), &template)?;
@@ -60,11 +61,15 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         (Some(truth), _) => against_truth(a, &result, &read_positions(truth)?)?,
         (None, Some(target)) => {
             let scan = io::read_scan(target).map_err(Failure::loading)?.mesh;
+            if scan.triangles.is_empty() {
+                let message =
+                    format!("{}: the scan has no triangles; there is no surface to measure to", target.display());
+                return Err(Failure::new(Stage::Loading, message));
+            }
             against_scan(&template, &result, &scan)?
         }
         (None, None) => return Err(Failure::new(Stage::Arguments, "give --truth or --target")),
     };
-    println!("{}", if a.json { json } else { text });
     if let Some(path) = &a.heatmap {
         let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
         let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -72,6 +77,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
             error_sheet(&name, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    println!("{}", if a.json { json } else { text });
     Ok(())
 }
 

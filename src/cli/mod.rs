@@ -6,6 +6,7 @@ mod inputs;
 mod register;
 mod rig;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -62,6 +63,22 @@ pub fn main() -> ExitCode {
 fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
     Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
+}
+
+/// Refuses an output whose extension has no writer or whose folder is not there.
+fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    if !extensions.contains(&extension.as_str()) {
+        let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), extensions.join(" and ."));
+        return Err(Failure::new(Stage::Arguments, message));
+    }
+    // The parent of a bare file name is the empty path.
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        let message = format!("{}: cannot be written: there is no folder {}", path.display(), folder.display());
+        return Err(Failure::new(Stage::Writing, message));
+    }
+    Ok(())
 }
 
 /// Prints a warning.

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::inputs::RigArguments;
-use super::{Failure, Stage, on_threads, warn};
+use super::{Failure, Stage, check_output, on_threads, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
     InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
@@ -70,7 +70,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
     let schedule = read_schedule(a)?;
-    check_extensions(a)?;
+    check_outputs(a)?;
+    if a.model.needs_shapes() && a.rig.rig.is_none() {
+        return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
+    }
     let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
     let scan = io::read_scan(&a.target).map_err(Failure::loading)?;
     let neutral = a.neutral.as_deref().map(super::inputs::read_positions).transpose()?;
@@ -103,11 +106,14 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
 
     let mut registered = template.clone();
     registered.positions.clone_from(&result.positions);
-    io::write_polygon_mesh(&a.out, &registered).map_err(Failure::writing)?;
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
-    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64());
-    if let Some(path) = &a.report {
-        let report = Report::new(a.model.name(), input_files(a)?, &result, quality);
+    let report = match &a.report {
+        Some(path) => Some((path, Report::new(a.model.name(), input_files(a)?, &result, quality.clone()))),
+        None => None,
+    };
+    // Everything is computed; only writing can still fail, and what is printed is true.
+    io::write_polygon_mesh(&a.out, &registered).map_err(Failure::writing)?;
+    if let Some((path, report)) = report {
         write_json(path, &report)?;
         let timing = Timing {
             reading_seconds: reading,
@@ -122,6 +128,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64());
     Ok(())
 }
 
@@ -141,18 +148,10 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
 }
 
 /// Outputs that could not be written are refused before the work is done.
-fn check_extensions(a: &Arguments) -> Result<(), Failure> {
-    let known = |path: &Path, wanted: &[&str]| {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if wanted.contains(&extension.as_str()) {
-            return Ok(());
-        }
-        let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), wanted.join(" and ."));
-        Err(Failure::new(Stage::Arguments, message))
-    };
-    known(&a.out, &["obj", "ply"])?;
-    a.picture.as_deref().map_or(Ok(()), |p| known(p, &["png"]))?;
-    a.report.as_deref().map_or(Ok(()), |p| known(p, &["json"]))
+fn check_outputs(a: &Arguments) -> Result<(), Failure> {
+    check_output(&a.out, &["obj", "ply"])?;
+    a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
+    a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))
 }
 
 fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {

@@ -12,6 +12,7 @@ use super::colour::NO_VALUE;
 use super::scene::{Points, Scene, Style, Surface, Wires};
 use super::{ColourScale, Rgb8};
 use crate::mesh::Vec3;
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
 
 /// Quality and background of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -139,7 +140,7 @@ impl<'a> Prepared<'a> {
         let surface = |layer: &'a Surface| {
             let screen = project(&layer.positions);
             let bands = triangle_bands(&layer.triangles, &screen);
-            let normals = vertex_normals(&layer.positions, &layer.triangles);
+            let normals = vertex_normals(&layer.positions, &layer.triangles, NormalWeighting::Area);
             PreparedSurface { triangles: &layer.triangles, screen, normals, look: Look::of(&layer.style), bands }
         };
         let wires = |layer: &'a Wires| {
@@ -471,23 +472,6 @@ impl Lights {
         let gloss = n.dot(&self.half).max(0.0).powi(24);
         (diffuse as f32, 0.04 * gloss as f32)
     }
-}
-
-// replaced by mesh::normals
-/// Area-weighted vertex normals, not normalised.
-fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::zeros(); positions.len()];
-    for t in triangles {
-        let [a, b, c] = t.map(|v| positions[v as usize]);
-        let n = (b - a).cross(&(c - a));
-        for v in t {
-            normals[*v as usize] += n;
-        }
-    }
-    for n in &mut normals {
-        *n = n.try_normalize(1e-30).unwrap_or_else(Vec3::zeros);
-    }
-    normals
 }
 
 fn mix(under: Linear, over: Linear, opacity: f32) -> Linear {

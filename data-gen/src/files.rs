@@ -1,0 +1,203 @@
+//! Rigs and scan cases as folders of files, in the layout that `nonrigid` and `scan-bench` read.
+//!
+//! | rig | case |
+//! |---|---|
+//! | `template.obj`, `neutral.npy` (V, 3) | `scan.ply` |
+//! | `expression_deltas.npy` (K, V, 3), `expression_names.json` | `truth.npy` (V, 3), `observed.npy` (V) |
+//! | `identity_deltas.npy`, `identity_names.json` | `landmarks.json`: template vertex -> point of the scan |
+//! | `landmarks.json`: name -> template vertex | `case.json`: what a fit may use, and what was drawn |
+//! | | `neutral.npy` (V, 3), where the subject's own neutral is known |
+//!
+//! Arrays hold 32 bits, coordinates in text files all digits.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use nonrigid::mesh::Vec3;
+use nonrigid::mesh::io::{PlyOptions, write_atomically, write_npy, write_obj, write_ply};
+use serde_json::{Map, Value, json};
+
+use crate::{FaceRig, ScanCase};
+
+/// How much of the scanned person a fit knows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Subject {
+    /// The person's own neutral face, but not these expressions of the rig.
+    Same {
+        /// Names of expressions.
+        withheld: Vec<String>,
+    },
+    /// Nothing: it starts from the template with all expressions and the first identity modes.
+    New {
+        /// How many identity modes a fit may use.
+        identity_modes: usize,
+    },
+}
+
+impl Subject {
+    /// A known person of whose expressions the weakest one that the scan shows is withheld.
+    #[must_use]
+    pub fn same(rig: &FaceRig, case: &ScanCase) -> Self {
+        let shown = rig.expressions.iter().zip(&case.expression_weights).filter(|(_, w)| **w != 0.0);
+        let weakest = shown.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+        Self::Same { withheld: weakest.map(|(e, _)| e.0.clone()).into_iter().collect() }
+    }
+
+    /// An unknown person, with five eighths of the rig's identity modes.
+    #[must_use]
+    pub fn new(rig: &FaceRig) -> Self {
+        Self::New { identity_modes: rig.identities.len() * 5 / 8 }
+    }
+}
+
+/// Writes a rig; makes the folder if it is not there.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    write_obj(&folder.join("template.obj"), &rig.mesh)?;
+    write_points(&folder.join("neutral.npy"), &rig.neutral)?;
+    let (names, deltas): (Vec<&str>, Vec<&[Vec3]>) = rig.expressions.iter().map(|e| (&*e.0, &*e.1)).unzip();
+    write_shapes(folder, "expression", &names, &deltas)?;
+    let names: Vec<String> = (0..rig.identities.len()).map(|k| format!("identity{k:03}")).collect();
+    let deltas: Vec<&[Vec3]> = rig.identities.iter().map(Vec::as_slice).collect();
+    write_shapes(folder, "identity", &names, &deltas)?;
+    let landmarks: Map<String, Value> = rig.landmarks.iter().map(|l| (l.name.clone(), l.vertex.into())).collect();
+    write_json(&folder.join("landmarks.json"), &landmarks.into())
+}
+
+/// Writes a case; makes the folder if it is not there. `seed` is what the scan was simulated from.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_case(folder: &Path, rig: &FaceRig, case: &ScanCase, subject: &Subject, seed: u64) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    write_ply(&folder.join("scan.ply"), &case.scan, PlyOptions::default())?;
+    write_points(&folder.join("truth.npy"), &case.truth)?;
+    write_npy(&folder.join("observed.npy"), &[case.observed.len()], &case.observed)?;
+    let landmarks: Map<String, Value> =
+        case.landmarks.iter().map(|(v, p)| (v.to_string(), json!([p.x, p.y, p.z]))).collect();
+    write_json(&folder.join("landmarks.json"), &landmarks.into())?;
+
+    let neutral = rig.pose(&[], &case.identity_weights);
+    let (same, withheld, identity_modes): (_, &[String], _) = match subject {
+        Subject::Same { withheld } => (true, withheld, 0),
+        Subject::New { identity_modes } => (false, &[], *identity_modes),
+    };
+    if same {
+        write_points(&folder.join("neutral.npy"), &neutral)?;
+    }
+    let names = rig.expressions.iter().map(|e| &e.0);
+    let drawn: Map<String, Value> = names
+        .clone()
+        .zip(&case.expression_weights)
+        .filter(|(_, w)| **w != 0.0)
+        .map(|(name, w)| (name.clone(), (*w).into()))
+        .collect();
+    let description = json!({
+        "seed": seed,
+        "same_subject": same,
+        "expression": drawn,
+        "identity": case.identity_weights,
+        "pose": case.pose,
+        "withhold": withheld,
+        "rig_expressions": names.filter(|name| !withheld.contains(name)).collect::<Vec<_>>(),
+        "rig_identity_modes": identity_modes,
+        "vertices": case.scan.positions.len(),
+        "triangles": case.scan.triangles.len(),
+        "observed": case.observed.iter().filter(|o| **o).count(),
+        "start_rmse_mm": start_rmse(case, &neutral),
+    });
+    write_json(&folder.join("case.json"), &description)
+}
+
+/// What a perfect rigid registration of the subject's own neutral leaves, over the observed vertices.
+fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
+    let observed = case.truth.iter().zip(neutral).zip(&case.observed).filter(|(_, o)| **o);
+    let errors: Vec<f64> = observed.map(|((t, n), _)| (t - case.pose.apply(n)).norm_squared()).collect();
+    (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}
+
+fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<()> {
+    let vertices = deltas.first().map_or(0, |d| d.len());
+    let items: Vec<f32> =
+        deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();
+    write_npy(&folder.join(format!("{family}_deltas.npy")), &[names.len(), vertices, 3], &items)?;
+    let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+    write_json(&folder.join(format!("{family}_names.json")), &names.into())
+}
+
+fn write_points(path: &Path, points: &[Vec3]) -> Result<()> {
+    let items: Vec<f32> = points.iter().flat_map(|p| [p.x, p.y, p.z]).map(|x| x as f32).collect();
+    Ok(write_npy(path, &[points.len(), 3], &items)?)
+}
+
+fn write_json(path: &Path, value: &Value) -> Result<()> {
+    Ok(write_atomically(path, |file| writeln!(file, "{value:#}"))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{FaceOptions, ScanOptions, simulate_scan};
+    use nonrigid::mesh::io::{read_landmarks, read_npy_mask, read_npy_points, read_scan, read_template_landmarks};
+    use nonrigid::rig::{Family, Rig, RigReadOptions};
+
+    #[test]
+    fn the_library_reads_back_the_rig() {
+        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 600 }));
+        write_rig(folder.path(), &rig).unwrap();
+        let (read, warnings) = Rig::read(folder.path(), &RigReadOptions::default()).unwrap();
+        assert_eq!(warnings, []);
+        assert_eq!(read.mesh(), Some(&rig.mesh));
+        let names: Vec<&str> = read.shapes().iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names[..12], rig.expressions.iter().map(|e| &*e.0).collect::<Vec<_>>());
+        assert!(read.shapes()[12..].iter().all(|s| s.family == Family::Identity) && names.len() == 20);
+        let shapes = rig.expressions.iter().map(|e| &e.1).chain(&rig.identities);
+        for (k, shape) in shapes.enumerate() {
+            let expected: Vec<f32> = shape.iter().flat_map(|p| [p.x, p.y, p.z]).map(|x| x as f32).collect();
+            assert_eq!(read.deltas(k), expected, "{}", names[k]);
+        }
+        let landmarks = read_template_landmarks(&folder.path().join("landmarks.json"), &rig.mesh).unwrap();
+        assert_eq!(landmarks.len(), rig.landmarks.len());
+    }
+
+    #[test]
+    fn the_library_reads_back_cases_of_both_kinds() {
+        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 600 }));
+        let case = simulate_scan(&rig, &ScanOptions::default(), 5);
+        let (same, new) = (folder.path().join("same"), folder.path().join("new"));
+        write_case(&same, &rig, &case, &Subject::same(&rig, &case), 5).unwrap();
+        write_case(&new, &rig, &case, &Subject::new(&rig), 5).unwrap();
+        let near = |a: &[Vec3], b: &[Vec3]| {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).norm() < 1e-6 * b.norm().max(1.0))
+        };
+        for folder in [&same, &new] {
+            let scan = read_scan(&folder.join("scan.ply")).unwrap().mesh;
+            assert!(scan.triangles == case.scan.triangles && near(&scan.positions, &case.scan.positions));
+            assert!(near(&read_npy_points(&folder.join("truth.npy")).unwrap(), &case.truth));
+            assert_eq!(read_npy_mask(&folder.join("observed.npy"), None).unwrap(), case.observed);
+            let landmarks = read_landmarks(&folder.join("landmarks.json"), None, &rig.mesh, None).unwrap();
+            assert_eq!(landmarks.len(), case.landmarks.len());
+            for landmark in landmarks {
+                let vertex: u32 = landmark.name.parse().unwrap();
+                let written = case.landmarks.iter().find(|l| l.0 == vertex).unwrap().1;
+                assert!((landmark.target - written).norm() < 1e-12);
+            }
+        }
+        assert!(near(&read_npy_points(&same.join("neutral.npy")).unwrap(), &rig.pose(&[], &case.identity_weights)));
+        assert!(!new.join("neutral.npy").exists());
+        let description =
+            |folder: &Path| -> Value { serde_json::from_slice(&fs::read(folder.join("case.json")).unwrap()).unwrap() };
+        let (same, new) = (description(&same), description(&new));
+        assert_eq!(same["rig_expressions"].as_array().unwrap().len(), 11);
+        assert_eq!((&same["rig_identity_modes"], &new["rig_identity_modes"]), (&json!(0), &json!(5)));
+        assert_eq!(new["rig_expressions"].as_array().unwrap().len(), 12);
+        assert!(same["start_rmse_mm"].as_f64().unwrap() > 0.5 && same["start_rmse_mm"] == new["start_rmse_mm"]);
+        let withheld = same["withhold"][0].as_str().unwrap();
+        assert!(same["expression"][withheld].as_f64().unwrap() > 0.0);
+    }
+}

@@ -1,0 +1,263 @@
+//! `scan_bench` on generated cases with all models, with a user's own model and term, and on a real case where there is one.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
+use nonrigid::energy::{DataTerm, DeformationModel, NamedEnergy, Pointwise, QuadricField, Samples};
+use nonrigid::evaluation::TruthErrors;
+use nonrigid::mesh::Vec3;
+use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
+use nonrigid::registration::{
+    Correspondences, Level, ModelFactory, ModelInput, ModelKind, RegistrationError, RegistrationInput,
+    RegistrationModel, RegistrationTerm, Schedule, ScheduleError, StartKind, StepRecord, TermFactory, TermInput,
+    TermKind, closest_pose, register,
+};
+use nonrigid::term::Landmarks;
+use nonrigid_data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+
+/// A rig and two cases, of a known and of an unknown person.
+fn cases(folder: &Path) -> Vec<BenchCase> {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 700 });
+    write_rig(&folder.join("rig"), &rig).unwrap();
+    for seed in [7, 8] {
+        let case = simulate_scan(&rig, &ScanOptions::default(), seed);
+        let (name, subject) =
+            if seed == 7 { ("same", Subject::same(&rig, &case)) } else { ("new", Subject::new(&rig)) };
+        write_case(&folder.join("cases").join(name), &rig, &case, &subject, seed).unwrap();
+    }
+    BenchCase::read_all(&folder.join("cases"), &BenchRig::read(&folder.join("rig")).unwrap()).unwrap()
+}
+
+fn all_terms() -> Vec<&'static dyn TermFactory> {
+    TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect()
+}
+
+#[test]
+fn every_model_gets_a_row_for_every_case() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases = cases(folder.path());
+    assert_eq!(cases.iter().map(|c| c.name.as_str()).collect::<Vec<_>>(), ["new", "same"]);
+    assert_eq!(
+        cases.iter().map(|c| (c.neutral.is_some(), c.shapes.len())).collect::<Vec<_>>(),
+        [(false, 17), (true, 11)]
+    );
+    let models: Vec<&dyn ModelFactory> = ModelKind::ALL.iter().map(|m| m as &dyn ModelFactory).collect();
+    let mut visited = Vec::new();
+    let rows = scan_bench(&models, &all_terms(), &cases, LandmarkUse::All, |row, case, result| {
+        // A row says what the result is.
+        let triangles = case.template.triangulate().triangles;
+        let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
+        assert_eq!((&row.errors, row.iterations), (&errors, result.history.len()));
+        // And the result is what a registration of the same input gives.
+        let input = RegistrationInput {
+            template: &case.template,
+            neutral: case.neutral.as_deref(),
+            shapes: &case.shapes,
+            scan: &case.scan.mesh,
+            scan_normals: None,
+            landmarks: &case.landmarks,
+        };
+        let model: ModelKind = row.model.parse().map_err(anyhow::Error::msg)?;
+        let again = register(&input, &model, &model.schedule()?, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
+        assert!(again.positions == result.positions, "{} {}", row.case, row.model);
+        visited.push((row.case.clone(), row.model.clone()));
+        Ok(())
+    })
+    .unwrap();
+    let names: Vec<(String, String)> = rows.iter().map(|r| (r.case.clone(), r.model.clone())).collect();
+    let expected: Vec<(String, String)> = ["new", "same"]
+        .into_iter()
+        .flat_map(|case| ModelKind::ALL.map(|model| (case.to_owned(), model.to_string())))
+        .collect();
+    assert_eq!(names, expected);
+    assert_eq!(visited, expected);
+    for row in &rows {
+        assert!(row.errors.finite && row.errors.rmse > 0.0 && row.errors.rmse < 8.0, "{row:?}");
+    }
+    let summary = summarize(&rows);
+    assert_eq!(summary.len(), 5);
+    let hybrid = &summary[0];
+    assert_eq!(hybrid.model, "hybrid");
+    for other in &summary[1..] {
+        assert!(hybrid.mean_rmse < other.mean_rmse, "hybrid {} {} {}", hybrid.mean_rmse, other.model, other.mean_rmse);
+    }
+    for s in &summary {
+        let of: Vec<f64> = rows.iter().filter(|r| r.model == s.model).map(|r| r.errors.rmse).collect();
+        assert!((s.mean_rmse - (of[0] + of[1]) / 2.0).abs() < 1e-12 && s.worst_rmse == of[0].max(of[1]));
+    }
+}
+
+/// A user's model: the template shifts and does nothing else.
+struct Shift {
+    rest: Vec<Vec3>,
+}
+
+impl DeformationModel for Shift {
+    fn name(&self) -> &'static str {
+        "shift"
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        3
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        vec![0.0; 3]
+    }
+
+    fn attach(&mut self, _: &Samples) -> BlockStructure {
+        BlockStructure::dense(3)
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend(self.rest.iter().map(|p| p + Vec3::new(x[0], x[1], x[2])));
+    }
+
+    fn pull_back(&mut self, _: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        for quadric in field.quadrics() {
+            for (a, row) in quadric.matrix().iter().enumerate() {
+                equations.gradient[a] += quadric.gradient[a];
+                for (b, m) in row.iter().enumerate() {
+                    equations.border[3 * a + b] += m;
+                }
+            }
+        }
+    }
+
+    fn regulariser_energy(&mut self, _: &[f64], _: &mut Vec<NamedEnergy>) {}
+
+    fn regularise(&mut self, _: &[f64], _: &mut NormalEquations) {}
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        out.iter_mut().zip(x.iter().zip(step)).for_each(|(o, (x, s))| *o = x + s);
+    }
+}
+
+impl RegistrationModel for Shift {
+    fn set_level(&mut self, _: &Level) {}
+}
+
+struct ShiftFactory;
+
+impl ModelFactory for ShiftFactory {
+    fn name(&self) -> &str {
+        "shift"
+    }
+
+    fn schedule(&self) -> Result<Schedule, ScheduleError> {
+        Schedule::default_for("rigid")
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
+        Ok(Box::new(Shift { rest: input.rest.positions.clone() }))
+    }
+}
+
+/// A user's term: landmarks beside which the scan counts for nothing, pulled to a point off their target.
+struct Pull {
+    term: Pointwise<Landmarks, Kernel, 3>,
+}
+
+impl DataTerm for Pull {
+    fn name(&self) -> &str {
+        "pull"
+    }
+
+    fn energy(&self, positions: &[Vec3]) -> f64 {
+        self.term.energy(positions)
+    }
+
+    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
+        self.term.linearize(positions, field)
+    }
+}
+
+impl RegistrationTerm for Pull {
+    fn set_level(&mut self, _: &Level, _: f64) {
+        self.term.residuals.scale = 1.0;
+    }
+
+    fn update(&mut self, _: &Correspondences) {}
+}
+
+struct PullFactory {
+    offset: Vec3,
+}
+
+impl TermFactory for PullFactory {
+    fn build(&self, input: &TermInput<'_>) -> Box<dyn RegistrationTerm> {
+        let (samples, targets): (Vec<usize>, Vec<Vec3>) =
+            input.landmarks.iter().map(|&(sample, target)| (sample, target + self.offset)).unzip();
+        let weights = vec![1.0; samples.len()];
+        let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
+        Box::new(Pull { term: Pointwise::new("pull", residuals, Kernel::None) })
+    }
+}
+
+#[test]
+fn a_users_model_and_term_land_in_the_same_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases = cases(folder.path());
+    let models: [&dyn ModelFactory; 2] = [&ShiftFactory, &ModelKind::Rigid];
+    let rows = scan_bench(&models, &all_terms(), &cases, LandmarkUse::All, |_, _, _| Ok(())).unwrap();
+    assert_eq!(rows.iter().map(|r| r.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid", "shift", "rigid"]);
+    assert_eq!(summarize(&rows).iter().map(|s| s.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid"]);
+
+    // With the user's term alone the shift is known: the landmarks' best pose has centred them, what is left is the offset.
+    let offset = Vec3::new(1.0, -2.0, 0.5);
+    for case in &cases {
+        let (row, result) = run_case(
+            &ShiftFactory,
+            &[&PullFactory { offset }],
+            &ShiftFactory.schedule().unwrap(),
+            case,
+            LandmarkUse::All,
+        )
+        .unwrap();
+        let rest = case.neutral.as_deref().unwrap_or(&case.template.positions);
+        let pairs: Vec<_> = case.landmarks.iter().map(|l| (l.template.position(rest), l.target)).collect();
+        let start = closest_pose(&pairs, StartKind::Rigid).unwrap();
+        let farthest = rest
+            .iter()
+            .zip(&result.positions)
+            .map(|(p, found)| (start.apply(p + offset) - found).norm())
+            .fold(0.0, f64::max);
+        assert!(farthest < 1e-6, "{}: {farthest}", row.case);
+        assert!(result.history[0].energies.iter().any(|e| e.0 == "pull"), "{:?}", result.history[0].energies);
+    }
+}
+
+#[test]
+fn landmarks_for_alignment_only_leave_the_energy() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases = cases(folder.path());
+    for (landmarks, expected) in [(LandmarkUse::All, true), (LandmarkUse::Align, false), (LandmarkUse::Some(9), true)] {
+        let schedule = ModelKind::Hybrid.schedule().unwrap();
+        let (_, result) = run_case(&ModelKind::Hybrid, &all_terms(), &schedule, &cases[1], landmarks).unwrap();
+        let energy: f64 =
+            result.history.iter().flat_map(|h| &h.energies).filter(|e| e.0 == "landmarks").map(|e| e.1).sum();
+        assert_eq!(energy > 0.0, expected, "{landmarks:?}: {energy}");
+    }
+}
+
+#[test]
+fn a_real_case_is_as_accurate_as_promised() {
+    let data = std::env::var_os("NONRIGID_DATA")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+    let (rig, case) = (data.join("ict-facekit/narrow"), data.join("scan-bench/same_smile"));
+    if !rig.exists() || !case.exists() {
+        eprintln!("skipped: {} or {} is absent (set NONRIGID_DATA)", rig.display(), case.display());
+        return;
+    }
+    let case = BenchCase::read(&case, &BenchRig::read(&rig).unwrap()).unwrap();
+    let schedule = ModelKind::Hybrid.schedule().unwrap();
+    let (row, _) = run_case(&ModelKind::Hybrid, &all_terms(), &schedule, &case, LandmarkUse::All).unwrap();
+    println!("{} hybrid: {:.3} mm", row.case, row.errors.rmse);
+    assert!(row.errors.rmse <= 0.36, "{} mm", row.errors.rmse);
+}

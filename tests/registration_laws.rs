@@ -1,0 +1,348 @@
+//! Laws of a whole registration, on generated faces and scans.
+
+mod support;
+
+use std::ops::ControlFlow;
+
+use nalgebra::Rotation3;
+use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
+use nonrigid::evaluation::TruthErrors;
+use nonrigid::mesh::io::{Landmark, TemplatePoint};
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::model::{NodeGraph, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
+use nonrigid::registration::{
+    ModelKind, Pose, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartKind, StepRecord,
+    closest_pose, register,
+};
+use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
+use nonrigid_data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use support::farthest;
+
+/// Everything that a registration takes, owned.
+#[derive(Clone)]
+struct Task {
+    template: PolygonMesh,
+    shapes: ShapeBasis,
+    scan: TriangleMesh,
+    landmarks: Vec<Landmark>,
+}
+
+impl Task {
+    /// A person unknown to the rig: all expressions and the first identity modes.
+    fn new(rig: &FaceRig, case: &ScanCase, identity_modes: usize) -> Self {
+        let families = rig.expressions.iter().map(|e| (e.0.clone(), Family::Expression, &e.1));
+        let modes = rig.identities.iter().enumerate().map(|(k, d)| (format!("identity{k}"), Family::Identity, d));
+        let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
+        for (name, family, delta) in families.chain(modes) {
+            shapes.push(Shape { name, family });
+            deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
+        }
+        let (read, _) = Rig::new(rig.neutral.clone(), None, shapes, deltas).unwrap();
+        let shapes = read.select(ShapeSelection { identity_modes, ..ShapeSelection::default() }).unwrap();
+        let landmarks = case.landmarks.iter().map(|(v, p)| Landmark {
+            name: v.to_string(),
+            template: TemplatePoint::Vertex(*v),
+            target: *p,
+        });
+        let landmarks = landmarks.collect();
+        Self { template: rig.mesh.clone(), shapes, scan: case.scan.clone(), landmarks }
+    }
+
+    fn input(&self) -> RegistrationInput<'_> {
+        RegistrationInput {
+            template: &self.template,
+            neutral: None,
+            shapes: &self.shapes,
+            scan: &self.scan,
+            scan_normals: None,
+            landmarks: &self.landmarks,
+        }
+    }
+
+    fn fit(&self, model: ModelKind) -> RegistrationResult {
+        self.fit_by(model, &Schedule::default_for(&model.to_string()).unwrap())
+    }
+
+    fn fit_by(&self, model: ModelKind, schedule: &Schedule) -> RegistrationResult {
+        register(&self.input(), &model, schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+            .unwrap_or_else(|e| panic!("{model}: {e}"))
+    }
+
+    /// The scan and its landmarks in another place.
+    fn moved(&self, place: impl Fn(Vec3) -> Vec3) -> Self {
+        let mut task = self.clone();
+        task.scan.positions.iter_mut().for_each(|p| *p = place(*p));
+        task.landmarks.iter_mut().for_each(|l| l.target = place(l.target));
+        task
+    }
+}
+
+fn small() -> (FaceRig, ScanCase) {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 600 });
+    let case = simulate_scan(&rig, &ScanOptions::default(), 3);
+    (rig, case)
+}
+
+fn small_task() -> Task {
+    let (rig, case) = small();
+    Task::new(&rig, &case, 5)
+}
+
+fn bits(positions: &[Vec3]) -> Vec<[u64; 3]> {
+    positions.iter().map(|p| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()]).collect()
+}
+
+#[test]
+fn the_hybrid_recovers_faces_better_than_its_parts() {
+    // The subject's neutral is known, one of the two expressions shown is not: blendshapes alone cannot reach it, and the
+    // graph alone does not know where skin slides.
+    let rig = FaceRig::generate(&FaceOptions { vertices: 2500 });
+    let triangles = rig.mesh.triangulate().triangles;
+    let models = [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape, ModelKind::Rigid];
+    let cases = [
+        (21, ("jawOpen", 0.4), ("mouthSmile_L", 0.9)),
+        (22, ("mouthPucker", 1.0), ("browInnerUp", 0.8)),
+        (23, ("eyeBlink_R", 0.8), ("cheekPuff", 0.9)),
+        (24, ("mouthSmile_L", 0.9), ("mouthSmile_R", 0.8)),
+        (25, ("mouthSmile_R", 0.8), ("browDown_L", 0.9)),
+        (26, ("mouthPucker", 0.9), ("noseSneer", 0.8)),
+        (27, ("mouthPucker", 0.9), ("cheekPuff", 0.8)),
+        (28, ("browInnerUp", 0.8), ("mouthSmile_L", 0.9)),
+    ];
+    let mut mean = [0.0; 4];
+    for (seed, known, withheld) in cases {
+        let wanted = [known, withheld].map(|(name, w)| (name.to_owned(), w)).to_vec();
+        let options = ScanOptions { expressions: Some(wanted), landmark_noise: 0.3, ..ScanOptions::default() };
+        let case = simulate_scan(&rig, &options, seed);
+        let mut subject = rig.clone();
+        subject.neutral = rig.pose(&[], &case.identity_weights);
+        subject.mesh.positions.clone_from(&subject.neutral);
+        subject.expressions.retain(|e| e.0 != withheld.0);
+        let task = Task::new(&subject, &case, 0);
+        let rmse = models.map(|model| {
+            let result = task.fit(model);
+            TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse
+        });
+        println!("seed {seed}: {rmse:.3?}");
+        assert!(rmse[0] < 0.8 * rmse[3], "seed {seed}: hybrid {:.3} mm, rigid {:.3} mm", rmse[0], rmse[3]);
+        mean.iter_mut().zip(rmse).for_each(|(m, e)| *m += e / cases.len() as f64);
+    }
+    let [hybrid, graph, blendshape, rigid] = mean;
+    let numbers = format!("mm: hybrid {hybrid:.3}, graph {graph:.3}, blendshape {blendshape:.3}, rigid {rigid:.3}");
+    assert!(hybrid < 1.2, "{numbers}");
+    assert!(hybrid < 0.8 * graph && hybrid < 0.8 * blendshape && graph.max(blendshape) < 0.8 * rigid, "{numbers}");
+}
+
+#[test]
+fn the_rigid_models_find_the_closed_form_on_the_moved_template() {
+    let (rig, _) = small();
+    let turn = Rotation3::from_euler_angles(0.06, -0.05, 0.04);
+    for (model, kind, scale) in
+        [(ModelKind::Rigid, StartKind::Rigid, 1.0), (ModelKind::Similarity, StartKind::Similarity, 1.02)]
+    {
+        let place = |p: Vec3| turn * p * scale + Vec3::new(1.5, -2.0, 1.0);
+        let scan = TriangleMesh {
+            positions: rig.neutral.iter().map(|p| place(*p)).collect(),
+            triangles: rig.mesh.triangulate().triangles,
+        };
+        let pairs: Vec<(Vec3, Vec3)> = rig.neutral.iter().copied().zip(scan.positions.iter().copied()).collect();
+        let closed: Pose = closest_pose(&pairs, kind).unwrap();
+        let expected: Vec<Vec3> = rig.neutral.iter().map(|p| closed.apply(*p)).collect();
+        let task = Task { template: rig.mesh.clone(), shapes: ShapeBasis::none(), scan, landmarks: Vec::new() };
+        let mut schedule = Schedule::default_for(&model.to_string()).unwrap();
+        schedule.stop.energy = 0.0;
+        schedule.stop.motion = 1e-9;
+        let distance = farthest(&task.fit_by(model, &schedule).positions, &expected);
+        println!("{model}: {distance}");
+        assert!(distance < 1e-6, "{model}: {distance}");
+    }
+}
+
+#[test]
+fn moving_scan_and_landmarks_moves_the_result() {
+    let task = small_task();
+    let turn = Rotation3::from_euler_angles(0.4, -1.0, 2.0);
+    let place = |p: Vec3| turn * p + Vec3::new(40.0, -300.0, 25.0);
+    let moved = task.moved(place);
+    for model in ModelKind::ALL {
+        let expected: Vec<Vec3> = task.fit(model).positions.into_iter().map(place).collect();
+        let distance = farthest(&moved.fit(model).positions, &expected);
+        assert!(distance < 1e-6, "{model}: {distance}");
+    }
+}
+
+#[test]
+fn moving_the_template_changes_nothing() {
+    // Rounding must not decide between equals when nodes are chosen, so the face may not be its own mirror image.
+    let mut task = small_task();
+    for (i, p) in task.template.positions.iter_mut().enumerate() {
+        *p += Vec3::new(1.7, 2.3, 3.1).map(|f| 0.2 * (f * i as f64).sin());
+    }
+    let turn = Rotation3::from_euler_angles(-0.7, 0.5, 1.1);
+    let mut moved = task.clone();
+    moved.template.positions.iter_mut().for_each(|p| *p = turn * *p + Vec3::new(500.0, 3.0, -80.0));
+    // Blendshapes turn with their template; the others have none.
+    for model in [ModelKind::Graph, ModelKind::Rigid, ModelKind::Similarity] {
+        let distance = farthest(&moved.fit(model).positions, &task.fit(model).positions);
+        assert!(distance < 1e-6, "{model}: {distance}");
+    }
+}
+
+#[test]
+fn lengths_scale_with_the_model() {
+    // A power of two, so that numbers keep their digits and every decision is the same.
+    let unit = 1.0 / 1024.0;
+    let task = small_task();
+    let mut scaled = task.moved(|p| p * unit);
+    scaled.template.positions.iter_mut().for_each(|p| *p *= unit);
+    let (shapes, vertices) = (task.shapes.shapes().to_vec(), task.shapes.vertex_count());
+    let slab = (0..vertices).flat_map(|v| task.shapes.vertex(v).iter().map(|d| d * unit)).collect();
+    scaled.shapes = ShapeBasis::new(shapes, slab);
+    for model in ModelKind::ALL {
+        let (large, small) = (task.fit(model), scaled.fit(model));
+        let back: Vec<Vec3> = small.positions.iter().map(|p| p / unit).collect();
+        let distance = farthest(&back, &large.positions);
+        assert!(distance < 1e-9, "{model}: {distance}");
+        for (a, b) in large.weights.iter().zip(&small.weights) {
+            assert!((a.1 - b.1).abs() < 1e-9, "{model} {}: {} {}", a.0, a.1, b.1);
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_at_one_two_and_four_threads() {
+    let task = small_task();
+    for model in ModelKind::ALL {
+        let [one, two, four] = [1, 2, 4].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| task.fit(model))
+        });
+        for other in [&two, &four] {
+            assert!(bits(&one.positions) == bits(&other.positions), "{model}");
+            assert_eq!((&one.history, &one.weights, &one.accepted), (&other.history, &other.weights, &other.accepted));
+        }
+    }
+}
+
+#[test]
+fn an_observer_sees_every_step_and_may_stop_with_the_state_so_far() {
+    let task = small_task();
+    let mut schedule = Schedule::default_for("hybrid").unwrap();
+    schedule.stop.energy = 0.0;
+    schedule.stop.motion = 0.0;
+    let first = schedule.levels[0].steps;
+    for steps in [1, first, first + 2] {
+        let mut seen: Vec<StepRecord> = Vec::new();
+        let stopped = register(&task.input(), &ModelKind::Hybrid, &schedule, &mut |record: &StepRecord| {
+            seen.push(record.clone());
+            if seen.len() == steps { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })
+        .unwrap();
+        assert_eq!(stopped.stop, RegistrationStop::StoppedByObserver);
+        assert_eq!(stopped.history, seen);
+        assert_eq!(seen.len(), steps);
+        // The same as a schedule that ends there.
+        let mut short = schedule.clone();
+        short.levels.truncate(if steps > first { 2 } else { 1 });
+        let last = short.levels.last_mut().unwrap();
+        last.steps = if steps > first { steps - first } else { steps };
+        let ended = task.fit_by(ModelKind::Hybrid, &short);
+        assert_eq!(ended.stop, RegistrationStop::Finished);
+        assert!(bits(&ended.positions) == bits(&stopped.positions), "after {steps} steps");
+        assert_eq!((ended.weights, ended.accepted), (stopped.weights, stopped.accepted));
+    }
+}
+
+#[test]
+fn named_energies_sum_to_the_energy_and_history_counts_on() {
+    let task = small_task();
+    for model in ModelKind::ALL {
+        let result = task.fit(model);
+        assert_eq!(result.stop, RegistrationStop::Finished);
+        for pair in result.history.windows(2) {
+            let (a, b) = ((pair[0].level, pair[0].step), (pair[1].level, pair[1].step));
+            assert!(b == (a.0, a.1 + 1) || (b.1 == 0 && b.0 == a.0 + 1), "{model}: {a:?} then {b:?}");
+        }
+        for record in &result.history {
+            let sum: f64 = record.energies.iter().map(|e| e.1).sum();
+            assert!((sum - record.energy).abs() <= 1e-10 * record.energy, "{model}: {sum} {}", record.energy);
+            assert!((0.0..=1.0).contains(&record.inliers) && record.motion.is_finite());
+        }
+        let accepted = result.accepted.iter().filter(|a| **a).count() as f64 / result.accepted.len() as f64;
+        assert_eq!(accepted, result.history.last().unwrap().inliers);
+    }
+}
+
+/// Terms with fixed correspondences: targets near the pose of the case, normals in all directions.
+fn fixed_terms(rng: &mut ChaCha8Rng, rest: &[Vec3], kernel: Kernel) -> Vec<Box<dyn DataTerm>> {
+    let mut near = |size: f64| -> Vec<Vec3> {
+        rest.iter().map(|p| p + Vec3::from_fn(|_, _| rng.random_range(-size..size))).collect()
+    };
+    let (plane, point, marks) = (near(6.0), near(6.0), near(9.0));
+    let normals = near(50.0).iter().zip(rest).map(|(a, b)| (a - b).normalize()).collect();
+    let weights: Vec<f64> = (0..rest.len()).map(|i| f64::from(u8::from(i % 5 != 2))).collect();
+    let chosen: Vec<usize> = (0..rest.len()).step_by(40).collect();
+    let targets: Vec<Vec3> = chosen.iter().map(|&v| marks[v]).collect();
+    let landmarks = Landmarks { weights: vec![1.0; chosen.len()], samples: chosen, targets, scale: 2.0 };
+    vec![
+        Box::new(Pointwise::new(
+            "plane",
+            PointToPlane { targets: plane, normals, weights: weights.clone(), scale: 1.0 },
+            kernel,
+        )),
+        Box::new(Pointwise::new("point", PointToPoint { targets: point, weights, scale: 0.1 }, kernel)),
+        Box::new(Pointwise::new("landmarks", landmarks, Kernel::None)),
+    ]
+}
+
+#[test]
+fn no_step_raises_the_energy_at_fixed_correspondences() {
+    let (rig, case) = small();
+    let task = Task::new(&rig, &case, 5);
+    let surface = task.template.triangulate();
+    let rest = surface.positions.clone();
+    let nodes = NodeGraph::along_surface(&surface, 60, 4).unwrap();
+    let stiffness = Stiffness { graph: 0.5, graph_kernel: Kernel::Cauchy { delta: 1.0 }, blend: 0.8 };
+    let models: Vec<Box<dyn Fn() -> Box<dyn DeformationModel>>> = vec![
+        Box::new(|| Box::new(hybrid(rest.clone(), nodes.clone(), task.shapes.clone(), stiffness))),
+        Box::new(|| Box::new(graph(rest.clone(), nodes.clone(), 0.5))),
+        Box::new(|| Box::new(blendshape(rest.clone(), task.shapes.clone(), 0.8))),
+        Box::new(|| Box::new(rigid(rest.clone()))),
+        Box::new(|| Box::new(similarity(rest.clone()))),
+    ];
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut lowered = 0;
+    for build in &models {
+        for kernel in [
+            Kernel::None,
+            Kernel::Huber { delta: 1.0 },
+            Kernel::GemanMcClure { delta: 2.0 },
+            Kernel::Tukey { delta: 5.0 },
+        ] {
+            for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
+                let mut problem = Deformation::new(build(), Samples::vertices(rest.len()));
+                problem.terms = fixed_terms(&mut rng, &rest, kernel);
+                let x0 = problem.model.rest_parameters();
+                let step: Vec<f64> =
+                    (0..problem.structure().dimension()).map(|_| rng.random_range(-0.2..0.2)).collect();
+                let mut x = x0.clone();
+                problem.retract(&x0, &step, &mut x);
+                let minimizer = Minimizer::new(options.with_max_iterations(1).with_damping_floor(1e-9)).unwrap();
+                let mut energy = problem.energy(&x);
+                for _ in 0..6 {
+                    let summary = minimizer.minimize(&mut problem, &mut x);
+                    let after = problem.energy(&x);
+                    assert!(after <= energy, "{} {kernel:?}: {energy} to {after}\n{summary}", problem.model.name());
+                    lowered += usize::from(after < energy);
+                    energy = after;
+                }
+            }
+        }
+    }
+    // A minimiser that stands still would pass the rest.
+    assert!(lowered > 150, "{lowered} of 240 steps lowered the energy");
+}

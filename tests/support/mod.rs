@@ -1,0 +1,88 @@
+//! A folder of generated inputs, and the built program run in it.
+#![allow(dead_code)] // every test binary uses its own part of this
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use nonrigid::mesh::Vec3;
+use nonrigid_data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+
+/// A temporary folder with `rig/` and `case/` (a person whose neutral is known), removed with this value.
+pub struct Bench {
+    folder: tempfile::TempDir,
+    pub rig: FaceRig,
+    pub case: ScanCase,
+}
+
+/// What the program did.
+pub struct Run {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Bench {
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let rig = FaceRig::generate(&FaceOptions { vertices: 600 });
+        let case = simulate_scan(&rig, &ScanOptions::default(), 7);
+        write_rig(&folder.path().join("rig"), &rig).unwrap();
+        write_case(&folder.path().join("case"), &rig, &case, &Subject::same(&rig, &case), 7).unwrap();
+        Self { folder, rig, case }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, content).unwrap();
+    }
+
+    pub fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+    }
+
+    /// Runs the program in the folder with arguments separated by spaces.
+    pub fn run(&self, arguments: &str) -> Run {
+        let output = Command::new(env!("CARGO_BIN_EXE_nonrigid"))
+            .args(arguments.split_whitespace())
+            .current_dir(self.folder.path())
+            .output()
+            .unwrap();
+        let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+        let code = output.status.code().unwrap_or_else(|| panic!("{arguments}: killed by a signal"));
+        Run { code, stdout: text(&output.stdout), stderr: text(&output.stderr) }
+    }
+
+    /// As [`Self::run`], and it has to succeed.
+    pub fn done(&self, arguments: &str) -> String {
+        let run = self.run(arguments);
+        assert_eq!(run.code, 0, "{arguments}\n{}", run.stderr);
+        run.stdout
+    }
+}
+
+/// Landmarks as (template vertex, point), in the form of a case's `landmarks.json`.
+pub fn landmarks_json(landmarks: &[(u32, Vec3)]) -> String {
+    let entries: Vec<String> =
+        landmarks.iter().map(|(v, p)| format!("\"{v}\": [{:?}, {:?}, {:?}]", p.x, p.y, p.z)).collect();
+    format!("{{{}}}", entries.join(", "))
+}
+
+/// Largest distance between two lists of points.
+pub fn farthest(a: &[Vec3], b: &[Vec3]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+}
+
+/// Names of the files in a folder, sorted.
+pub fn files_in(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
