@@ -52,7 +52,8 @@ impl Samples {
             return Err(SampleError::VertexOutOfRange { vertex: vertex as usize, count: self.vertex_count });
         }
         let sum: f64 = corners.iter().map(|c| c.1).sum();
-        if corners.iter().any(|c| !(c.1 >= 0.0)) || !((sum - 1.0).abs() < 1e-6) {
+        let convex = corners.iter().all(|c| c.1 >= 0.0) && (sum - 1.0).abs() < 1e-6;
+        if !convex {
             return Err(SampleError::NotConvex(corners.iter().map(|c| c.1).collect()));
         }
         self.corners.extend(corners.iter().filter(|c| c.1 > 0.0));

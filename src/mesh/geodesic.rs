@@ -125,6 +125,9 @@ pub fn distances(graph: &WeightedGraph, sources: &[u32], limit: f64) -> Vec<f64>
     distance
 }
 
+/// Distances that differ by less than this share count as equal in [`farthest_point_sampling`].
+const TIE: f64 = 1e-9;
+
 /// Nodes spread over a mesh.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Sampling {
@@ -159,7 +162,8 @@ pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, c
             sampling.components.push(c as u32);
             let mut radius = 0.0;
             for &v in vertices {
-                if sampling.distances[v as usize] > radius {
+                // Rounding must not decide between vertices that are equally far, as on a symmetric mesh.
+                if sampling.distances[v as usize] > radius * (1.0 + TIE) {
                     radius = sampling.distances[v as usize];
                     next = v;
                 }

@@ -104,7 +104,8 @@ pub fn weighted_closest_pose(
     }
     let svd = SVD::new(covariance, true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(StartError::Collinear(count)) };
-    if !(svd.singular_values[1] > 1e-9 * svd.singular_values[0]) {
+    let spread = svd.singular_values[1] > 1e-9 * svd.singular_values[0];
+    if !spread {
         return Err(StartError::Collinear(count));
     }
     let mut signs = Vec3::new(1.0, 1.0, 1.0);
