@@ -204,10 +204,9 @@ fn heat_maps_are_pictures_that_show_the_error() {
     }
     let (none, some) = (picture(&bench.path("none.png")), picture(&bench.path("some.png")));
     assert!(some.width() >= 640 && some.height() >= 320);
-    assert!(
-        none.dimensions() != some.dimensions()
-            || none.pixels().zip(some.pixels()).filter(|(a, b)| a != b).count() > 5000
-    );
+    assert_eq!(none.dimensions(), some.dimensions());
+    let different = none.pixels().zip(some.pixels()).filter(|(a, b)| a != b).count();
+    assert!(different > 5000, "only {different} pixels show the error");
 }
 
 #[test]
@@ -223,7 +222,7 @@ fn rig_info_lists_what_each_layout_holds() {
         assert!((entry["max_displacement"].as_f64().unwrap() - largest).abs() < 1e-5, "{name}");
     }
     let text = bench.done("rig info rig");
-    assert!(text.starts_with("601 vertices, 20 shapes") || text.contains(" vertices, 20 shapes"), "{text}");
+    assert!(text.starts_with(&format!("{} vertices, 20 shapes\n", bench.rig.neutral.len())), "{text}");
     assert!(bench.rig.expressions.iter().all(|e| text.contains(&e.0)));
 
     // The same expressions as one mesh a shape: whole shapes, differences that say so themselves, and by option.
