@@ -205,8 +205,9 @@ impl Rest {
         let centre = mesh.positions.iter().sum::<Vec3>() / count;
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
         let size = (mesh.positions.iter().map(Vec3::norm_squared).sum::<f64>() / count).sqrt();
-        let ignored = rim(&mesh, schedule.scan.template_rim);
         let unit = size / schedule.reference_size;
+        let finer = (count / schedule.reference_vertices).sqrt();
+        let ignored = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
         let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
         let density = schedule.reference_vertices / count;
         Ok(Self { mesh, ignored, seams, centre, unit, density })

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -58,7 +59,7 @@ impl Quality {
     pub fn measure(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
         let surface = ClosestPoint::new(input.scan)?;
         let distances: Vec<f64> =
-            positions.iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect();
+            positions.par_iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect();
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
         let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();

@@ -79,9 +79,10 @@ pub struct ScanOptions {
     pub normal_smoothing: usize,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
-    /// Rings of vertices along the template's own open boundary that take no correspondence: lips and lids roll inwards there,
-    /// out of the scanner's sight, and hair or collar lie beyond.
-    pub template_rim: usize,
+    /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
+    /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
+    /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
+    pub template_rim: f64,
     /// Follow point-to-point only in levels at whose start the scan's vertices coincide with the template's more than chance
     /// explains ([`VertexCoincidence`](super::VertexCoincidence)).
     pub test_vertices: bool,
@@ -89,7 +90,7 @@ pub struct ScanOptions {
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0, test_vertices: true }
+        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0.0, test_vertices: true }
     }
 }
 
@@ -272,6 +273,7 @@ impl Schedule {
         positive("reference_vertices".into(), self.reference_vertices)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
         positive("graph.influences".into(), self.graph.influences as f64)?;
+        not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
