@@ -1,4 +1,16 @@
-//! Deform meshes by nonlinear least squares.
+//! Deform meshes by nonlinear least squares: wrap a template onto a raw scan, compare deformation models, or put your own
+//! model, data term or residual on the same solver.
+//!
+//! From the ground up; nothing imports from above itself:
+//!
+//! - [`nlls`]: generic least squares. Start here with a problem that has nothing to do with meshes.
+//! - [`mesh`] and [`rig`]: polygon meshes, geodesics, closest points, files; blendshape rigs.
+//! - [`energy`]: where deformation models and data terms meet, each ignorant of the other.
+//! - [`model`] and [`term`]: the models and terms of Klimov 2020, equations (2) to (9).
+//! - [`evaluation`] and [`render`]: errors and pictures.
+//! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
+//! - [`cli`]: the `nonrigid` command.
+
 pub mod cli;
 pub mod energy;
 pub mod evaluation;
@@ -9,3 +21,8 @@ pub mod registration;
 pub mod render;
 pub mod rig;
 pub mod term;
+
+/// The README's program compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

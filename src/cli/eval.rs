@@ -74,7 +74,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
         let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let sheet =
-            error_sheet(&name, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
+            error_sheet(label, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     println!("{}", if a.json { json } else { text });
