@@ -1,10 +1,10 @@
 //! Which data terms a registration uses; a user's own term joins through [`TermFactory`].
 
 use super::{Correspondences, Level};
-use crate::energy::{DataTerm, Pointwise, SampleResidual};
+use crate::energy::{DataTerm, Pointwise, QuadricField};
 use crate::mesh::Vec3;
-use crate::nlls::{Kernel, Scalar};
-use crate::term::{Landmarks, PointToPlane, PointToPoint, Prediction};
+use crate::nlls::Kernel;
+use crate::term::{Landmarks, PointToPlane, PointToPoint};
 
 /// A data term that follows the levels and correspondences of a registration.
 pub trait RegistrationTerm: DataTerm {
@@ -51,17 +51,21 @@ impl TermKind {
 
 impl TermFactory for TermKind {
     fn build(&self, input: &TermInput<'_>) -> Box<dyn RegistrationTerm> {
+        let pull = |name: &str, towards| {
+            let term = Pointwise::new(name, PointToPoint::default(), Kernel::None);
+            Box::new(Pull { term, towards })
+        };
         match self {
             Self::PointToPlane => Box::new(Pointwise::new("point to plane (3)", PointToPlane::default(), Kernel::None)),
-            Self::PointToPoint => Box::new(Pointwise::new("point to point (2)", PointToPoint::default(), Kernel::None)),
+            Self::PointToPoint => pull("point to point (2)", Towards::NearestVertex),
+            Self::Prediction => pull("prediction", Towards::Prediction),
+            Self::Seam => pull("seams", Towards::Seam),
             Self::Landmarks => {
                 let (samples, targets): (Vec<_>, Vec<_>) = input.landmarks.iter().copied().unzip();
                 let weights = vec![1.0; samples.len()];
                 let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
                 Box::new(Pointwise::new("landmarks", residuals, Kernel::None))
             }
-            Self::Prediction => Box::new(Pointwise::new("prediction", Prediction::default(), Kernel::None)),
-            Self::Seam => Box::new(Pointwise::new("seams", SeamPull::default(), Kernel::None)),
         }
     }
 }
@@ -79,18 +83,6 @@ impl RegistrationTerm for Pointwise<PointToPlane, Kernel, 1> {
     }
 }
 
-impl RegistrationTerm for Pointwise<PointToPoint, Kernel, 3> {
-    fn set_level(&mut self, level: &Level, density: f64) {
-        self.residuals.scale = level.point_to_point * density;
-        self.kernel = level.point_kernel.unwrap_or(level.kernel);
-    }
-
-    fn update(&mut self, correspondences: &Correspondences) {
-        self.residuals.targets.clone_from(&correspondences.nearest_vertices);
-        self.residuals.weights.clone_from(&correspondences.weights);
-    }
-}
-
 impl RegistrationTerm for Pointwise<Landmarks, Kernel, 3> {
     fn set_level(&mut self, level: &Level, _density: f64) {
         self.residuals.scale = level.landmarks;
@@ -99,47 +91,59 @@ impl RegistrationTerm for Pointwise<Landmarks, Kernel, 3> {
     fn update(&mut self, _correspondences: &Correspondences) {}
 }
 
-impl RegistrationTerm for Pointwise<Prediction, Kernel, 3> {
-    fn set_level(&mut self, level: &Level, density: f64) {
-        self.residuals.scale = level.prediction * density;
+/// Point-to-point towards one of the targets that correspondences come with.
+struct Pull {
+    term: Pointwise<PointToPoint, Kernel, 3>,
+    towards: Towards,
+}
+
+enum Towards {
+    NearestVertex,
+    Prediction,
+    Seam,
+}
+
+impl DataTerm for Pull {
+    fn name(&self) -> &str {
+        self.term.name()
     }
 
-    fn update(&mut self, correspondences: &Correspondences) {
-        self.residuals.targets.clone_from(&correspondences.predictions);
-        self.residuals.weights.clear();
-        self.residuals.weights.extend(correspondences.weights.iter().map(|w| 1.0 - w));
+    fn energy(&self, positions: &[Vec3]) -> f64 {
+        self.term.energy(positions)
+    }
+
+    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
+        self.term.linearize(positions, field)
     }
 }
 
-/// [`PointToPoint`] towards the points that close seams.
-#[derive(Debug, Clone, Default)]
-struct SeamPull(PointToPoint);
-
-impl SampleResidual<3> for SeamPull {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    fn sample(&self, m: usize) -> usize {
-        self.0.sample(m)
-    }
-
-    fn weight(&self, m: usize) -> f64 {
-        self.0.weight(m)
-    }
-
-    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
-        self.0.residual(m, v)
-    }
-}
-
-impl RegistrationTerm for Pointwise<SeamPull, Kernel, 3> {
+impl RegistrationTerm for Pull {
     fn set_level(&mut self, level: &Level, density: f64) {
-        self.residuals.0.scale = level.seam * density;
+        let (weight, kernel) = match self.towards {
+            Towards::NearestVertex => (level.point_to_point, level.point_kernel.unwrap_or(level.kernel)),
+            Towards::Prediction => (level.prediction, Kernel::None),
+            Towards::Seam => (level.seam, Kernel::None),
+        };
+        self.term.residuals.scale = weight * density;
+        self.term.kernel = kernel;
     }
 
     fn update(&mut self, correspondences: &Correspondences) {
-        self.residuals.0.targets.clone_from(&correspondences.seam_points);
-        self.residuals.0.weights.clone_from(&correspondences.seam_weights);
+        let PointToPoint { targets, weights, .. } = &mut self.term.residuals;
+        match self.towards {
+            Towards::NearestVertex => {
+                targets.clone_from(&correspondences.nearest_vertices);
+                weights.clone_from(&correspondences.weights);
+            }
+            Towards::Prediction => {
+                targets.clone_from(&correspondences.predictions);
+                weights.clear();
+                weights.extend(correspondences.weights.iter().map(|w| 1.0 - w));
+            }
+            Towards::Seam => {
+                targets.clone_from(&correspondences.seam_points);
+                weights.clone_from(&correspondences.seam_weights);
+            }
+        }
     }
 }

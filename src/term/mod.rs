@@ -3,9 +3,7 @@
 mod landmark;
 mod point_to_plane;
 mod point_to_point;
-mod prediction;
 
 pub use landmark::Landmarks;
 pub use point_to_plane::PointToPlane;
 pub use point_to_point::PointToPoint;
-pub use prediction::Prediction;
