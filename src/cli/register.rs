@@ -128,6 +128,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    warn_of_doubtful(&result, &quality, template.triangulate().triangles.len());
     print_summary(a, &result, &quality, clock.elapsed().as_secs_f64());
     Ok(())
 }
@@ -174,6 +175,26 @@ fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
     };
     files.into_iter().map(hash).collect()
 }
+
+/// Says so when a result is probably wrong, instead of leaving it to be found out.
+fn warn_of_doubtful(result: &RegistrationResult, quality: &Quality, triangles: usize) {
+    let inliers = result.history.last().map_or(0.0, |h| h.inliers);
+    if inliers < FEW_INLIERS {
+        warn(format!(
+            "only {:.0} % of the template's vertices found the scan; check landmarks, units and the start",
+            100.0 * inliers
+        ));
+    }
+    if quality.flipped as f64 > MANY_FOLDS * triangles as f64 {
+        warn(format!("{} of {triangles} triangles are folded; check landmarks and the start", quality.flipped));
+    }
+}
+
+/// Share of accepted vertices below which a result is doubtful.
+const FEW_INLIERS: f64 = 0.5;
+
+/// Share of flipped triangles above which a result is doubtful.
+const MANY_FOLDS: f64 = 0.02;
 
 fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) {
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{
     Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm,
-    ScanSurface, Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence, closest_pose,
+    ScanSurface, Schedule, Seams, StartKind, TermFactory, TermInput, TermKind, VertexCoincidence, closest_pose,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -252,6 +252,10 @@ fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -
     }
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
     let pairs: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    let free = closest_pose(&pairs, StartKind::Similarity)?;
+    if schedule.start == StartKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
+        return Err(RegistrationError::Scale { scale: free.scale });
+    }
     Ok(closest_pose(&pairs, schedule.start)?)
 }
 

@@ -44,6 +44,15 @@ pub enum RegistrationError {
     /// The scan's geometry cannot be used.
     #[error("scan: {0}")]
     Scan(String),
+    /// Template and scan differ too much in size for a rigid start.
+    #[error(
+        "by its landmarks the scan is {scale:.4} times the template's size; bring both to the same unit (millimetres), \
+         check that the landmarks name the right points, or set start = \"similarity\" in the schedule"
+    )]
+    Scale {
+        /// Scan over template.
+        scale: f64,
+    },
     /// No vertex found a correspondence.
     #[error(
         "level {level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
