@@ -160,14 +160,11 @@ pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, c
             relax_from(graph, next, f64::INFINITY, &mut sampling.distances, &mut queue);
             sampling.nodes.push(next);
             sampling.components.push(c as u32);
-            let mut radius = 0.0;
-            for &v in vertices {
-                // Rounding must not decide between vertices that are equally far, as on a symmetric mesh.
-                if sampling.distances[v as usize] > radius * (1.0 + TIE) {
-                    radius = sampling.distances[v as usize];
-                    next = v;
-                }
-            }
+            let distance = |v: u32| sampling.distances[v as usize];
+            let radius = vertices.iter().map(|&v| distance(v)).fold(0.0, f64::max);
+            // Rounding must not decide between vertices that are equally far, as on a symmetric mesh.
+            let far = vertices.iter().find(|&&v| distance(v) >= radius * (1.0 - TIE));
+            next = far.copied().unwrap_or(next);
             sampling.radii.push(radius);
             if radius == 0.0 {
                 break;
