@@ -152,7 +152,8 @@ pub fn register_with(
     let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
     let mut problem: Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>> =
         Deformation::new(model, samples);
-    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks })));
+    let frame = Pose { translation: start.apply(template.centre), ..start };
+    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
 
     let mut x = problem.model.rest_parameters();
     let mut run = Run {
