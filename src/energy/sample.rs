@@ -32,12 +32,6 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// No samples on a template of `vertex_count` vertices.
-    #[must_use]
-    pub fn none(vertex_count: usize) -> Self {
-        Self { vertex_count, starts: vec![0], corners: Vec::new() }
-    }
-
     /// One sample per vertex, in vertex order.
     #[must_use]
     pub fn vertices(vertex_count: usize) -> Self {

@@ -95,15 +95,6 @@ impl NodeGraph {
         Self { nodes, starts, influences, edges }
     }
 
-    /// The same graph with the given directed edges instead.
-    #[must_use]
-    pub fn with_edges(mut self, mut edges: Vec<(u32, u32)>) -> Self {
-        edges.sort_unstable();
-        edges.dedup();
-        self.edges = edges;
-        self
-    }
-
     /// Node positions `x_j` in the rest shape.
     #[must_use]
     pub fn nodes(&self) -> &[Vec3] {

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Level, RegistrationError, ScanOptions, StartKind, weighted_closest_pose};
+use super::start::weighted_closest_pose;
+use super::{Level, RegistrationError, ScanOptions, StartKind};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use crate::mesh::normals::{NormalWeighting, vertex_normals, vertex_normals_into};
