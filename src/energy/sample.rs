@@ -32,12 +32,6 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// No samples on a template of `vertex_count` vertices.
-    #[must_use]
-    pub fn none(vertex_count: usize) -> Self {
-        Self { vertex_count, starts: vec![0], corners: Vec::new() }
-    }
-
     /// One sample per vertex, in vertex order.
     #[must_use]
     pub fn vertices(vertex_count: usize) -> Self {
@@ -98,5 +92,46 @@ impl Samples {
     pub fn positions(&self, vertices: &[Vec3], out: &mut Vec<Vec3>) {
         out.clear();
         out.extend((0..self.len()).map(|s| self.position(s, vertices)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_corner_past_the_vertices_is_named() {
+        let mut samples = Samples::vertices(4);
+        let error = samples.push(&[(1, 0.5), (4, 0.5)]).unwrap_err();
+        assert_eq!(error, SampleError::VertexOutOfRange { vertex: 4, count: 4 });
+        assert_eq!(error.to_string(), "sample refers to vertex 4, but the template has 4 vertices (0 to 3)");
+        // Also at weight zero: the caller means another template.
+        assert!(samples.push(&[(1, 1.0), (9, 0.0)]).is_err());
+        assert_eq!(samples, Samples::vertices(4));
+    }
+
+    #[test]
+    fn weights_that_are_no_convex_combination_are_quoted() {
+        let mut samples = Samples::vertices(4);
+        for weights in [[0.5, 0.4], [1.5, -0.5], [f64::INFINITY, 0.0], [0.0, 0.0], [0.5, 0.500_002]] {
+            let error = samples.push(&[(0, weights[0]), (1, weights[1])]).unwrap_err();
+            assert_eq!(error, SampleError::NotConvex(weights.to_vec()));
+        }
+        let error = samples.push(&[(0, f64::NAN), (1, 1.0)]).unwrap_err();
+        assert_eq!(error.to_string(), "sample weights [NaN, 1.0] must be finite, not negative, and sum to 1");
+        assert_eq!(samples.push(&[]), Err(SampleError::NotConvex(Vec::new())));
+        assert_eq!(samples, Samples::vertices(4));
+    }
+
+    #[test]
+    fn samples_lie_where_their_corners_put_them() {
+        let mut samples = Samples::vertices(3);
+        assert_eq!(samples.push(&[(0, 0.25), (1, 0.75), (2, 0.0)]), Ok(3));
+        assert_eq!(samples.corners(3), [(0, 0.25), (1, 0.75)]);
+        assert_eq!((samples.len(), samples.is_empty()), (4, false));
+        let vertices = [Vec3::zeros(), Vec3::new(4.0, 8.0, 0.0), Vec3::z()];
+        let mut positions = vec![Vec3::x(); 9];
+        samples.positions(&vertices, &mut positions);
+        assert_eq!(positions, [vertices[0], vertices[1], vertices[2], Vec3::new(3.0, 6.0, 0.0)]);
     }
 }

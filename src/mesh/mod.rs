@@ -7,6 +7,8 @@ pub mod geodesic;
 pub mod io;
 pub mod normals;
 mod polygon_mesh;
+#[cfg(test)]
+pub(crate) mod testing;
 mod triangle_mesh;
 
 pub use error::MeshError;

@@ -95,15 +95,6 @@ impl NodeGraph {
         Self { nodes, starts, influences, edges }
     }
 
-    /// The same graph with the given directed edges instead.
-    #[must_use]
-    pub fn with_edges(mut self, mut edges: Vec<(u32, u32)>) -> Self {
-        edges.sort_unstable();
-        edges.dedup();
-        self.edges = edges;
-        self
-    }
-
     /// Node positions `x_j` in the rest shape.
     #[must_use]
     pub fn nodes(&self) -> &[Vec3] {
@@ -140,5 +131,148 @@ fn influence_weights(nearest: &[(u32, f64)], influences: usize) -> Vec<(u32, f64
         kept.iter().map(|&(j, d)| (j, raw(d) / total)).collect()
     } else {
         kept.iter().map(|&(j, _)| (j, 1.0 / kept.len() as f64)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::{sheet, side_by_side};
+
+    fn flat(z: f64) -> TriangleMesh {
+        sheet(9, 7, |c, r| Vec3::new(c, r, z))
+    }
+
+    /// Two sheets that touch, unconnected: vertices 0 to 62 and 63 to 125.
+    fn lips() -> TriangleMesh {
+        side_by_side(&flat(0.0), &flat(0.1))
+    }
+
+    type Build = fn(&TriangleMesh, usize, usize) -> Result<NodeGraph, MeshError>;
+    const BOTH: [Build; 2] = [NodeGraph::along_surface, NodeGraph::through_space];
+
+    fn check(graph: &NodeGraph, vertices: usize, most: usize) {
+        assert_eq!(graph.vertex_count(), vertices);
+        for i in 0..vertices {
+            let list = graph.influences(i);
+            assert!((1..=most).contains(&list.len()), "vertex {i}: {list:?}");
+            assert!(list.windows(2).all(|w| w[0].0 < w[1].0), "vertex {i}: {list:?}");
+            assert!(list.iter().all(|n| n.1 > 0.0 && n.1 <= 1.0), "vertex {i}: {list:?}");
+            approx::assert_abs_diff_eq!(list.iter().map(|n| n.1).sum::<f64>(), 1.0, epsilon = 1e-14);
+        }
+        assert!(graph.edges().iter().all(|&(i, j)| i != j && graph.edges().contains(&(j, i))));
+    }
+
+    #[test]
+    fn weights_sum_to_one_whatever_the_number_of_nodes_and_influences() {
+        for build in BOTH {
+            for (nodes, influences) in [(1, 1), (1, 4), (2, 1), (2, 4), (10, 4), (10, 30), (63, 4), (500, 4)] {
+                let graph = build(&flat(0.0), nodes, influences).unwrap();
+                assert_eq!(graph.nodes().len(), nodes.min(63));
+                check(&graph, 63, influences);
+            }
+        }
+    }
+
+    #[test]
+    fn one_node_moves_everything() {
+        for build in BOTH {
+            let graph = build(&flat(0.0), 1, 4).unwrap();
+            assert!((0..63).all(|i| graph.influences(i) == [(0, 1.0)]));
+            assert!(graph.edges().is_empty());
+        }
+        check(&NodeGraph::single(Vec3::x(), 5), 5, 1);
+    }
+
+    #[test]
+    fn more_influences_than_nodes_leave_out_the_farthest() {
+        for build in BOTH {
+            let graph = build(&flat(0.0), 3, 8).unwrap();
+            check(&graph, 63, 2);
+            assert_eq!(graph.nodes().len(), 3);
+            assert!((0..63).any(|i| graph.influences(i).len() == 2));
+        }
+    }
+
+    #[test]
+    fn a_vertex_at_a_node_follows_it_most() {
+        let mesh = flat(0.0);
+        let graph = NodeGraph::along_surface(&mesh, 10, 4).unwrap();
+        for (j, node) in graph.nodes().iter().enumerate() {
+            let i = mesh.positions.iter().position(|p| p == node).unwrap();
+            let strongest = graph.influences(i).iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+            assert_eq!(strongest.0, j as u32);
+        }
+    }
+
+    #[test]
+    fn every_part_has_nodes_of_its_own() {
+        let tiny = sheet(2, 2, |c, r| Vec3::new(50.0 + c, r, 0.0));
+        let parts = side_by_side(&lips(), &tiny);
+        let graph = NodeGraph::along_surface(&parts, 12, 4).unwrap();
+        check(&graph, 130, 4);
+        let count = |holds: &dyn Fn(&Vec3) -> bool| graph.nodes().iter().filter(|p| holds(p)).count();
+        assert_eq!(graph.nodes().len(), 12);
+        assert_eq!(count(&|p| p.x >= 50.0), 1);
+        assert!(count(&|p| p.x < 50.0 && p.z == 0.0) >= 5 && count(&|p| p.z == 0.1) >= 5);
+        // Fewer nodes than parts: still one each.
+        assert_eq!(NodeGraph::along_surface(&parts, 1, 4).unwrap().nodes().len(), 3);
+    }
+
+    #[test]
+    fn touching_sheets_share_nodes_through_space_only() {
+        let mesh = lips();
+        let shared = |graph: &NodeGraph| {
+            let crosses = |i: &usize| {
+                let other = |n: &(u32, f64)| graph.nodes()[n.0 as usize].z != mesh.positions[*i].z;
+                graph.influences(*i).iter().any(other)
+            };
+            (0..126).filter(crosses).count()
+        };
+        let along = NodeGraph::along_surface(&mesh, 16, 4).unwrap();
+        let through = NodeGraph::through_space(&mesh, 16, 4).unwrap();
+        check(&along, 126, 4);
+        check(&through, 126, 4);
+        assert_eq!(along.nodes(), through.nodes());
+        assert_eq!(shared(&along), 0);
+        assert!(shared(&through) > 60, "{}", shared(&through));
+        let height = |j: u32| along.nodes()[j as usize].z;
+        assert!(along.edges().iter().all(|&(i, j)| height(i) == height(j)));
+    }
+
+    #[test]
+    fn a_vertex_without_triangles_follows_the_nearest_node() {
+        let mut mesh = flat(0.0);
+        let alone = Vec3::new(8.5, 6.5, 4.0);
+        mesh.positions.push(alone);
+        let graph = NodeGraph::along_surface(&mesh, 9, 4).unwrap();
+        check(&graph, 64, 4);
+        assert!(!graph.nodes().contains(&alone));
+        let distance = |j: u32| (graph.nodes()[j as usize] - alone).norm();
+        let nearest = (0..9).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap();
+        assert_eq!(graph.influences(63), [(nearest, 1.0)]);
+    }
+
+    #[test]
+    fn weights_fall_with_distance_and_are_equal_where_nodes_coincide() {
+        assert_eq!(influence_weights(&[(3, 0.0), (1, 0.0), (2, 0.0)], 2), [(3, 0.5), (1, 0.5)]);
+        assert_eq!(influence_weights(&[(3, 2.0), (1, 2.0), (2, 2.0)], 2), [(3, 0.5), (1, 0.5)]);
+        assert_eq!(influence_weights(&[(5, 7.0)], 4), [(5, 1.0)]);
+        assert_eq!(influence_weights(&[], 4), []);
+        // (1 - 0)^2 : (1 - 1/2)^2
+        assert_eq!(influence_weights(&[(0, 0.0), (1, 1.0), (2, 2.0)], 4), [(0, 0.8), (1, 0.2)]);
+        let point = sheet(3, 3, |_, _| Vec3::x());
+        check(&NodeGraph::along_surface(&point, 4, 3).unwrap(), 9, 3);
+    }
+
+    #[test]
+    fn positions_must_be_finite_and_nodes_must_exist() {
+        let mut mesh = flat(0.0);
+        mesh.positions[7].y = f64::NAN;
+        for build in BOTH {
+            assert!(build(&mesh, 5, 4).is_err());
+        }
+        let missing = || NodeGraph::from_influences(vec![Vec3::x()], [vec![(1, 1.0)]]);
+        assert!(std::panic::catch_unwind(missing).is_err());
     }
 }

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Level, RegistrationError, ScanOptions, StartKind, weighted_closest_pose};
+use super::start::weighted_closest_pose;
+use super::{Level, RegistrationError, ScanOptions, StartKind};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use crate::mesh::normals::{NormalWeighting, vertex_normals, vertex_normals_into};
@@ -241,5 +242,181 @@ impl Found {
                 self.nearest = scan.corners[found.vertex as usize];
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Pose;
+    use super::*;
+    use crate::mesh::testing::{noise, sheet};
+    use crate::nlls::Kernel;
+    use nalgebra::Rotation3;
+
+    fn level() -> Level {
+        Level {
+            steps: 1,
+            lambda_graph: 0.0,
+            lambda_blend: 0.0,
+            point_to_plane: 1.0,
+            point_to_point: 1.0,
+            point_kernel: None,
+            landmarks: 0.0,
+            prediction: 0.0,
+            seam: 0.0,
+            kernel: Kernel::None,
+            distance_cap: 2.0,
+            normal_angle: 40.0,
+        }
+    }
+
+    fn scan_of(mesh: TriangleMesh, reject_boundary: bool) -> ScanSurface {
+        ScanSurface::new(mesh, None, &ScanOptions { reject_boundary, ..ScanOptions::default() }).unwrap()
+    }
+
+    fn flat(columns: usize, rows: usize) -> TriangleMesh {
+        sheet(columns, rows, |c, r| Vec3::new(c, r, 0.0))
+    }
+
+    fn find(scan: &ScanSurface, template: &TriangleMesh, level: &Level) -> Correspondences {
+        let mut found = Correspondences::default();
+        found.find(scan, &template.positions, template, &vec![false; template.positions.len()], level);
+        found
+    }
+
+    /// Irregular points of a wavy surface, from the numbers that start at `seed`.
+    fn wavy(seed: usize) -> TriangleMesh {
+        sheet(60, 60, |c, r| {
+            let i = seed + 2 * (60 * r as usize + c as usize);
+            let (x, y) = (c + 0.4 * noise(i), r + 0.4 * noise(i + 1));
+            Vec3::new(x, y, 2.0 * (0.1 * x).sin() + (0.13 * y).cos())
+        })
+    }
+
+    #[test]
+    fn coincidence_is_evident_where_the_template_lies_on_scan_vertices() {
+        let scan = wavy(0);
+        let mut template = scan.clone();
+        for (i, p) in template.positions.iter_mut().enumerate() {
+            *p += Vec3::new(noise(9 * i), noise(9 * i + 1), noise(9 * i + 2)) * 0.15;
+        }
+        let scan = scan_of(scan, true);
+        let test = find(&scan, &template, &level()).vertex_coincidence(&scan);
+        assert!(test.of > 3000, "{test:?}");
+        assert!(test.is_evident() && test.nearer > test.of * 7 / 10, "{test:?}");
+    }
+
+    #[test]
+    fn coincidence_is_not_evident_where_scan_vertices_lie_anywhere() {
+        for seed in [10_000, 20_000, 30_000, 40_000] {
+            let scan = scan_of(wavy(0), true);
+            // Neither in step with the scan's rows nor with its noise.
+            let mut template = wavy(seed);
+            let turn = Rotation3::from_axis_angle(&Vec3::z_axis(), 0.5);
+            for p in &mut template.positions {
+                let q = turn * (*p - Vec3::new(29.5, 29.5, 0.0)) * 0.6 + Vec3::new(29.5, 29.5, 0.0);
+                *p = Vec3::new(q.x, q.y, 2.0 * (0.1 * q.x).sin() + (0.13 * q.y).cos());
+            }
+            let test = find(&scan, &template, &level()).vertex_coincidence(&scan);
+            assert!(test.of > 3000, "{test:?}");
+            assert!(!test.is_evident(), "{test:?}");
+            assert!(test.nearer * 20 > test.of * 9 && test.nearer * 20 < test.of * 11, "{test:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_evident_without_correspondences() {
+        let scan = scan_of(flat(4, 4), true);
+        let test = Correspondences::default().vertex_coincidence(&scan);
+        assert_eq!(test, VertexCoincidence { nearer: 0, of: 0 });
+        assert!(!test.is_evident());
+    }
+
+    #[test]
+    fn far_correspondences_are_rejected() {
+        let scan = scan_of(flat(9, 9), true);
+        let template = sheet(5, 5, |c, r| Vec3::new(2.0 + c, 2.0 + r, 0.4 * c));
+        // Columns at heights 0, 0.4, .. 1.6; the slope is 22 degrees.
+        let found = find(&scan, &template, &Level { distance_cap: 1.0, ..level() });
+        for (i, weight) in found.weights.iter().enumerate() {
+            assert_eq!(*weight, f64::from(u8::from(i % 5 <= 2)), "vertex {i}");
+        }
+        assert_eq!(found.inlier_share(), 0.6);
+        let p = template.positions[2];
+        approx::assert_abs_diff_eq!(found.points[2], Vec3::new(p.x, p.y, 0.0), epsilon = 1e-12);
+        approx::assert_abs_diff_eq!(found.normals[2], Vec3::z(), epsilon = 1e-12);
+        assert_eq!(found.nearest_vertices[2], Vec3::new(4.0, 2.0, 0.0));
+    }
+
+    #[test]
+    fn correspondences_of_another_direction_are_rejected() {
+        let scan = scan_of(flat(9, 9), true);
+        let slope = 30f64.to_radians().tan();
+        let tilted = sheet(3, 3, |c, r| Vec3::new(3.0 + c, 3.0 + r, slope * (c - 1.0)));
+        let any = |template: &TriangleMesh, normal_angle| {
+            let found = find(&scan, template, &Level { normal_angle, ..level() });
+            (found.any(), found.inlier_share())
+        };
+        assert_eq!(any(&tilted, 31.0), (true, 1.0));
+        assert_eq!(any(&tilted, 29.0), (false, 0.0));
+        let mut turned = tilted.clone();
+        turned.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+        assert_eq!(any(&turned, 149.0), (false, 0.0));
+        assert_eq!(any(&turned, 151.0), (true, 1.0));
+    }
+
+    #[test]
+    fn correspondences_on_the_open_boundary_are_rejected_unless_wanted() {
+        let template = sheet(9, 9, |c, r| Vec3::new(c - 2.0, r - 2.0, 0.5));
+        for (reject, accepted) in [(true, 9), (false, 81)] {
+            let scan = scan_of(flat(5, 5), reject);
+            let found = find(&scan, &template, &Level { distance_cap: 5.0, ..level() });
+            assert_eq!(found.weights.iter().filter(|w| **w == 1.0).count(), accepted);
+            for (p, weight) in template.positions.iter().zip(&found.weights) {
+                let inside = p.x > 0.0 && p.x < 4.0 && p.y > 0.0 && p.y < 4.0;
+                assert_eq!(*weight == 1.0, inside || !reject, "{p}");
+            }
+        }
+    }
+
+    #[test]
+    fn ignored_vertices_and_stale_hints_do_no_harm() {
+        let scan = scan_of(flat(9, 9), true);
+        let mut template = sheet(5, 5, |c, r| Vec3::new(2.0 + c, 2.0 + r, 0.3));
+        let ignored: Vec<bool> = (0..25).map(|i| i % 3 == 0).collect();
+        let mut found = Correspondences::default();
+        for shift in [0.0, 0.7, -0.9] {
+            template.positions.iter_mut().for_each(|p| p.x += shift);
+            found.find(&scan, &template.positions, &template, &ignored, &level());
+            let mut fresh = Correspondences::default();
+            fresh.find(&scan, &template.positions, &template, &ignored, &level());
+            assert_eq!((&found.points, &found.weights), (&fresh.points, &fresh.weights));
+            for (i, (weight, ignored)) in found.weights.iter().zip(&ignored).enumerate() {
+                assert_eq!(*weight == 0.0, *ignored, "vertex {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn predictions_take_the_pose_of_the_accepted_vertices() {
+        let pose = Pose {
+            scale: 1.0,
+            rotation: Rotation3::from_euler_angles(0.4, -0.2, 0.9).into_inner(),
+            translation: Vec3::new(3.0, -8.0, 1.0),
+        };
+        let predicted: Vec<Vec3> = (0..12).map(|i| Vec3::new(noise(i), noise(50 + i), noise(90 + i)) * 10.0).collect();
+        let weights: Vec<f64> = (0..12).map(|i| f64::from(u8::from(i % 2 == 0))).collect();
+        // What is not accepted may be anywhere.
+        let place = |(i, p): (usize, &Vec3)| if i % 2 == 0 { pose.apply(*p) } else { Vec3::new(700.0, i as f64, 0.0) };
+        let positions: Vec<Vec3> = predicted.iter().enumerate().map(place).collect();
+        let mut found = Correspondences { predictions: predicted.clone(), weights, ..Correspondences::default() };
+        found.pose_predictions(&positions);
+        for (p, q) in predicted.iter().zip(&found.predictions) {
+            approx::assert_abs_diff_eq!(pose.apply(*p), *q, epsilon = 1e-9);
+        }
+        // Two vertices determine no pose: stay where they are.
+        found.weights = (0..12).map(|i| f64::from(u8::from(i < 2))).collect();
+        found.pose_predictions(&positions);
+        assert_eq!(found.predictions, positions);
     }
 }

@@ -152,7 +152,8 @@ pub fn register_with(
     let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
     let mut problem: Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>> =
         Deformation::new(model, samples);
-    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks })));
+    let frame = Pose { translation: start.apply(template.centre), ..start };
+    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
 
     let mut x = problem.model.rest_parameters();
     let mut run = Run {
@@ -341,5 +342,33 @@ impl Run {
             }
         }
         Ok(ControlFlow::Continue(()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::sheet;
+
+    #[test]
+    fn the_rim_grows_ring_by_ring() {
+        let mesh = sheet(9, 7, |c, r| Vec3::new(c, r, 0.0));
+        for (rings, marked) in [(0, 0), (1, 28), (2, 48), (3, 60), (4, 63), (9, 63)] {
+            let rim = rim(&mesh, rings);
+            assert_eq!(rim.iter().filter(|m| **m).count(), marked, "{rings} rings");
+            for (p, in_rim) in mesh.positions.iter().zip(rim) {
+                let depth = p.x.min(8.0 - p.x).min(p.y).min(6.0 - p.y);
+                assert_eq!(in_rim, depth < rings as f64, "{rings} rings, {p}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_closed_surface_has_no_rim() {
+        let positions = vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z()];
+        let closed = TriangleMesh { positions, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]] };
+        assert_eq!(rim(&closed, 3), [false; 4]);
+        let opened = TriangleMesh { triangles: closed.triangles[..3].to_vec(), ..closed };
+        assert_eq!(rim(&opened, 1), [true, false, true, true]);
     }
 }

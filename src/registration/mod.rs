@@ -21,7 +21,7 @@ pub use schedule::{
     GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
 };
 pub use seam::Seams;
-pub use start::{Pose, StartError, StartKind, closest_pose, weighted_closest_pose};
+pub use start::{Pose, StartError, StartKind, closest_pose};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.

@@ -46,16 +46,6 @@ impl Pose {
     pub fn apply_inverse(&self, p: Vec3) -> Vec3 {
         self.rotation.tr_mul(&(p - self.translation)) / self.scale
     }
-
-    /// `self` after `first`.
-    #[must_use]
-    pub fn after(&self, first: &Pose) -> Pose {
-        Pose {
-            scale: self.scale * first.scale,
-            rotation: self.rotation * first.rotation,
-            translation: self.apply(first.translation),
-        }
-    }
 }
 
 /// Whether the start may scale the template.
@@ -86,7 +76,7 @@ pub fn closest_pose(pairs: &[(Vec3, Vec3)], kind: StartKind) -> Result<Pose, Sta
 }
 
 /// [`closest_pose`] of (p, q, weight).
-pub fn weighted_closest_pose(
+pub(super) fn weighted_closest_pose(
     pairs: impl Iterator<Item = (Vec3, Vec3, f64)> + Clone,
     kind: StartKind,
 ) -> Result<Pose, StartError> {

@@ -1,6 +1,6 @@
 //! Which data terms a registration uses; a user's own term joins through [`TermFactory`].
 
-use super::{Correspondences, Level};
+use super::{Correspondences, Level, Pose};
 use crate::energy::{DataTerm, Pointwise, QuadricField};
 use crate::mesh::Vec3;
 use crate::nlls::Kernel;
@@ -21,6 +21,9 @@ pub trait RegistrationTerm: DataTerm {
 pub struct TermInput<'a> {
     /// Landmarks as (sample, target), in the model's frame.
     pub landmarks: &'a [(usize, Vec3)],
+    /// From the model's frame to the scan's: brings what you measured to where the term sees samples by
+    /// [`apply_inverse`](Pose::apply_inverse).
+    pub frame: Pose,
 }
 
 /// Builds a data term for a registration. Implement this for your own term.

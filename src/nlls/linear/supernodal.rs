@@ -135,12 +135,6 @@ impl SupernodalFactor {
         &self.position
     }
 
-    /// Number of stored values of L, explicit zeros of relaxed supernodes included.
-    #[cfg(test)]
-    pub(super) fn factor_len(&self) -> usize {
-        self.factor.len()
-    }
-
     /// The most rows that any supernode has below its triangle.
     pub(super) fn longest_pattern(&self) -> usize {
         self.gathered.len()
