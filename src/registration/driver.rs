@@ -157,6 +157,7 @@ pub fn register_with(
 
     let mut x = problem.model.rest_parameters();
     let mut run = Run {
+        vertices_coincide: false,
         correspondences: Correspondences::default(),
         minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9))
             .expect("proven: the defaults and these two values are in bounds"),
@@ -261,6 +262,8 @@ fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -
 }
 
 struct Run {
+    /// Whether a level has found the scan's vertices to coincide with the template's; it is not asked again.
+    vertices_coincide: bool,
     correspondences: Correspondences,
     minimizer: Minimizer,
     workspace: Workspace,
@@ -284,10 +287,11 @@ impl Run {
         let mut level = schedule.levels[index].scaled(rest.unit);
         problem.model.set_level(&level);
         let mut coincidence = None;
-        if level.point_to_point > 0.0 && schedule.scan.test_vertices {
+        if level.point_to_point > 0.0 && schedule.scan.test_vertices && !self.vertices_coincide {
             self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
             let test = self.correspondences.vertex_coincidence(scan);
-            if !test.is_evident() {
+            self.vertices_coincide = test.is_evident();
+            if !self.vertices_coincide {
                 level.point_to_point = 0.0;
             }
             coincidence = Some(test);

@@ -83,8 +83,8 @@ pub struct ScanOptions {
     /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
     pub template_rim: f64,
-    /// Follow point-to-point only in levels at whose start the scan's vertices coincide with the template's more than chance
-    /// explains ([`VertexCoincidence`](super::VertexCoincidence)).
+    /// Follow point-to-point only from the first level at whose start the scan's vertices coincide with the template's more
+    /// than chance explains ([`VertexCoincidence`](super::VertexCoincidence)).
     pub test_vertices: bool,
 }
 
