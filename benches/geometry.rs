@@ -12,7 +12,7 @@ use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
 use nonrigid::mesh::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals_into};
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 
 fn face() -> (FaceRig, ScanCase) {
     let rig = FaceRig::generate(&FaceOptions { vertices: 5000 });

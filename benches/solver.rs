@@ -16,7 +16,7 @@ use nonrigid::nlls::{
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;
-use nonrigid_data_gen::{FaceOptions, FaceRig};
+use data_gen::{FaceOptions, FaceRig};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -16,7 +16,7 @@ use nonrigid::registration::{
     TermInput, TermKind, register_with,
 };
 use nonrigid::rig::ShapeBasis;
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
+use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -5,7 +5,7 @@ mod support;
 
 use nonrigid::mesh::io::{NpyArray, PlyOptions, read_obj, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use nonrigid_data_gen::{FaceOptions, FaceRig, write_rig};
+use data_gen::{FaceOptions, FaceRig, write_rig};
 use support::{Bench, files_in, landmarks_json};
 
 const ARGUMENTS: i32 = 1;

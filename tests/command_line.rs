@@ -13,7 +13,7 @@ use nonrigid::mesh::io::{
 };
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
-use nonrigid_data_gen::{FaceRig, write_rig};
+use data_gen::{FaceRig, write_rig};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use support::{Bench, farthest, landmarks_json};

@@ -17,7 +17,7 @@ use nonrigid::registration::{
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use support::farthest;

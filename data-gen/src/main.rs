@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Parser;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::render::{Camera, Frame, Scene, Sheet, Style, View, draw_text, registration_sheet, render, save_png};
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 
 /// Synthetic face rigs and scans with exact truth, from one seed.
 #[derive(Parser)]

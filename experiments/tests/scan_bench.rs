@@ -14,7 +14,7 @@ use nonrigid::registration::{
     TermKind, closest_pose, register,
 };
 use nonrigid::term::Landmarks;
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 
 /// A rig and two cases, of a known and of an unknown person.
 fn cases(folder: &Path) -> Vec<BenchCase> {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use nonrigid::mesh::Vec3;
-use nonrigid_data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 
 /// A temporary folder with `rig/` and `case/` (a person whose neutral is known), removed with this value.
 pub struct Bench {
