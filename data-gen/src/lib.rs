@@ -7,13 +7,15 @@
 //! face looks towards +Z, the subject's left (`_L`) is +X. Equal options and seeds give equal bytes.
 
 mod expressions;
-mod face;
+pub mod face;
 mod files;
 mod identity;
+mod rig;
 mod remesh;
 mod scan;
 mod visibility;
 
-pub use face::{FaceOptions, FaceRig, Landmark};
+pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
+pub use rig::{FaceOptions, FaceRig, Landmark};
 pub use files::{Subject, write_case, write_rig};
 pub use scan::{Pose, ScanCase, ScanOptions, simulate_scan};
