@@ -8,17 +8,24 @@ fn main() {
     println!("{} vertices {} quads", flat.len(), quads.len());
     let tri = mesh.triangulate();
     let frame = Frame::of(&pos);
-    let size=[640,760];
+    let size=if n < 10000 {[640,760]} else {[800,960]};
     let eyes = rig.eyeballs(&[]);
     let ball = |k: usize| { let e = eyes[k]; sphere(e.centre.into(), e.radius) };
     let mut panels=vec![]; let mut wires=vec![];
-    for view in [View::Front, View::ThreeQuarter, View::Side] {
+    for view in [View::Front, View::Angles{yaw:35.0,pitch:5.0}, View::Side] {
         let cam = Camera::framing(&frame, view, size);
         let s = || Scene::new().mesh(&tri, Style::Clay).mesh(&ball(0), Style::Solid([235,235,240])).mesh(&ball(1), Style::Solid([235,235,240]));
         panels.push(render(&s(), &cam, size));
         wires.push(render(&s().wireframe(&mesh), &cam, size));
     }
-    let sheet = Sheet::new("face").row("", panels).row("", wires);
+    let mut close = vec![]; let mut close_w = vec![];
+    for (cx, cy, h, yaw, pitch) in [(0.0, -60.0, 38.0, 0.0, 0.0), (0.0, -50.0, 38.0, 40.0, -15.0), (25.0, 5.0, 32.0, 10.0, 0.0), (25.0, 5.0, 32.0, 60.0, 10.0)] {
+        let f = Frame { centre: Vec3::new(cx, cy, -5.0), half: Vec3::new(h, h, 10.0) };
+        let cam = Camera::framing(&f, View::Angles { yaw, pitch }, [600, 600]);
+        close.push(render(&Scene::new().mesh(&tri, Style::Clay).mesh(&ball(0), Style::Solid([235,235,240])).mesh(&ball(1), Style::Solid([235,235,240])), &cam, [600,600]));
+        close_w.push(render(&Scene::new().mesh(&tri, Style::Clay).mesh(&ball(0), Style::Solid([235,235,240])).wireframe(&mesh), &cam, [600,600]));
+    }
+    let sheet = Sheet::new("face").row("", panels); let sheet = if n < 10000 { sheet.row("", wires).row("", close_w) } else { sheet.row("", close) };
     save_png(&sheet.render(), std::path::Path::new("/tmp/face.png")).unwrap();
     let fm = PolygonMesh { positions: flat.iter().map(|f| Vec3::new(f[0],f[1],0.0)).collect(), ..mesh.clone() };
     let frame = Frame::of(&fm.positions);
