@@ -10,12 +10,12 @@ mod expressions;
 pub mod face;
 mod files;
 mod identity;
-mod rig;
 mod remesh;
+mod rig;
 mod scan;
 mod visibility;
 
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
-pub use rig::{FaceOptions, FaceRig, Landmark};
 pub use files::{Subject, write_case, write_rig};
+pub use rig::{FaceOptions, FaceRig, Landmark};
 pub use scan::{Pose, ScanCase, ScanOptions, simulate_scan};

@@ -4,8 +4,9 @@ use nonrigid::mesh::Vec3;
 use rayon::prelude::*;
 
 use super::layout::outline;
+use super::rings::Around;
 use super::sculpt::{EYEBALL, site};
-use super::site::{EYELIDS, FLAT_MOUTH, Flat, Site};
+use super::site::{EYELIDS, FLAT_MOUTH, Flat, Site, eye_point, flatten};
 use crate::expressions::{Expression, expressions};
 use crate::identity::IdentityModes;
 
@@ -113,8 +114,8 @@ impl FaceModel {
             let (centre, radius) = EYEBALL;
             let rim = (0..32).map(|k| {
                 let eta = f64::from(k) / 16.0 * std::f64::consts::PI;
-                let [x, y] = super::site::eye_point(super::rings::Around { r: 0.0, eta });
-                identity.displacement(&site(super::site::flatten([side * x, y])))
+                let [x, y] = eye_point(Around { r: 0.0, eta });
+                identity.displacement(&site(flatten([side * x, y])))
             });
             let moved = rim.sum::<Vec3>() / 32.0;
             Eyeball { centre: Vec3::new(side * centre[0], centre[1], centre[2]) + moved, radius }

@@ -1,7 +1,5 @@
 //! Coordinates round an opening of the face: rings and the angle along them.
 
-use std::f64::consts::FRAC_PI_2;
-
 /// A family of concentric ellipses: ring `r` has the half axes `a + alpha r` and `b + r + opening exp(-r / fade)`, `b` upper
 /// and lower half apart. `r` is close to the distance from the opening's edge, ring 0, in millimetres; inside it is negative.
 #[derive(Debug, Clone, Copy)]
@@ -34,6 +32,8 @@ impl Rings {
     /// The point, relative to the centre of the opening.
     pub fn point(&self, at: Around) -> [f64; 2] {
         let (sin, cos) = at.eta.sin_cos();
+        // Exactly on the axis at right angles, so that what is on the symmetry plane stays there.
+        let cos = if cos.abs() < 1e-15 { 0.0 } else { cos };
         let [a, b] = self.half_axes(at.r, sin >= 0.0);
         [a * cos, b * sin]
     }
@@ -64,8 +64,10 @@ mod tests {
 
     #[test]
     fn rings_and_points_are_each_others_inverse() {
-        let eye = Rings { half_width: 15.0, half_heights: [5.5, 4.5], alpha: 0.6, opening: 0.0, fade: 1.0, innermost: -2.0 };
-        let mouth = Rings { half_width: 25.0, half_heights: [0.0; 2], alpha: 0.4, opening: 4.0, fade: 12.0, innermost: -4.0 };
+        let eye =
+            Rings { half_width: 15.0, half_heights: [5.5, 4.5], alpha: 0.6, opening: 0.0, fade: 1.0, innermost: -2.0 };
+        let mouth =
+            Rings { half_width: 25.0, half_heights: [0.0; 2], alpha: 0.4, opening: 4.0, fade: 12.0, innermost: -4.0 };
         for rings in [eye, mouth] {
             for r in [-1.9, 0.0, 3.0, 40.0] {
                 for k in 0..40 {
