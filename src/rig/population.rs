@@ -99,7 +99,7 @@ pub enum PopulationError {
     },
     /// Some of the components have no variance.
     #[error(
-        "{asked} components asked for, the {samples} meshes vary in {rank} directions only; the others have zero variance"
+        "{asked} components asked for, the {samples} meshes vary in {rank} directions only; all others have zero variance"
     )]
     Rank {
         /// Asked for.
