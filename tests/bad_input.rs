@@ -395,7 +395,10 @@ fn the_rows_would_work_without_their_changes() {
     for command in ["register", "eval", "rig pca"] {
         bench.done(&command_line(command, "").replace("OUT", "new"));
     }
-    assert_eq!(files_in(&bench.path("new")), [".keep", "h.png", "people_rig", "r.json", "r.obj", "r.png", "r.timing.json"]);
+    assert_eq!(
+        files_in(&bench.path("new")),
+        [".keep", "h.png", "people_rig", "r.json", "r.obj", "r.png", "r.timing.json"]
+    );
 }
 
 #[test]

@@ -302,7 +302,8 @@ fn rig_pca_makes_a_rig_that_register_reads() {
         write_polygon_mesh(&path, &mesh).unwrap();
     }
     for threads in [1, 2] {
-        let printed = bench.done(&format!("rig pca --meshes meshes --components 3 --out rig{threads} --threads {threads}"));
+        let printed =
+            bench.done(&format!("rig pca --meshes meshes --components 3 --out rig{threads} --threads {threads}"));
         assert!(printed.starts_with("14 meshes of 225 vertices, aligned by rigid motions"), "{printed}");
         let last = printed.lines().find(|l| l.starts_with("identity002")).unwrap();
         let together: f64 = last.split_whitespace().last().unwrap().parse().unwrap();

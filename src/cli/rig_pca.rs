@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Folder for the rig; made if only it is missing
+    /// Folder for the rig; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }

@@ -8,8 +8,8 @@ use super::read::mesh_files;
 use crate::mesh::io::{ReadError, read_polygon_mesh};
 use crate::mesh::{PolygonMesh, Pose, PoseError, PoseKind, Vec3, weighted_closest_pose};
 
-/// Coordinates beyond this have squares that no longer sum up.
-const LARGEST: f64 = 1e100;
+/// Coordinates beyond this are no lengths; below, the fourth powers that alignment needs are far from overflow.
+const LARGEST: f64 = 1e30;
 
 /// The alignment ends when a round moves the mean by less than this share of its size, in root mean square.
 const SETTLED: f64 = 1e-12;
@@ -64,7 +64,7 @@ pub enum PopulationError {
         first: String,
     },
     /// A coordinate is NaN, infinite or absurd.
-    #[error("{name}: vertex {vertex} is not finite or beyond 1e100")]
+    #[error("{name}: vertex {vertex} is not finite or beyond 1e30")]
     NotFinite {
         /// The shape.
         name: String,
