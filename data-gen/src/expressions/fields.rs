@@ -58,7 +58,8 @@ pub(super) fn part_lips(s: &Site, half: f64, reach: f64) -> Vec3 {
 /// Draws the mouth together from the sides by a share of its width, and forward; `high` is how far up and down that reaches.
 pub(super) fn purse(s: &Site, narrower: f64, forward: f64, high: f64) -> Vec3 {
     let evenly = |half: f64| (-(s.x / half).powi(4)).exp() * bell(s.y - MOUTH[1], high);
-    along(s, [-narrower * s.x * evenly(36.0), 0.0, 0.0]) + Vec3::new(0.0, 0.0, forward * evenly(27.0) * bell(s.y - MOUTH[1], high))
+    along(s, [-narrower * s.x * evenly(36.0), 0.0, 0.0])
+        + Vec3::new(0.0, 0.0, forward * evenly(27.0) * bell(s.y - MOUTH[1], high))
 }
 
 /// Turns the lips about their outer borders, inwards if positive; degrees in the middle of upper and lower lip. Their edges
@@ -126,7 +127,8 @@ pub(super) fn lids(s: &Site, [upper, lower]: [f64; 2]) -> Vec3 {
         return Vec3::zeros();
     }
     let up = eta.sin();
-    let on_upper = 0.5 + 0.5 * (up / 0.7).tanh() / (1.0 / 0.7f64).tanh();
+    // Near the corners both lids do alike, so that they meet there on a straight line.
+    let on_upper = 0.5 + 0.5 * (1.8 * up * up.abs()).tanh() / 1.8f64.tanh();
     // Here and across the opening: on the lids' edges, at the corners on the margins themselves.
     let ring = r.min(0.0) * (1.0 - up * up);
     let edge = |eta: f64| skin(eye_point(Around { r: ring, eta }));
