@@ -151,7 +151,7 @@ pub(super) fn lids(s: &Site, [upper, lower]: [f64; 2]) -> Vec3 {
 pub(super) fn keep_off_eyeballs(s: &Site, mut displacement: Vec3) -> Vec3 {
     for (eye, side) in [(s.left_eye, 1.0), (s.right_eye, -1.0)] {
         if eye.r < 30.0 {
-            displacement *= 1.0 - 0.7 * bell(eye.r.max(0.0), 4.0);
+            displacement *= 1.0 - 0.85 * bell(eye.r.max(0.0), 5.0);
             let from_centre = s.neutral - Vec3::new(side * EYEBALL.0[0], EYEBALL.0[1], EYEBALL.0[2]);
             let moved = from_centre + displacement;
             displacement += moved * ((from_centre.norm() / moved.norm() - 1.0) * bell(eye.r.max(0.0), 5.0));
