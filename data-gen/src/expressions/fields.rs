@@ -25,6 +25,12 @@ pub(super) fn pull(s: &Site, at: [f64; 2], widths: [f64; 2], by: [f64; 3]) -> Ve
     along(s, by) * blob(s, at, widths)
 }
 
+/// Moves a blob of skin and its mirror image.
+pub(super) fn pull_both(s: &Site, at: [f64; 2], widths: [f64; 2], by: [f64; 3]) -> Vec3 {
+    let right = pull(&s.mirrored(), at, widths, by);
+    pull(s, at, widths, by) + Vec3::new(-right.x, right.y, right.z)
+}
+
 /// Wrinkles: waves of skin in a blob, across the direction `[x, y]` in which they repeat every `|[x, y]|` millimetres.
 pub(super) fn wrinkles(s: &Site, at: [f64; 2], widths: [f64; 2], [x, y]: [f64; 2], height: f64) -> Vec3 {
     let phase = ((s.x - at[0]) * x + (s.y - at[1]) * y) / (x * x + y * y);

@@ -3,7 +3,7 @@
 use nonrigid::mesh::Vec3;
 
 use super::fields::{
-    along, crease, lower_lip, open_jaw, part_lips, pull, purse, roll, slides_with_jaw, upper_lip, wrinkles,
+    along, crease, lower_lip, open_jaw, part_lips, pull, pull_both, purse, roll, slides_with_jaw, upper_lip, wrinkles,
 };
 use crate::face::{Site, bell, fade};
 
@@ -93,13 +93,9 @@ pub(super) const SHAPES: [Shape; 31] = [
     eye("eyeWide", [-0.26, -0.1], |s| pull(s, [32.0, 19.0], [15.0, 7.0], [0.0, 1.2, 0.0])),
     one("jawForward", |s| Vec3::new(0.0, -3.0, 8.5) * slides_with_jaw(s)),
     left_right("jaw", |s| Vec3::new(8.0, -2.5, 0.0) * slides_with_jaw(s)),
+    // Depressors of the jaw; the corners of the mouth come nearer to each other.
     one("jawOpen", |s| {
-        let corners = pull(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0]) - {
-            let m = s.mirrored();
-            let d = pull(&m, CORNER, [9.0, 12.0], [3.5, 0.0, 0.0]);
-            Vec3::new(-d.x, d.y, d.z)
-        };
-        open_jaw(s, 27.0, Vec3::new(0.0, -3.0, 10.0)) + corners
+        open_jaw(s, 27.0, Vec3::new(0.0, -3.0, 10.0)) + pull_both(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0])
     }),
     // Buccinator draws the corner back.
     pair("mouthDimple", |s| {
