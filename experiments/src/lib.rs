@@ -1,4 +1,5 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
 pub mod random_pose;
+pub mod rig_statistics;
 pub mod scan_bench;

@@ -120,9 +120,11 @@ mod tests {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 60.0).sin_cos();
             Vec3::new(10.0 * sin, 0.0, 10.0 * cos)
         };
-        let positions: Vec<Vec3> = (0..6).flat_map(|j| (0..60).map(move |k| ring(k) + Vec3::y() * f64::from(j))).collect();
+        let positions: Vec<Vec3> =
+            (0..6).flat_map(|j| (0..60).map(move |k| ring(k) + Vec3::y() * f64::from(j))).collect();
         let at = |j: u32, k: u32| j * 60 + k % 60;
-        let corners = (0..5).flat_map(|j| (0..60).flat_map(move |k| [at(j, k), at(j, k + 1), at(j + 1, k + 1), at(j + 1, k)]));
+        let corners =
+            (0..5).flat_map(|j| (0..60).flat_map(move |k| [at(j, k), at(j, k + 1), at(j + 1, k + 1), at(j + 1, k)]));
         let mesh = PolygonMesh {
             positions: positions.clone(),
             starts: (0..=300).map(|k| 4 * k).collect(),
