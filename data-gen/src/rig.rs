@@ -1,5 +1,7 @@
 //! The rig at one resolution: template, shapes, landmarks and regions per vertex.
 
+use std::sync::Arc;
+
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
 use rayon::prelude::*;
 
@@ -30,6 +32,7 @@ pub struct Landmark {
 }
 
 /// A template face with everything that a fit may use of it, and the continuous face behind it.
+#[derive(Clone)]
 pub struct FaceRig {
     /// The template: quads, UVs, groups and materials, at the neutral positions.
     pub mesh: PolygonMesh,
@@ -46,7 +49,7 @@ pub struct FaceRig {
     /// Place of each vertex on the flat face.
     pub places: Vec<Flat>,
     /// The same face at any resolution.
-    pub model: FaceModel,
+    pub model: Arc<FaceModel>,
 }
 
 impl FaceRig {
@@ -68,7 +71,7 @@ impl FaceRig {
         }
         let mesh = template(&places, &neutral, quads, &model);
         let landmarks = landmarks(&places);
-        Self { mesh, neutral, expressions, identities, landmarks, regions, places, model }
+        Self { mesh, neutral, expressions, identities, landmarks, regions, places, model: Arc::new(model) }
     }
 
     /// The template's vertices at these weights; missing weights are 0 and superfluous ones are ignored.
