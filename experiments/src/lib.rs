@@ -1,4 +1,7 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
+pub mod first;
+mod generated;
 pub mod random_pose;
 pub mod scan_bench;
+pub mod tables;

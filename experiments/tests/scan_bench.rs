@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
 use nonrigid::energy::{DataTerm, DeformationModel, NamedEnergy, Pointwise, QuadricField, Samples};
 use nonrigid::evaluation::TruthErrors;
@@ -14,11 +15,10 @@ use nonrigid::registration::{
     TermKind, closest_pose, register,
 };
 use nonrigid::term::Landmarks;
-use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 
 /// A rig and two cases, of a known and of an unknown person.
 fn cases(folder: &Path) -> Vec<BenchCase> {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 700 });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
     write_rig(&folder.join("rig"), &rig).unwrap();
     for seed in [7, 8] {
         let case = simulate_scan(&rig, &ScanOptions::default(), seed);
