@@ -168,7 +168,7 @@ fn next_commands(out: &Path, rig: &Path, case: &Path, identity_modes: usize) -> 
 }
 
 /// Width and height of a panel, pixels.
-const PANEL: [u32; 2] = [300, 330];
+const PANEL: [u32; 2] = [292, 360];
 const LANDMARK: [u8; 3] = [206, 48, 40];
 
 /// Template, scan and results from an angle, landmarks and errors from the front, polygons at the mouth: one column each.
@@ -189,14 +189,14 @@ fn draw(
 
     let triangles = case.template.triangulate().triangles;
     let errors = results.iter().map(|(_, mesh)| {
-        let (_, errors) = TruthErrors::new(&mesh.positions, &truth, &case.observed, &triangles)?;
+        let (_, errors) = TruthErrors::new(&mesh.positions, &case.truth, &case.observed, &triangles)?;
         Ok(errors.observed_distance(&case.observed))
     });
     let errors: Vec<Vec<f64>> = errors.collect::<Result<_>>()?;
     let scale = ColourScale::for_magnitudes(&errors.concat(), "distance to the truth", "mm");
 
     let panel = |scene: &Scene, frame: &Frame, view: View| render(scene, &Camera::framing(frame, view, PANEL), PANEL);
-    let face = Frame::of(&truth).union(Frame::of(rest)).scaled(0.97);
+    let face = Frame::of(&truth).union(Frame::of(rest)).scaled(0.9);
     let angle = View::Angles { yaw: 32.0, pitch: 4.0 };
     let clay = |mesh: &TriangleMesh| Scene::new().mesh(mesh, Style::Clay);
     let wired = |mesh: &PolygonMesh| clay(&mesh.triangulate()).wireframe(mesh);
