@@ -3,9 +3,9 @@
 
 mod support;
 
+use data_gen::{FaceOptions, FaceRig, write_rig};
 use nonrigid::mesh::io::{NpyArray, PlyOptions, read_obj, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use data_gen::{FaceOptions, FaceRig, write_rig};
 use support::{Bench, files_in, landmarks_json};
 
 const ARGUMENTS: i32 = 1;
@@ -47,12 +47,14 @@ const EVAL: &[(&str, &str)] = &[
     ("--observed", "case/observed.npy"),
     ("--heatmap", "OUT/h.png"),
 ];
+const RIG_PCA: &[(&str, &str)] = &[("--meshes", "people"), ("--components", "2"), ("--out", "OUT/people_rig")];
 
 /// The command line of a row: `changes` are options with other values, or with `-` to leave them out.
 fn command_line(command: &str, changes: &str) -> String {
     let mut options: Vec<(String, String)> = match command {
         "register" => REGISTER,
         "eval" => EVAL,
+        "rig pca" => RIG_PCA,
         _ => return format!("{command} {changes}"),
     }
     .iter()
@@ -171,6 +173,37 @@ fn broken() -> Bench {
     let mut deltas = NpyArray::open(&path).unwrap().read_f32().unwrap();
     deltas[3 * vertices + 4] = f32::NAN;
     write_npy(&path, &[12, vertices, 3], &deltas).unwrap();
+    let person = |weights: [f64; 2]| -> String {
+        let vertex = |i: u32| {
+            let (x, y) = (f64::from(i % 3), f64::from(i / 3));
+            format!("v {} {} {}\n", 10.0 * x, 10.0 * y, weights[0] * x * x + weights[1] * (y - x * y))
+        };
+        (0..9).map(vertex).collect::<String>() + "f 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8\n"
+    };
+    let people = ["a", "b", "c", "d"].map(|name| format!("{name}.obj"));
+    for (folder, weights) in [
+        ("people", [[1.0, 0.0], [-0.5, 0.5], [0.3, 0.9], [0.0, -1.0]]),
+        ("one_way", [[1.0, 0.0], [-0.5, 0.0], [0.3, 0.0], [0.0, 0.0]]),
+        ("nearly_one_way", [[1.0, 0.0], [-0.5, 1e-9], [0.3, 1e-9], [0.0, -1e-9]]),
+        ("clones", [[1.0, 0.5]; 4]),
+    ] {
+        people.iter().zip(weights).for_each(|(name, w)| bench.write(&format!("{folder}/{name}"), person(w)));
+    }
+    bench.write("alone/a.obj", person([1.0, 0.0]));
+    let odd = person([0.2, 0.1]);
+    for (folder, mesh) in [
+        ("odd_vertices", format!("v 1 2 3\n{odd}")),
+        ("odd_polygons", odd.replace("f 2 3 6 5\n", "f 2 3 6\nf 2 6 5\n")),
+        ("odd_order", odd.replace("f 2 3 6 5\n", "f 3 6 5 2\n")),
+        ("odd_nan", odd.replace("v 0 10 ", "v 0 nan ")),
+        ("odd_huge", odd.replace("v 0 10 ", "v 0 1e200 ")),
+        ("odd_empty", String::new()),
+        ("odd_line", (0..9).map(|i| format!("v {i} 0 0\n")).collect::<String>() + &odd[odd.find('f').unwrap()..]),
+    ] {
+        bench.write(&format!("{folder}/a.obj"), person([1.0, 0.0]));
+        bench.write(&format!("{folder}/b.obj"), person([0.0, 1.0]));
+        bench.write(&format!("{folder}/c.obj"), mesh);
+    }
     bench.write("nothing/readme.txt", "no rig here");
     bench.write("mixed/readme.txt", "");
     write_obj(&bench.path("mixed/neutral.obj"), &bench.rig.mesh).unwrap();
@@ -326,6 +359,32 @@ const ROWS: &[Row] = &[
     ("rig info", "odd_kind", LOADING, &["rig.json", "halves"]),
     ("rig info", "rig --shape-kind half", ARGUMENTS, &["half", "full", "delta"]),
     ("rig info", "", ARGUMENTS, &["DIR"]),
+    // rig pca
+    ("rig pca", "--meshes missing", LOADING, &["missing", "cannot be read"]),
+    ("rig pca", "--meshes people/a.obj", LOADING, &["people/a.obj", "cannot be read"]),
+    ("rig pca", "--meshes nothing", LOADING, &["nothing", "found 0 meshes", "at least 2"]),
+    ("rig pca", "--meshes alone", LOADING, &["alone", "found 1 mesh,", "at least 2"]),
+    ("rig pca", "--meshes odd_vertices", LOADING, &["odd_vertices/c.obj", "10 vertices", "expected 9", "a.obj"]),
+    ("rig pca", "--meshes odd_polygons", LOADING, &["odd_polygons/c.obj", "5 polygons", "expected 4", "a.obj"]),
+    ("rig pca", "--meshes odd_order", LOADING, &["odd_order/c.obj", "polygon 1", "[2, 5, 4, 1]", "[1, 2, 5, 4]", "a.obj"]),
+    ("rig pca", "--meshes odd_nan", LOADING, &["odd_nan/c.obj", "line 4", "finite"]),
+    ("rig pca", "--meshes odd_huge", LOADING, &["odd_huge/c.obj", "vertex 3"]),
+    ("rig pca", "--meshes odd_empty", LOADING, &["odd_empty/c.obj", "vertices"]),
+    ("rig pca", "--meshes odd_line", COMPUTATION, &["odd_line/c.obj", "aligned", "line"]),
+    ("rig pca", "--meshes -", ARGUMENTS, &["--meshes"]),
+    ("rig pca", "--components 0", ARGUMENTS, &["--components", "0"]),
+    ("rig pca", "--components -3", ARGUMENTS, &["-3"]),
+    ("rig pca", "--components 4", ARGUMENTS, &["--components", "4 components", "1 to 3", "4 meshes of 9 vertices"]),
+    ("rig pca", "--components -", ARGUMENTS, &["--components"]),
+    ("rig pca", "--meshes one_way --align none", COMPUTATION, &["--components", "2 components", "1 directions"]),
+    ("rig pca", "--meshes nearly_one_way --align none", COMPUTATION, &["--components", "2 components", "only 1"]),
+    ("rig pca", "--meshes clones", COMPUTATION, &["2 components", "4 meshes", "0 directions", "zero variance"]),
+    ("rig pca", "--align sideways", ARGUMENTS, &["sideways", "rigid", "similarity", "none"]),
+    ("rig pca", "--threads 0", ARGUMENTS, &["--threads", "0"]),
+    ("rig pca", "--out schedule.toml", WRITING, &["schedule.toml", "not a folder"]),
+    ("rig pca", "--out nowhere/rig", WRITING, &["nowhere/rig", "no folder"]),
+    ("rig pca", "--out people/../people", ARGUMENTS, &["--out", "--meshes"]),
+    ("rig pca", "--out -", ARGUMENTS, &["--out"]),
     ("rig list", "rig", ARGUMENTS, &["list"]),
     ("regsiter", "", ARGUMENTS, &["regsiter"]),
 ];
@@ -333,10 +392,13 @@ const ROWS: &[Row] = &[
 #[test]
 fn the_rows_would_work_without_their_changes() {
     let bench = broken();
-    for command in ["register", "eval"] {
+    for command in ["register", "eval", "rig pca"] {
         bench.done(&command_line(command, "").replace("OUT", "new"));
     }
-    assert_eq!(files_in(&bench.path("new")), [".keep", "h.png", "r.json", "r.obj", "r.png", "r.timing.json"]);
+    assert_eq!(
+        files_in(&bench.path("new")),
+        [".keep", "h.png", "people_rig", "r.json", "r.obj", "r.png", "r.timing.json"]
+    );
 }
 
 #[test]

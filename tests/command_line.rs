@@ -4,16 +4,16 @@ mod support;
 
 use std::path::Path;
 
+use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
 use nonrigid::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::io::{
-    PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan, write_npy_points,
-    write_obj, write_ply,
+    NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
+    write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
-use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
-use data_gen::{FaceRig, write_rig};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use support::{Bench, farthest, landmarks_json};
@@ -263,6 +263,100 @@ fn rig_info_lists_what_each_layout_holds() {
     assert!(farthest(&arrays, &meshes) < 1e-6, "{}", farthest(&arrays, &meshes));
 }
 
+/// A bumpy sheet of 15 x 15 vertices with UVs and a group, differing in three ways from its like.
+fn sheet(weights: [f64; 3]) -> PolygonMesh {
+    const SIDE: u32 = 15;
+    let mut mesh = PolygonMesh { starts: vec![0], ..PolygonMesh::default() };
+    for i in 0..SIDE * SIDE {
+        let (x, y) = (f64::from(i % SIDE) / 7.0 - 1.0, f64::from(i / SIDE) / 7.0 - 1.0);
+        let depth = 15.0 * (3.0 * x).cos() * (2.0 * y).cos() + 6.0 * (5.0 * x * y + x).sin();
+        let ways = [4.0 * (x * x - y), 3.0 * (2.0 * x + y).sin(), 2.0 * x * y];
+        let moved: f64 = ways.iter().zip(weights).map(|(way, w)| way * w).sum();
+        mesh.positions.push(Vec3::new(50.0 * x, 50.0 * y, depth + moved));
+        mesh.metadata.uvs.push([x, y]);
+        if i % SIDE + 1 < SIDE && i / SIDE + 1 < SIDE {
+            mesh.corners.extend([i, i + 1, i + 1 + SIDE, i + SIDE]);
+            mesh.starts.push(mesh.corners.len() as u32);
+        }
+    }
+    mesh.metadata.corner_uvs.clone_from(&mesh.corners);
+    mesh.metadata.statements.push((0, ObjStatement::Group("skin".into())));
+    mesh
+}
+
+#[test]
+fn rig_pca_makes_a_rig_that_register_reads() {
+    let bench = Bench::new();
+    bench.write("meshes/readme.txt", "not a mesh");
+    let random = |i: usize| ((i as f64 + 1.0) * 78.233).sin() * 43_758.545;
+    let number = |i: usize| 2.0 * random(i).rem_euclid(1.0) - 1.0;
+    for i in 0..14 {
+        let mut mesh = sheet([0, 1, 2].map(|k| number(10 * i + k)));
+        // As scans lie: anywhere. The first one stays, and with it the rig.
+        if i > 0 {
+            let turn = Rotation3::from_euler_angles(number(10 * i + 3), number(10 * i + 4), number(10 * i + 5));
+            let shift = Vec3::new(number(10 * i + 6), number(10 * i + 7), number(10 * i + 8)) * 300.0;
+            mesh.positions.iter_mut().for_each(|p| *p = turn * *p + shift);
+        }
+        let path = bench.path(&format!("meshes/{i:02}.{}", if i % 5 == 4 { "ply" } else { "obj" }));
+        write_polygon_mesh(&path, &mesh).unwrap();
+    }
+    for threads in [1, 2] {
+        let printed =
+            bench.done(&format!("rig pca --meshes meshes --components 3 --out rig{threads} --threads {threads}"));
+        assert!(printed.starts_with("14 meshes of 225 vertices, aligned by rigid motions"), "{printed}");
+        let last = printed.lines().find(|l| l.starts_with("identity002")).unwrap();
+        let together: f64 = last.split_whitespace().last().unwrap().parse().unwrap();
+        assert!(together > 99.5, "{printed}");
+        assert!(printed.ends_with(&format!("wrote rig{threads}\n")), "{printed}");
+    }
+    let files = support::files_in(&bench.path("rig1"));
+    let expected = [
+        "components.npy",
+        "identity_deltas.npy",
+        "identity_names.json",
+        "neutral.npy",
+        "standard_deviations.npy",
+        "template.obj",
+    ];
+    assert_eq!(files, expected);
+    for name in expected {
+        assert!(bench.read(&format!("rig1/{name}")) == bench.read(&format!("rig2/{name}")), "{name}: other threads");
+    }
+    // The mean has everything of the first mesh but its positions; modes are components by standard deviations.
+    let template = read_obj(&bench.path("rig1/template.obj")).unwrap();
+    let first = read_obj(&bench.path("meshes/00.obj")).unwrap();
+    assert_eq!(first.with_positions(template.positions.clone()), template);
+    assert_eq!(read_npy_points(&bench.path("rig1/neutral.npy")).unwrap(), template.positions);
+    let numbers = |name: &str| NpyArray::open(&bench.path(name)).unwrap().read_f64().unwrap();
+    let (components, modes) = (numbers("rig1/components.npy"), numbers("rig1/identity_deltas.npy"));
+    let sigmas = numbers("rig1/standard_deviations.npy");
+    assert_eq!((components.len(), modes.len(), sigmas.len()), (3 * 225 * 3, 3 * 225 * 3, 3));
+    for (i, (c, m)) in components.iter().zip(&modes).enumerate() {
+        assert!((c * sigmas[i / 675] - m).abs() < 1e-5, "{i}");
+    }
+    let info = json(bench.done("rig info rig1 --json"));
+    assert!(info.as_array().unwrap().len() == 3 && info[0]["family"] == "identity", "{info}");
+
+    // A person who was not among them, wrapped with the modes alone.
+    let person = sheet([0.4, -0.7, 0.6]);
+    write_scan(&bench.path("scan.ply"), &person.triangulate());
+    let marks: Vec<(u32, Vec3)> = [0, 14, 112, 210, 224].map(|v| (v, person.positions[v as usize])).to_vec();
+    bench.write("marks.json", landmarks_json(&marks));
+    let fit = "register --template rig1/template.obj --target scan.ply --landmarks marks.json --model";
+    bench.done(&format!("{fit} blendshape --rig rig1 --identity-modes 3 --out wrapped.obj"));
+    bench.done(&format!("{fit} rigid --out rigid.obj"));
+    let off = |name: &str| farthest(&read_obj(&bench.path(name)).unwrap().positions, &person.positions);
+    assert!(off("wrapped.obj") < 0.3 && off("rigid.obj") > 2.0, "{} {}", off("wrapped.obj"), off("rigid.obj"));
+
+    // In the same folder again; and not aligned, where pose is most of what differs.
+    bench.done("rig pca --meshes meshes --components 5 --align similarity --out rig1");
+    assert_eq!(numbers("rig1/standard_deviations.npy").len(), 5);
+    bench.done("rig pca --meshes meshes --components 2 --align none --out rig2");
+    assert!(numbers("rig2/standard_deviations.npy")[0] > 20.0 * sigmas[0]);
+    assert_eq!(support::files_in(&bench.path("rig1")), expected);
+}
+
 /// A triangle of the mesh with this vertex, and u and v at its place in it.
 fn corner_of(triangles: &[[u32; 3]], vertex: u32) -> (usize, f64, f64) {
     let triangle = triangles.iter().position(|t| t.contains(&vertex)).unwrap();
@@ -434,7 +528,7 @@ fn help_and_version_are_successes() {
     let bench = Bench::new();
     assert!(bench.done("--version").contains(env!("CARGO_PKG_VERSION")));
     assert!(bench.done("--help").contains("Exit codes"));
-    for command in ["register", "eval", "rig info"] {
+    for command in ["register", "eval", "rig info", "rig pca"] {
         assert!(bench.done(&format!("{command} --help")).contains("Usage"), "{command}");
     }
 }

@@ -4,20 +4,19 @@ mod support;
 
 use std::ops::ControlFlow;
 
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::io::{Landmark, TemplatePoint};
-use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::model::{NodeGraph, Stiffness, blendshape, graph, hybrid, rigid, similarity};
 use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
 use nonrigid::registration::{
-    ModelKind, Pose, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartKind, StepRecord,
-    closest_pose, register,
+    ModelKind, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, register,
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
-use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use support::farthest;
@@ -142,7 +141,7 @@ fn the_rigid_models_find_the_closed_form_on_the_moved_template() {
     let (rig, _) = small();
     let turn = Rotation3::from_euler_angles(0.06, -0.05, 0.04);
     for (model, kind, scale) in
-        [(ModelKind::Rigid, StartKind::Rigid, 1.0), (ModelKind::Similarity, StartKind::Similarity, 1.02)]
+        [(ModelKind::Rigid, PoseKind::Rigid, 1.0), (ModelKind::Similarity, PoseKind::Similarity, 1.02)]
     {
         let place = |p: Vec3| turn * p * scale + Vec3::new(1.5, -2.0, 1.0);
         let scan = TriangleMesh {

@@ -44,6 +44,10 @@ impl IdentityModes {
 impl Person {
     /// Millimetres.
     pub fn displacement(&self, site: &Site) -> Vec3 {
-        self.weights.iter().enumerate().map(|(k, w)| Vec3::new(site.neutral.x, 0.0, 0.0) * (0.04 * w / (k + 1) as f64)).sum()
+        self.weights
+            .iter()
+            .enumerate()
+            .map(|(k, w)| Vec3::new(site.neutral.x, 0.0, 0.0) * (0.04 * w / (k + 1) as f64))
+            .sum()
     }
 }

@@ -6,16 +6,18 @@
 //! and [`write_case`] make folders of them. Millimetres, Y up, the
 //! face looks towards +Z, the subject's left (`_L`) is +X. Equal options and seeds give equal bytes.
 
+mod contact_sheet;
 mod expressions;
-pub mod face;
+mod face;
 mod files;
 mod identity;
-mod rig;
 mod remesh;
+mod rig;
 mod scan;
 mod visibility;
 
+pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
-pub use rig::{FaceOptions, FaceRig, Landmark};
 pub use files::{Subject, write_case, write_rig};
+pub use rig::{FaceOptions, FaceRig, Landmark};
 pub use scan::{Pose, ScanCase, ScanOptions, simulate_scan};

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Parser;
+use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::render::{Camera, Frame, Scene, Sheet, Style, View, draw_text, registration_sheet, render, save_png};
-use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 
 /// Synthetic face rigs and scans with exact truth, from one seed.
 #[derive(Parser)]

@@ -144,3 +144,137 @@ fn landmarks(places: &[Flat]) -> Vec<Landmark> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn rig(vertices: usize) -> FaceRig {
+        FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() })
+    }
+
+    #[test]
+    fn the_template_has_the_size_of_a_face_with_texture_groups_and_materials() {
+        let rig = rig(5000);
+        let extent = |axis: usize| {
+            let c = || rig.neutral.iter().map(|p| p[axis]);
+            c().fold(f64::MIN, f64::max) - c().fold(f64::MAX, f64::min)
+        };
+        assert!(
+            (125.0..150.0).contains(&extent(0)) && (180.0..210.0).contains(&extent(1)),
+            "{} {}",
+            extent(0),
+            extent(1)
+        );
+        let front = rig.neutral.iter().max_by(|a, b| a.z.total_cmp(&b.z)).unwrap();
+        assert!(front.x == 0.0 && (-41.0..-35.0).contains(&front.y), "the nose's tip is in front: {front}");
+        let m = &rig.mesh.metadata;
+        assert!(m.uvs.len() == rig.neutral.len() && m.corner_uvs == rig.mesh.corners);
+        assert!(m.uvs.iter().flatten().all(|c| (0.0..=1.0).contains(c)));
+        let group = |s: &&(u32, ObjStatement)| matches!(&s.1, ObjStatement::Group(_));
+        assert_eq!(m.statements.iter().filter(group).count(), REGIONS.len());
+        let all: BTreeSet<u32> = rig.regions.iter().flat_map(|r| r.1.iter().copied()).collect();
+        assert!(all.len() == rig.neutral.len() && rig.regions.iter().all(|r| r.1.len() > 30));
+        let landmarks: BTreeSet<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
+        assert_eq!(landmarks.len(), 68);
+    }
+
+    #[test]
+    fn it_is_its_own_mirror_image() {
+        let rig = rig(1000);
+        let twin = |p: &Vec3| Vec3::new(-p.x, p.y, p.z);
+        let nearest = |p: Vec3| rig.neutral.iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min);
+        assert!(rig.neutral.iter().all(|p| nearest(twin(p)) < 1e-12));
+    }
+
+    #[test]
+    fn lips_meet_with_vertices_of_their_own_and_the_eyes_are_open() {
+        for vertices in [1000, 5000, 20_000] {
+            let rig = rig(vertices);
+            let sites: Vec<Site> = rig.places.iter().map(|p| site(*p)).collect();
+            let line = |upper: bool| -> Vec<Vec3> {
+                let on_line = sites.iter().filter(|s| s.mouth.r.abs() < 1e-6 && s.mouth.eta.sin().abs() > 1e-6);
+                on_line.filter(|s| (s.mouth.eta > 0.0) == upper).map(|s| s.neutral).collect()
+            };
+            let (upper, lower) = (line(true), line(false));
+            assert!(upper.len() > 10 && lower.len() > 10);
+            // Distance to the other lip's line of vertices.
+            let to_line = |p: &Vec3, line: &[Vec3]| {
+                let to_segment = |a: &Vec3, b: &Vec3| {
+                    let t = ((p - a).dot(&(b - a)) / (b - a).norm_squared()).clamp(0.0, 1.0);
+                    (a + (b - a) * t - p).norm()
+                };
+                line.windows(2).map(|w| to_segment(&w[0], &w[1])).fold(f64::INFINITY, f64::min)
+            };
+            let by_x = |mut line: Vec<Vec3>| {
+                line.sort_by(|a, b| a.x.total_cmp(&b.x));
+                line
+            };
+            let lower = by_x(lower);
+            let inner = upper.iter().filter(|p| p.x.abs() < 24.0);
+            let widest = inner.map(|p| to_line(p, &lower)).fold(0.0, f64::max);
+            assert!(widest < 0.2, "{vertices}: lips are {widest} mm apart");
+            let lid = |name: &str| rig.neutral[rig.landmarks.iter().find(|l| l.name == name).unwrap().vertex as usize];
+            let open = (lid("eye_L_upper_inner") - lid("eye_L_lower_inner")).norm();
+            assert!((6.0..12.0).contains(&open), "{open}");
+        }
+    }
+
+    #[test]
+    fn quads_are_small_at_lips_and_eyelids_and_large_at_forehead_and_cheeks() {
+        let rig = rig(5000);
+        let mean_edge = |name: &str| {
+            let region: BTreeSet<u32> = rig.regions.iter().find(|r| r.0 == name).unwrap().1.iter().copied().collect();
+            let quads = rig.mesh.corners.chunks_exact(4).filter(|q| q.iter().all(|v| region.contains(v)));
+            let edges = quads.flat_map(|q| (0..4).map(|k| [q[k], q[(k + 1) % 4]]));
+            let lengths: Vec<f64> =
+                edges.map(|[a, b]| (rig.neutral[a as usize] - rig.neutral[b as usize]).norm()).collect();
+            lengths.iter().sum::<f64>() / lengths.len() as f64
+        };
+        for (fine, coarse) in [("lips", "cheeks"), ("eyelids", "cheeks"), ("lips", "forehead"), ("eyelids", "forehead")]
+        {
+            assert!(
+                1.5 * mean_edge(fine) < mean_edge(coarse),
+                "{fine} {coarse}: {} {}",
+                mean_edge(fine),
+                mean_edge(coarse)
+            );
+        }
+    }
+
+    #[test]
+    fn the_neutral_is_smooth_and_no_triangle_is_degenerate_or_folded() {
+        for vertices in [1000, 5000, 50_000] {
+            let rig = rig(vertices);
+            let surface = rig.mesh.triangulate();
+            // At the corners of mouth and eyes the two sides of the opening meet like the pages of a book.
+            let corner = |v: u32| {
+                let site = site(rig.places[v as usize]);
+                [site.mouth, site.left_eye, site.right_eye].iter().any(|a| a.r < 0.5 && a.eta.sin().abs() < 0.35)
+            };
+            let normal = |t: &[u32; 3]| {
+                let [a, b, c] = t.map(|v| surface.positions[v as usize]);
+                (b - a).cross(&(c - a))
+            };
+            let normals: Vec<Vec3> = surface.triangles.iter().map(normal).collect();
+            assert!(normals.iter().all(|n| n.norm() > 1e-5), "{vertices}: a triangle without area");
+            let mut sides = std::collections::BTreeMap::new();
+            let mut steep = 0;
+            for (t, n) in surface.triangles.iter().zip(&normals) {
+                for k in 0..3 {
+                    let edge = (t[k].min(t[(k + 1) % 3]), t[k].max(t[(k + 1) % 3]));
+                    if let Some(other) = sides.insert(edge, n.normalize()) {
+                        let cosine: f64 = n.normalize().dot(&other);
+                        let bends = cosine.acos().to_degrees();
+                        let at = surface.positions[edge.0 as usize];
+                        let inner = corner(edge.0) || corner(edge.1);
+                        assert!(inner || bends < 110.0, "{vertices}: a fold of {bends:.0} degrees at {at}");
+                        steep += usize::from(cosine < 0.5);
+                    }
+                }
+            }
+            assert!(steep * 25 < normals.len(), "{vertices}: {steep} edges bend by more than 60 degrees");
+        }
+    }
+}

@@ -3,5 +3,6 @@
 pub mod first;
 mod generated;
 pub mod random_pose;
+pub mod rig_statistics;
 pub mod scan_bench;
 pub mod tables;

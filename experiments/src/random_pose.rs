@@ -1,8 +1,8 @@
 //! Random rigid motions from a seed.
 
+use nonrigid::mesh::Pose;
 use nonrigid::mesh::Vec3;
 use nonrigid::nlls::so3;
-use nonrigid::registration::Pose;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

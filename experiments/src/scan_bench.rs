@@ -10,10 +10,10 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::io::{self, Landmark, Scan};
-use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
-    ModelFactory, ModelInput, Pose, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult,
-    Schedule, ScheduleError, StepRecord, TermFactory, register_with,
+    ModelFactory, ModelInput, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult, Schedule,
+    ScheduleError, StepRecord, TermFactory, register_with,
 };
 use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};

@@ -7,12 +7,12 @@ use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
 use nonrigid::energy::{DataTerm, DeformationModel, NamedEnergy, Pointwise, QuadricField, Samples};
 use nonrigid::evaluation::TruthErrors;
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
 use nonrigid::registration::{
     Correspondences, Level, ModelFactory, ModelInput, ModelKind, RegistrationError, RegistrationInput,
-    RegistrationModel, RegistrationTerm, Schedule, ScheduleError, StartKind, StepRecord, TermFactory, TermInput,
-    TermKind, closest_pose, register,
+    RegistrationModel, RegistrationTerm, Schedule, ScheduleError, StepRecord, TermFactory, TermInput, TermKind,
+    register,
 };
 use nonrigid::term::Landmarks;
 
@@ -222,7 +222,7 @@ fn a_users_model_and_term_land_in_the_same_table() {
         .unwrap();
         let rest = case.neutral.as_deref().unwrap_or(&case.template.positions);
         let pairs: Vec<_> = case.landmarks.iter().map(|l| (l.template.position(rest), l.target)).collect();
-        let start = closest_pose(&pairs, StartKind::Rigid).unwrap();
+        let start = closest_pose(&pairs, PoseKind::Rigid).unwrap();
         let farthest = rest
             .iter()
             .zip(&result.positions)

@@ -5,6 +5,7 @@ mod failure;
 mod inputs;
 mod register;
 mod rig;
+mod rig_pca;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -29,7 +30,7 @@ enum Command {
     Register(Box<register::Arguments>),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
-    /// Look into a blendshape rig.
+    /// Look into a blendshape rig, or make one from meshes.
     #[command(subcommand)]
     Rig(rig::Command),
 }
@@ -72,6 +73,21 @@ fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
         let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), extensions.join(" and ."));
         return Err(Failure::new(Stage::Arguments, message));
     }
+    check_parent(path)
+}
+
+/// Refuses a folder for outputs that is something else, or that would take more than one new folder.
+fn check_output_folder(path: &Path) -> Result<(), Failure> {
+    if path.is_dir() {
+        return Ok(());
+    }
+    if path.exists() {
+        return Err(Failure::writing(format!("{}: cannot be written: it is a file, not a folder", path.display())));
+    }
+    check_parent(path)
+}
+
+fn check_parent(path: &Path) -> Result<(), Failure> {
     // The parent of a bare file name is the empty path.
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if !folder.is_dir() {

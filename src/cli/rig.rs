@@ -1,11 +1,11 @@
 //! `nonrigid rig`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::Failure;
 use super::inputs::{ShapeKindArgument, read_rig};
+use super::{Failure, rig_pca};
 
 /// `nonrigid rig` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -22,14 +22,22 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Make a rig of identity modes from meshes of one topology: the principal components of how they differ
+    Pca(rig_pca::Arguments),
 }
 
 /// Runs the command.
 pub fn run(command: &Command) -> Result<(), Failure> {
-    let Command::Info { folder, shape_kind, json } = command;
-    let rig = read_rig(folder, usize::MAX, *shape_kind)?;
+    match command {
+        Command::Info { folder, shape_kind, json } => info(folder, *shape_kind, *json),
+        Command::Pca(arguments) => rig_pca::run(arguments),
+    }
+}
+
+fn info(folder: &Path, kind: Option<ShapeKindArgument>, json: bool) -> Result<(), Failure> {
+    let rig = read_rig(folder, usize::MAX, kind)?;
     let info = rig.info();
-    if *json {
+    if json {
         let text = serde_json::to_string_pretty(&info).map_err(Failure::computation)?;
         println!("{text}");
         return Ok(());

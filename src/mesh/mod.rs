@@ -7,12 +7,15 @@ pub mod geodesic;
 pub mod io;
 pub mod normals;
 mod polygon_mesh;
+mod pose;
 #[cfg(test)]
 pub(crate) mod testing;
 mod triangle_mesh;
 
 pub use error::MeshError;
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
+pub(crate) use pose::weighted_closest_pose;
+pub use pose::{Pose, PoseError, PoseKind, closest_pose};
 pub use triangle_mesh::TriangleMesh;
 
 /// A point or vector in space, millimetres.

@@ -2,12 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::start::weighted_closest_pose;
-use super::{Level, RegistrationError, ScanOptions, StartKind};
+use super::{Level, RegistrationError, ScanOptions};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use crate::mesh::normals::{NormalWeighting, vertex_normals, vertex_normals_into};
-use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
 
 /// A scan prepared for closest-point queries.
 #[derive(Debug)]
@@ -138,7 +137,7 @@ impl Correspondences {
     /// where correspondences were accepted.
     pub fn pose_predictions(&mut self, positions: &[Vec3]) {
         let pairs = self.predictions.iter().zip(positions).zip(&self.weights).map(|((&p, &v), &w)| (p, v, w));
-        if let Ok(pose) = weighted_closest_pose(pairs, StartKind::Rigid) {
+        if let Ok(pose) = weighted_closest_pose(pairs, PoseKind::Rigid) {
             self.predictions.iter_mut().for_each(|p| *p = pose.apply(*p));
         } else {
             self.predictions.copy_from_slice(positions);
@@ -247,8 +246,8 @@ impl Found {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Pose;
     use super::*;
+    use crate::mesh::Pose;
     use crate::mesh::testing::{noise, sheet};
     use crate::nlls::Kernel;
     use nalgebra::Rotation3;

@@ -5,13 +5,13 @@ use std::ops::ControlFlow;
 use serde::Serialize;
 
 use super::{
-    Correspondences, ModelFactory, ModelInput, Pose, RegistrationError, RegistrationModel, RegistrationTerm,
-    ScanSurface, Schedule, Seams, StartKind, TermFactory, TermInput, TermKind, VertexCoincidence, closest_pose,
+    Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanSurface,
+    Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 
@@ -254,8 +254,8 @@ fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -
     }
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
     let pairs: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
-    let free = closest_pose(&pairs, StartKind::Similarity)?;
-    if schedule.start == StartKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
+    let free = closest_pose(&pairs, PoseKind::Similarity)?;
+    if schedule.start == PoseKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
         return Err(RegistrationError::Scale { scale: free.scale });
     }
     Ok(closest_pose(&pairs, schedule.start)?)

@@ -2,8 +2,9 @@
 
 use thiserror::Error;
 
-use super::{ScheduleError, StartError};
+use super::ScheduleError;
 use crate::energy::SampleError;
+use crate::mesh::PoseError;
 
 /// Why a registration could not be run or did not succeed.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -13,7 +14,7 @@ pub enum RegistrationError {
     Schedule(#[from] ScheduleError),
     /// The landmarks do not give a start.
     #[error("start: {0}")]
-    Start(#[from] StartError),
+    Start(#[from] PoseError),
     /// A landmark lies outside the template.
     #[error("landmark: {0}")]
     Sample(#[from] SampleError),

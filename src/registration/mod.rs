@@ -7,7 +7,6 @@ mod model_kind;
 mod report;
 mod schedule;
 mod seam;
-mod start;
 mod terms;
 
 pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
@@ -21,7 +20,6 @@ pub use schedule::{
     GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
 };
 pub use seam::Seams;
-pub use start::{Pose, StartError, StartKind, closest_pose};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.

@@ -7,10 +7,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{Pose, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, closest_pose};
+use super::{RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
 use crate::evaluation::{DistanceSummary, EdgeStretch, EvaluationError, flipped_triangles};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::{MeshError, Vec3};
+use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -63,7 +63,7 @@ impl Quality {
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
         let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();
-        let pose = closest_pose(&pairs, super::StartKind::Rigid).unwrap_or_else(|_| Pose::identity());
+        let pose = closest_pose(&pairs, PoseKind::Rigid).unwrap_or_else(|_| Pose::identity());
         let posed: Vec<Vec3> = rest.iter().map(|&p| pose.apply(p)).collect();
         let mut template = input.template.clone();
         template.positions = rest.to_vec();

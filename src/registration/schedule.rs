@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::StartKind;
+use crate::mesh::PoseKind;
 use crate::nlls::Kernel;
 use crate::rig::Family;
 
@@ -17,7 +17,7 @@ use crate::rig::Family;
 pub struct Schedule {
     /// Whether the start may scale the template.
     #[serde(default)]
-    pub start: StartKind,
+    pub start: PoseKind,
     /// Root-mean-square distance of the template's vertices from their centroid that the lengths below are meant for,
     /// millimetres.
     pub reference_size: f64,

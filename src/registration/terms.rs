@@ -1,8 +1,8 @@
 //! Which data terms a registration uses; a user's own term joins through [`TermFactory`].
 
-use super::{Correspondences, Level, Pose};
+use super::{Correspondences, Level};
 use crate::energy::{DataTerm, Pointwise, QuadricField};
-use crate::mesh::Vec3;
+use crate::mesh::{Pose, Vec3};
 use crate::nlls::Kernel;
 use crate::term::{Landmarks, PointToPlane, PointToPoint};
 

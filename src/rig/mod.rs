@@ -2,14 +2,20 @@
 //! b_i(w) = n_i + sum_k w_k (s_i^k - n_i).
 //!
 //! A [`Rig`] is what the files hold, in 32 bits; [`Rig::select`] takes out the shapes that a fit uses, as the slab of
-//! 64-bit numbers that the solver reads. Stands on [`crate::mesh`].
+//! 64-bit numbers that the solver reads. Identity modes come from a [`Population`] of meshes by [`ShapePca`]. Stands on
+//! [`crate::mesh`].
 
 mod basis;
 mod error;
+mod pca;
+mod population;
 mod read;
+mod write;
 
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
+pub use pca::ShapePca;
+pub use population::{Population, PopulationError};
 pub use read::{RigReadOptions, ShapeKind};
 
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};

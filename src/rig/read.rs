@@ -160,16 +160,7 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
     };
     let kind = options.kind.or(stated).unwrap_or_default();
 
-    let fail = |source| ReadError::Io { path: folder.to_owned(), source };
-    let mut files: Vec<(String, PathBuf)> = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        if let (Some("obj" | "ply"), Some(stem)) = (extension.as_deref(), path.file_stem()) {
-            files.push((stem.to_string_lossy().into_owned(), path.clone()));
-        }
-    }
-    files.sort();
+    let mut files = mesh_files(folder)?;
     let mut take = |name: &str| files.iter().position(|(stem, _)| stem == name).map(|i| files.remove(i).1);
     let (neutral_path, template_path) = (take("neutral"), take("template"));
     let Some(base_path) = neutral_path.as_ref().or(template_path.as_ref()) else {
@@ -195,6 +186,21 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
     }
     let shapes = files.into_iter().map(|(name, _)| Shape { name, family: Family::Other }).collect();
     Rig::new(neutral, Some(mesh), shapes, deltas)
+}
+
+/// The OBJ and PLY files of a folder, each with its name without the extension, sorted.
+pub(super) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
+    let fail = |source| ReadError::Io { path: folder.to_owned(), source };
+    let mut files: Vec<(String, PathBuf)> = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        if let (Some("obj" | "ply"), Some(stem)) = (extension.as_deref(), path.file_stem()) {
+            files.push((stem.to_string_lossy().into_owned(), path.clone()));
+        }
+    }
+    files.sort();
+    Ok(files)
 }
 
 fn read_shape(path: &Path, kind: ShapeKind, neutral: &[Vec3]) -> Result<Vec<f32>, RigError> {

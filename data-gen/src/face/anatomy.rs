@@ -2,7 +2,7 @@
 
 use super::rings::Around;
 use super::sculpt::lip_height;
-use super::site::{CLOSED_MOUTH, EYELIDS, MOUTH, Site, eye_point};
+use super::site::{FLAT_MOUTH, MOUTH, Site, eye_point, flatten};
 
 /// Where a landmark lies: in the chart's left half, or on a ring round mouth or left eye.
 #[derive(Debug, Clone, Copy)]
@@ -106,11 +106,11 @@ impl Mark {
     /// The flat place of a mark on the left side.
     pub fn flat(self) -> [f64; 2] {
         match self {
-            Self::Chart(at) => super::flatten(at),
-            Self::Lid(degrees) => super::flatten(eye_point(Around { r: 0.0, eta: degrees.to_radians() })),
+            Self::Chart(at) => flatten(at),
+            Self::Lid(degrees) => flatten(eye_point(Around { r: 0.0, eta: degrees.to_radians() })),
             Self::Lip(degrees, share) => {
                 let eta = degrees.to_radians();
-                let [x, y] = super::site::FLAT_MOUTH.point(Around { r: share * lip_height(eta), eta });
+                let [x, y] = FLAT_MOUTH.point(Around { r: share * lip_height(eta), eta });
                 [MOUTH[0] + x, MOUTH[1] + y]
             }
         }
@@ -126,7 +126,7 @@ pub(crate) fn region(site: &Site) -> usize {
     let (x, y) = (site.x.abs(), site.y);
     let eye = site.left_eye.r.min(site.right_eye.r);
     let nose_width = 8.0 + 12.0 * ((5.0 - y) / 40.0).clamp(0.0, 1.0);
-    let name = if site.mouth.r <= lip_height(site.mouth.eta) {
+    let name = if site.mouth.r <= lip_height(site.mouth.eta) + 0.2 {
         "lips"
     } else if eye <= 7.5 {
         "eyelids"
@@ -150,4 +150,50 @@ pub(crate) fn region(site: &Site) -> usize {
     REGIONS.iter().position(|r| *r == name).unwrap_or(0)
 }
 
-const _: () = assert!(CLOSED_MOUTH.half_width > 0.0 && EYELIDS.half_width > 0.0);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::face::site;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn landmarks_have_68_names_and_lie_in_their_regions() {
+        let names: BTreeSet<&str> = LANDMARKS.iter().map(|l| l.0).collect();
+        assert_eq!(names.len(), 68);
+        for (name, side, mark) in LANDMARKS {
+            let [x, y] = mark.flat();
+            let site = site([side * x, y]);
+            let expected: &[&str] = match name.split('_').next() {
+                Some("jaw") => &["jaw", "cheeks", "chin"],
+                Some("brow") => &["brows"],
+                Some("nose") => &["nose", "philtrum"],
+                Some("eye") => &["eyelids"],
+                Some("lip" | "mouth") => &["lips"],
+                _ => &["chin"],
+            };
+            assert!(expected.contains(&REGIONS[region(&site)]), "{name} in {}", REGIONS[region(&site)]);
+            let right = name.contains("_R");
+            let left = name.contains("_L");
+            assert!((!right || site.neutral.x < 0.0) && (!left || site.neutral.x > 0.0), "{name}: {}", site.neutral);
+        }
+    }
+
+    #[test]
+    fn the_line_from_brow_to_chin_goes_down_in_order() {
+        let height = |name: &str| {
+            let mark = LANDMARKS.iter().find(|l| l.0 == name).unwrap().2;
+            site(mark.flat()).neutral.y
+        };
+        let order = [
+            "brow_L3",
+            "eye_L_upper_inner",
+            "eye_L_lower_inner",
+            "nose_tip",
+            "nose_base",
+            "lip_upper",
+            "lip_lower",
+            "chin",
+        ];
+        assert!(order.windows(2).all(|w| height(w[0]) > height(w[1]) + 1.0));
+    }
+}

@@ -18,11 +18,13 @@
 //! Where three blocks and a ring meet (I, J, L, C) a vertex has five edges, elsewhere inside four.
 
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{PI, TAU};
 
-use super::rings::{Around, Rings};
+use nonrigid::mesh::Vec3;
+
+use super::rings::Around;
 use super::sculpt::site;
-use super::site::{CLOSED_MOUTH, EYELIDS, FLAT_MOUTH, Flat, MOUTH, eye_point, flatten};
+use super::site::{EYELIDS, FLAT_MOUTH, Flat, MOUTH, Site, eye_point, flatten};
 use super::spline::Spline;
 
 /// The polygons on the flat face.
@@ -62,10 +64,19 @@ impl Counts {
         }
     }
 
-    /// The counts whose vertices come nearest to `vertices`.
+    /// The counts whose vertices come nearest to `vertices`: of one scale, but for a row more or less in the rings.
     fn nearest(vertices: usize) -> Self {
         let guess = (vertices as f64 / 3900.0).sqrt();
-        let candidates = (0..400).map(|k| Self::scaled(guess * (0.7 + 0.0015 * f64::from(k))));
+        let candidates = (0..400).flat_map(|k| {
+            let scaled = Self::scaled(guess * (0.7 + 0.0015 * f64::from(k)));
+            [0, 1, -1].into_iter().flat_map(move |lips| {
+                [0, 1, -1].map(|lids| Self {
+                    lips: scaled.lips.saturating_add_signed(lips).max(4),
+                    lids: scaled.lids.saturating_add_signed(lids).max(3),
+                    ..scaled
+                })
+            })
+        });
         let off = |c: &Self| c.vertices().abs_diff(vertices);
         candidates.min_by_key(off).unwrap_or_else(|| Self::scaled(guess))
     }
@@ -130,6 +141,16 @@ const BENDS: [(Side, &[[f64; 2]]); 13] = [
     (('U', 'T'), &[[95.0, -48.0]]),
     (('M', 'U'), &[[30.0, -134.0], [62.0, -112.0]]),
 ];
+
+/// An opening with rows of quads round it.
+struct Opening {
+    /// The ring where the skin ends.
+    innermost: f64,
+    /// Above 1, rows are denser at ring 0.
+    grade: f64,
+    around: fn(Flat) -> Around,
+    place: fn(Around) -> Flat,
+}
 
 struct Builder {
     counts: Counts,
@@ -196,13 +217,17 @@ impl Builder {
         self.sides[&(b, a)].iter().rev().copied().collect()
     }
 
+    fn walks(&self, sides: &[Side]) -> Vec<u32> {
+        let mut walk = self.walk(sides[0]);
+        for side in &sides[1..] {
+            walk.extend(&self.walk(*side)[1..]);
+        }
+        walk
+    }
+
     /// Lays vertices along a side, evenly on the surface but for `grade`.
     fn side(&mut self, side: Side, count: usize, grade: f64) {
-        let at = |name: Corner| CORNERS.iter().find(|c| c.0 == name).map_or([0.0; 2], |c| c.1);
-        let mut points = vec![at(side.0)];
-        points.extend(BENDS.iter().filter(|b| b.0 == side).flat_map(|b| b.1.iter().copied()));
-        points.push(at(side.1));
-        let curve = Curve::new(&points);
+        let curve = Curve::of(side);
         let mut walk = vec![self.corners[&side.0]];
         for k in 1..count {
             let share = (k as f64 / count as f64).powf(grade);
@@ -229,7 +254,10 @@ impl Builder {
                         let (s, t) = (i as f64 / n as f64, j as f64 / m as f64);
                         let p = |v: u32, k: usize| self.flat[v as usize][k];
                         let coons = [0, 1].map(|k| {
-                            (1.0 - t) * p(bottom[i], k) + t * p(top[i], k) + (1.0 - s) * p(left[j], k) + s * p(right[j], k)
+                            (1.0 - t) * p(bottom[i], k)
+                                + t * p(top[i], k)
+                                + (1.0 - s) * p(left[j], k)
+                                + s * p(right[j], k)
                                 - (1.0 - s) * ((1.0 - t) * p(bottom[0], k) + t * p(top[0], k))
                                 - s * ((1.0 - t) * p(bottom[n], k) + t * p(top[n], k))
                         });
@@ -249,26 +277,29 @@ impl Builder {
         }
     }
 
-    /// Rows of a ring from the opening's edge to the walk round it. `inner` is the angle of each column at the edge.
-    fn ring(&mut self, walk: &[u32], inner: &[f64], rows: usize, ring: &Rings, grade: f64, around: impl Fn(Flat) -> Around, point: impl Fn(Around) -> Flat) {
-        let mut grid = Vec::new();
+    /// Rows of quads from an opening's edge to the walk round it. Column `i` starts at the angle `inner(i)`.
+    fn ring(&mut self, opening: &Opening, walk: &[u32], rows: usize, inner: impl Fn(usize) -> f64) {
         let closed = walk.first() == walk.last();
+        let columns = walk.len() - usize::from(closed);
+        let turned_in = (0.2 * rows as f64).round().max(1.0) as usize;
+        let mut grid = Vec::new();
         for j in 0..rows {
             let t = j as f64 / rows as f64;
             let mut row = Vec::new();
-            for (i, &v) in walk.iter().enumerate() {
-                if closed && i + 1 == walk.len() {
-                    row.push(row[0]);
-                    break;
-                }
-                let outer = around(self.flat[v as usize]);
+            for (i, &v) in walk[..columns].iter().enumerate() {
+                let outer = (opening.around)(self.flat[v as usize]);
                 // The short way round.
-                let mut turn = outer.eta - inner[i];
-                turn -= (turn / (4.0 * FRAC_PI_2)).round() * 4.0 * FRAC_PI_2;
-                let eta = inner[i] + turn * t * t * (3.0 - 2.0 * t);
-                let r = ring.innermost + (outer.r - ring.innermost) * t.powf(grade);
-                row.push(self.vertex(point(Around { r, eta })));
+                let turn = outer.eta - inner(i);
+                let turn = turn - (turn / TAU).round() * TAU;
+                let eta = inner(i) + turn * t * t * (3.0 - 2.0 * t);
+                // Ring 0, where lips meet and lids end, is a row of vertices.
+                let r = match j.checked_sub(turned_in) {
+                    None => opening.innermost * (1.0 - j as f64 / turned_in as f64),
+                    Some(j) => outer.r * (j as f64 / (rows - turned_in) as f64).powf(opening.grade),
+                };
+                row.push(self.vertex((opening.place)(Around { r, eta })));
             }
+            row.extend(closed.then(|| row[0]));
             grid.push(row);
         }
         grid.push(walk.to_vec());
@@ -276,38 +307,31 @@ impl Builder {
     }
 
     fn mouth_ring(&mut self) {
-        let mut walk = self.walk(('A', 'B'));
-        for side in [('B', 'C'), ('C', 'D')] {
-            walk.extend(&self.walk(side)[1..]);
-        }
+        let walk = self.walks(&[('A', 'B'), ('B', 'C'), ('C', 'D')]);
         let last = (walk.len() - 1) as f64;
-        let inner: Vec<f64> = (0..walk.len()).map(|i| FRAC_PI_2 - 2.0 * FRAC_PI_2 * i as f64 / last).collect();
-        let relative = |f: Flat| FLAT_MOUTH.around(f[0] - MOUTH[0], f[1] - MOUTH[1]);
-        let point = |a: Around| FLAT_MOUTH.point(a).map(|c| c);
-        let rows = self.counts.lips;
-        self.ring(&walk, &inner, rows, &FLAT_MOUTH, 1.15, relative, |a| {
-            let [x, y] = point(a);
-            // Exactly on the symmetry plane.
-            [if x.abs() < 1e-9 { 0.0 } else { MOUTH[0] + x }, MOUTH[1] + y]
-        });
+        let mouth = Opening {
+            innermost: FLAT_MOUTH.innermost,
+            grade: 1.15,
+            around: |place| Site::flat(place).mouth,
+            place: |at| {
+                let [x, y] = FLAT_MOUTH.point(at);
+                [MOUTH[0] + x, MOUTH[1] + y]
+            },
+        };
+        self.ring(&mouth, &walk, self.counts.lips, |i| PI * (0.5 - i as f64 / last));
     }
 
     fn eye_ring(&mut self) {
-        let mut walk = self.walk(('I', 'J'));
-        for side in [('J', 'K'), ('K', 'L'), ('L', 'I')] {
-            walk.extend(&self.walk(side)[1..]);
-        }
-        let Counts { eye_height: h, eye_width: w, lids, .. } = self.counts;
-        // Column angles: the corners of the eye lie in the middle of I J and K L.
-        let total = (walk.len() - 1) as f64;
-        let inner: Vec<f64> = (0..walk.len())
-            .map(|i| {
-                let i = i as f64 - 0.5 * h as f64;
-                2.0 * FRAC_PI_2 * (1.0 - i / (0.5 * total))
-            })
-            .collect();
-        let _ = w;
-        self.ring(&walk, &inner, lids, &EYELIDS, 1.2, |f| super::site::Site::flat(f).left_eye, |a| flatten(eye_point(a)));
+        let walk = self.walks(&[('I', 'J'), ('J', 'K'), ('K', 'L'), ('L', 'I')]);
+        let eye = Opening {
+            innermost: EYELIDS.innermost,
+            grade: 1.2,
+            around: |place| Site::flat(place).left_eye,
+            place: |at| flatten(eye_point(at)),
+        };
+        // The eye's corners lie before the middle of I J and of K L.
+        let (first, columns) = (0.5 * self.counts.eye_height as f64, (walk.len() - 1) as f64);
+        self.ring(&eye, &walk, self.counts.lids, |i| PI - TAU * (i as f64 - first) / columns);
     }
 
     /// Adds the right half.
@@ -336,15 +360,21 @@ struct Curve {
 impl Curve {
     const SAMPLES: usize = 256;
 
+    /// The curve of a side.
+    fn of(side: Side) -> Self {
+        let mut points = vec![corner(side.0)];
+        points.extend(BENDS.iter().filter(|b| b.0 == side).flat_map(|b| b.1.iter().copied()));
+        points.push(corner(side.1));
+        Self::new(&points)
+    }
+
     fn new(points: &[[f64; 2]]) -> Self {
         let mut chord = vec![0.0];
         for w in points.windows(2) {
             chord.push(chord[chord.len() - 1] + (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]));
         }
         let all = chord[chord.len() - 1];
-        let axis = |k: usize| {
-            Spline::new(&chord.iter().zip(points).map(|(c, p)| (c / all, p[k])).collect::<Vec<_>>())
-        };
+        let axis = |k: usize| Spline::new(&chord.iter().zip(points).map(|(c, p)| (c / all, p[k])).collect::<Vec<_>>());
         let mut curve = Self { coordinates: [axis(0), axis(1)], lengths: vec![0.0] };
         let mut before = curve.surface(0.0);
         for k in 1..=Self::SAMPLES {
@@ -359,7 +389,7 @@ impl Curve {
         [self.coordinates[0].at(u), self.coordinates[1].at(u)]
     }
 
-    fn surface(&self, u: f64) -> nonrigid::mesh::Vec3 {
+    fn surface(&self, u: f64) -> Vec3 {
         site(flatten(self.chart(u))).neutral
     }
 
@@ -375,22 +405,114 @@ impl Curve {
 
 /// The face's outer border on the flat plane, counter-clockwise.
 pub(crate) fn outline() -> Vec<Flat> {
-    let at = |name: Corner| CORNERS.iter().find(|c| c.0 == name).map_or([0.0; 2], |c| c.1);
-    let mut left = Vec::new();
-    for (a, b) in [('M', 'U'), ('U', 'T'), ('T', 'Q'), ('P', 'Q'), ('H', 'P')] {
-        let mut points = vec![at(a)];
-        points.extend(BENDS.iter().filter(|bend| bend.0 == (a, b)).flat_map(|bend| bend.1.iter().copied()));
-        points.push(at(b));
-        let curve = Curve::new(&points);
-        let backwards = a == 'P' || a == 'H';
-        left.extend((0..64).map(|k| {
-            let share = f64::from(k) / 64.0;
-            flatten(curve.at(if backwards { 1.0 - share } else { share }))
-        }));
+    let sides = [(('M', 'U'), false), (('U', 'T'), false), (('T', 'Q'), false), (('P', 'Q'), true), (('H', 'P'), true)];
+    let mut left: Vec<Flat> = Vec::new();
+    for (side, backwards) in sides {
+        let curve = Curve::of(side);
+        let shares = (0..OUTLINE_SAMPLES).map(|k| k as f64 / OUTLINE_SAMPLES as f64);
+        left.extend(shares.map(|share| flatten(curve.at(if backwards { 1.0 - share } else { share }))));
     }
-    left.push(flatten(at('H')));
-    let right: Vec<Flat> = left.iter().rev().map(|p| [-p[0], p[1]]).collect();
-    let inner = left.len() - 1;
-    left.extend(&right[1..inner]);
+    left.push(flatten(corner('H')));
+    // The ends lie on the symmetry plane.
+    let right: Vec<Flat> = left[1..left.len() - 1].iter().rev().map(|p| [-p[0], p[1]]).collect();
+    left.extend(right);
     left
+}
+
+/// Points of the outline along a side.
+const OUTLINE_SAMPLES: usize = 64;
+
+fn corner(name: Corner) -> [f64; 2] {
+    CORNERS.iter().find(|c| c.0 == name).map_or([0.0; 2], |c| c.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    #[test]
+    fn has_the_wanted_number_of_vertices_and_each_is_used() {
+        for wanted in [1000, 1500, 5000, 6706, 20_000, 100_000] {
+            let layout = Layout::new(wanted);
+            let off = layout.flat.len().abs_diff(wanted) as f64 / wanted as f64;
+            assert!(off < 0.04, "{} for {wanted}", layout.flat.len());
+            let used: BTreeSet<u32> = layout.quads.iter().flatten().copied().collect();
+            assert_eq!(used.len(), layout.flat.len());
+        }
+    }
+
+    #[test]
+    fn is_one_sheet_with_three_holes_whose_quads_are_convex_and_do_not_overlap() {
+        for wanted in [1000, 5000, 20_000] {
+            let Layout { flat, quads } = Layout::new(wanted);
+            let mut directed = BTreeSet::new();
+            for q in &quads {
+                for k in 0..4 {
+                    assert!(directed.insert((q[k], q[(k + 1) % 4])), "an edge is used twice in one direction");
+                    let [a, b, c] = [0, 1, 2].map(|i| flat[q[(k + i) % 4] as usize]);
+                    let turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]);
+                    assert!(turn > 0.0, "a quad turns inwards at {b:?}");
+                }
+            }
+            assert!(
+                flat.iter().filter(|p| p[0] == 0.0).count() > 8
+                    && flat.iter().all(|p| p[0] == 0.0 || p[0].abs() > 0.05)
+            );
+            // Locally injective and of the outline's area less the openings': injective.
+            let border: BTreeMap<u32, u32> =
+                directed.iter().filter(|(a, b)| !directed.contains(&(*b, *a))).copied().collect();
+            let mut left: BTreeSet<u32> = border.keys().copied().collect();
+            let mut loops = 0;
+            while let Some(start) = left.pop_first() {
+                let mut v = border[&start];
+                while v != start {
+                    assert!(left.remove(&v), "the border branches");
+                    v = border[&v];
+                }
+                loops += 1;
+            }
+            assert_eq!(loops, 4, "outline, mouth, two eyes");
+            let edges = (directed.len() + border.len()) / 2;
+            assert_eq!(flat.len() + quads.len(), edges - 2, "Euler characteristic of a disc with three holes");
+            let shoelace = |a: Flat, b: Flat| 0.5 * (a[0] * b[1] - a[1] * b[0]);
+            let covered: f64 = quads
+                .iter()
+                .flat_map(|q| (0..4).map(|k| shoelace(flat[q[k] as usize], flat[q[(k + 1) % 4] as usize])))
+                .sum();
+            let enclosed: f64 = border.iter().map(|(a, b)| shoelace(flat[*a as usize], flat[*b as usize])).sum();
+            assert!((covered / enclosed - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn four_places_on_each_side_have_five_edges_and_all_others_inside_four() {
+        let Layout { flat, quads } = Layout::new(3000);
+        let mut valence = vec![BTreeSet::new(); flat.len()];
+        for q in &quads {
+            for k in 0..4 {
+                valence[q[k] as usize].insert(q[(k + 1) % 4]);
+                valence[q[(k + 1) % 4] as usize].insert(q[k]);
+            }
+        }
+        let five: Vec<Flat> = (0..flat.len()).filter(|v| valence[*v].len() == 5).map(|v| flat[v]).collect();
+        assert_eq!(five.len(), 8, "{five:?}");
+        assert!(valence.iter().all(|v| (3..=5).contains(&v.len())));
+    }
+
+    #[test]
+    fn the_outline_is_the_borders() {
+        let outline = outline();
+        let Layout { flat, .. } = Layout::new(5000);
+        for (k, name) in [(0, 'M'), (64, 'U'), (128, 'T'), (192, 'Q'), (256, 'P'), (320, 'H')] {
+            let at = flatten(corner(name));
+            assert!((outline[k][0] - at[0]).hypot(outline[k][1] - at[1]) < 1e-9, "{name}");
+            assert!(flat.iter().any(|p| (p[0] - at[0]).hypot(p[1] - at[1]) < 1e-9), "{name}");
+        }
+        let area: f64 = (0..outline.len())
+            .map(|k| (outline[k], outline[(k + 1) % outline.len()]))
+            .map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0]))
+            .sum();
+        assert!(area > 30_000.0, "counter-clockwise: {area}");
+    }
 }

@@ -25,7 +25,7 @@ pub(crate) const CLOSED_MOUTH: Rings =
 pub(crate) const FLAT_MOUTH: Rings = Rings { opening: 4.2, fade: 12.0, innermost: -4.0, ..CLOSED_MOUTH };
 /// Rings round the left eye's opening; the inner 2 mm are the lids' margin.
 pub(crate) const EYELIDS: Rings =
-    Rings { half_width: 14.6, half_heights: [5.4, 4.4], alpha: 0.65, opening: 0.0, fade: 1.0, innermost: -2.0 };
+    Rings { half_width: 14.2, half_heights: [6.6, 4.9], alpha: 0.65, opening: 0.0, fade: 1.0, innermost: -2.0 };
 
 /// A material point and where it lies.
 #[derive(Debug, Clone, Copy)]

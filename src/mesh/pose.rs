@@ -1,10 +1,10 @@
-//! Where a registration starts: the rigid motion or similarity that best maps landmarks of the template to the scan.
+//! Rigid motions and similarities, and the one that best maps points to points.
 
 use nalgebra::{Matrix3, SVD};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::mesh::Vec3;
+use super::Vec3;
 
 /// A similarity `p -> s R p + t`; rigid when `s = 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -48,10 +48,10 @@ impl Pose {
     }
 }
 
-/// Whether the start may scale the template.
+/// Whether a pose may scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum StartKind {
+pub enum PoseKind {
     /// Rotation and translation.
     #[default]
     Rigid,
@@ -61,7 +61,7 @@ pub enum StartKind {
 
 /// Why point pairs do not determine a pose.
 #[derive(Debug, Clone, PartialEq, Error)]
-pub enum StartError {
+pub enum PoseError {
     /// Too few pairs.
     #[error("{0} point pairs do not determine a pose; at least 3 are needed")]
     TooFew(usize),
@@ -71,18 +71,18 @@ pub enum StartError {
 }
 
 /// The pose minimising `sum |s R p_i + t - q_i|^2` (Horn 1987; Umeyama 1991, which never answers with a reflection).
-pub fn closest_pose(pairs: &[(Vec3, Vec3)], kind: StartKind) -> Result<Pose, StartError> {
+pub fn closest_pose(pairs: &[(Vec3, Vec3)], kind: PoseKind) -> Result<Pose, PoseError> {
     weighted_closest_pose(pairs.iter().map(|&(p, q)| (p, q, 1.0)), kind)
 }
 
 /// [`closest_pose`] of (p, q, weight).
-pub(super) fn weighted_closest_pose(
+pub(crate) fn weighted_closest_pose(
     pairs: impl Iterator<Item = (Vec3, Vec3, f64)> + Clone,
-    kind: StartKind,
-) -> Result<Pose, StartError> {
+    kind: PoseKind,
+) -> Result<Pose, PoseError> {
     let count = pairs.clone().filter(|p| p.2 > 0.0).count();
     if count < 3 {
-        return Err(StartError::TooFew(count));
+        return Err(PoseError::TooFew(count));
     }
     let total: f64 = pairs.clone().map(|p| p.2).sum();
     let mean_p: Vec3 = pairs.clone().map(|(p, _, w)| p * w).sum::<Vec3>() / total;
@@ -93,10 +93,10 @@ pub(super) fn weighted_closest_pose(
         variance += w * (p - mean_p).norm_squared();
     }
     let svd = SVD::new(covariance, true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(StartError::Collinear(count)) };
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(PoseError::Collinear(count)) };
     let spread = svd.singular_values[1] > 1e-9 * svd.singular_values[0];
     if !spread {
-        return Err(StartError::Collinear(count));
+        return Err(PoseError::Collinear(count));
     }
     let mut signs = Vec3::new(1.0, 1.0, 1.0);
     if u.determinant() * v_t.determinant() < 0.0 {
@@ -104,8 +104,8 @@ pub(super) fn weighted_closest_pose(
     }
     let rotation = u * Matrix3::from_diagonal(&signs) * v_t;
     let scale = match kind {
-        StartKind::Rigid => 1.0,
-        StartKind::Similarity => svd.singular_values.dot(&signs) / variance,
+        PoseKind::Rigid => 1.0,
+        PoseKind::Similarity => svd.singular_values.dot(&signs) / variance,
     };
     Ok(Pose { scale, rotation, translation: mean_q - rotation * mean_p * scale })
 }
@@ -133,7 +133,7 @@ mod tests {
             translation: Vec3::new(10.0, -20.0, 3.0),
         };
         let pairs: Vec<_> = points().iter().map(|&p| (p, truth.apply(p))).collect();
-        let found = closest_pose(&pairs, StartKind::Similarity).expect("five points in general position");
+        let found = closest_pose(&pairs, PoseKind::Similarity).expect("five points in general position");
         for (p, q) in pairs {
             approx::assert_abs_diff_eq!(found.apply(p), q, epsilon = 1e-11);
             approx::assert_abs_diff_eq!(found.apply_inverse(q), p, epsilon = 1e-11);
@@ -144,14 +144,14 @@ mod tests {
     #[test]
     fn never_reflects() {
         let pairs: Vec<_> = points().iter().map(|&p| (p, Vec3::new(-p.x, p.y, p.z))).collect();
-        let found = closest_pose(&pairs, StartKind::Rigid).expect("five points in general position");
+        let found = closest_pose(&pairs, PoseKind::Rigid).expect("five points in general position");
         approx::assert_abs_diff_eq!(found.rotation.determinant(), 1.0, epsilon = 1e-12);
     }
 
     #[test]
     fn too_few_and_collinear_points_are_named() {
         let line: Vec<_> = (0..4).map(|i| (Vec3::x() * i as f64, Vec3::y() * i as f64)).collect();
-        assert_eq!(closest_pose(&line, StartKind::Rigid), Err(StartError::Collinear(4)));
-        assert_eq!(closest_pose(&line[..2], StartKind::Rigid), Err(StartError::TooFew(2)));
+        assert_eq!(closest_pose(&line, PoseKind::Rigid), Err(PoseError::Collinear(4)));
+        assert_eq!(closest_pose(&line[..2], PoseKind::Rigid), Err(PoseError::TooFew(2)));
     }
 }

@@ -1,0 +1,121 @@
+//! `nonrigid rig pca`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::{Failure, Stage, check_output_folder, on_threads};
+use crate::mesh::{PoseKind, bounding_box_diagonal};
+use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, ShapePca};
+
+/// Arguments of `nonrigid rig pca`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "DIR of --out is a rig: the mean as template.obj, with the polygons, UVs, groups and materials of the first\n\
+    mesh, and neutral.npy; the modes scaled by their standard deviations, so that weights ~ N(0, 1), as\n\
+    identity_deltas.npy (K, V, 3) with identity_names.json. Besides, components.npy (K, V, 3), orthonormal, and\n\
+    standard_deviations.npy (K).\n\n\
+    Example:\n  nonrigid rig pca --meshes registered --components 40 --out rig\n  \
+    nonrigid register --template rig/template.obj --rig rig --identity-modes 40 --target scan.ply --out wrapped.obj"
+)]
+pub struct Arguments {
+    /// Meshes of one topology, such as registered templates: every .obj and .ply in this folder, by name
+    #[arg(long, value_name = "DIR")]
+    meshes: PathBuf,
+    /// How many components to keep, at most one fewer than meshes
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
+    components: u32,
+    /// What to take out of the meshes first. Registered meshes lie as their scans did, and pose is not shape
+    #[arg(long, value_enum, default_value_t = Align::Rigid)]
+    align: Align,
+    /// Threads [default: all cores]; the result does not depend on them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Folder for the rig; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// What alignment takes out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Align {
+    /// Rotation and translation; size stays one of the ways in which meshes differ
+    Rigid,
+    /// Rotation, translation and size
+    Similarity,
+    /// Nothing: the meshes are aligned already
+    None,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+}
+
+fn run_here(a: &Arguments) -> Result<(), Failure> {
+    check_output_folder(&a.out)?;
+    if same_folder(&a.meshes, &a.out) {
+        let message = "--out is the folder of --meshes: the mean would be one of the meshes the next time";
+        return Err(Failure::new(Stage::Arguments, message));
+    }
+    let mut population = Population::read(&a.meshes).map_err(Failure::loading)?;
+    let aligned = match a.align {
+        Align::Rigid => Some((PoseKind::Rigid, "rigid motions")),
+        Align::Similarity => Some((PoseKind::Similarity, "similarities")),
+        Align::None => None,
+    };
+    let alignment = match aligned {
+        Some((kind, name)) => {
+            let rounds = population.align(kind).map_err(Failure::computation)?;
+            format!("aligned by {name} in {rounds} rounds")
+        }
+        None => "not aligned".to_owned(),
+    };
+    let pca = ShapePca::fit(&population, a.components as usize).map_err(|e| {
+        let fault = matches!(e, PopulationError::Components { .. });
+        Failure::new(if fault { Stage::Arguments } else { Stage::Computation }, format!("--components: {e}"))
+    })?;
+    let (rig, motionless) = pca.to_rig(population.mesh()).map_err(Failure::computation)?;
+    if !motionless.is_empty() {
+        let message = format!(
+            "--components: {} components asked for, but only {} move a vertex by more than {:.1e} mm; the others have no \
+             variance to speak of",
+            a.components,
+            rig.shapes().len(),
+            MOTIONLESS_SHARE * bounding_box_diagonal(pca.mean())
+        );
+        return Err(Failure::new(Stage::Computation, message));
+    }
+    if !a.out.is_dir() {
+        let failed = |e| Failure::writing(format!("{}: cannot be made: {e}", a.out.display()));
+        std::fs::create_dir(&a.out).map_err(failed)?;
+    }
+    rig.write(&a.out).map_err(Failure::writing)?;
+    pca.write_components(&a.out).map_err(Failure::writing)?;
+    println!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count());
+    print_table(&pca, &rig.info());
+    println!("wrote {}", a.out.display());
+    Ok(())
+}
+
+/// How far each mode goes at one standard deviation, and how much of the variance it explains.
+fn print_table(pca: &ShapePca, info: &[ShapeInfo]) {
+    println!("{:11}  {:>8}  {:>8}  {:>10}  {:>10}", "mode", "rms mm", "max mm", "variance %", "together %");
+    let vertices = pca.mean().len() as f64;
+    let mut together = 0.0;
+    for ((mode, sigma), share) in info.iter().zip(pca.standard_deviations()).zip(pca.explained()) {
+        together += share;
+        println!(
+            "{:11}  {:8.3}  {:8.3}  {:10.3}  {:10.3}",
+            mode.name,
+            sigma / vertices.sqrt(),
+            mode.max_displacement,
+            100.0 * share,
+            100.0 * together
+        );
+    }
+}
+
+fn same_folder(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
