@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use nonrigid::cli::Failure;
-use nonrigid::registration::Pose;
+use nonrigid::mesh::Pose;
 
 /// A mouth wide open under raised brows. Names that the rig does not have are left out.
 const EXTREME: [(&str, f64); 7] = [

@@ -14,7 +14,7 @@ use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Schedu
 use experiments::tables::write_tables;
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::mesh::io::write_polygon_mesh;
-use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
+use nonrigid::registration::{ModelFactory, ModelKind, RegistrationError, Schedule, TermFactory, TermKind};
 
 /// Without a subcommand, the first run: makes a face rig and a scan of an extreme mouth, registers it with three models,
 /// and leaves a picture, results and errors.
@@ -85,7 +85,15 @@ fn main() -> ExitCode {
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
     eprintln!("error: {e:#}");
-    e.downcast_ref().map_or(ExitCode::from(Stage::Computation as u8), Failure::exit_code)
+    exit_code(&e)
+}
+
+fn exit_code(error: &anyhow::Error) -> ExitCode {
+    if let Some(failure) = error.downcast_ref::<Failure>() {
+        return failure.exit_code();
+    }
+    let input = error.downcast_ref().is_some_and(RegistrationError::is_input);
+    ExitCode::from(if input { Stage::Loading } else { Stage::Computation } as u8)
 }
 
 fn on_threads(threads: Option<u16>) -> Result<()> {
