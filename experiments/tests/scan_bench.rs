@@ -18,7 +18,7 @@ use nonrigid::term::Landmarks;
 
 /// A rig and two cases, of a known and of an unknown person.
 fn cases(folder: &Path) -> Vec<BenchCase> {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 700 });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
     write_rig(&folder.join("rig"), &rig).unwrap();
     for seed in [7, 8] {
         let case = simulate_scan(&rig, &ScanOptions::default(), seed);
