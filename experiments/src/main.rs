@@ -10,11 +10,13 @@ use clap::{Parser, Subcommand};
 use comfy_table::{CellAlignment, Table, presets};
 use experiments::first;
 use experiments::random_pose::random_pose;
+use experiments::rig_statistics::RigStatistics;
 use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
 use experiments::tables::write_tables;
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationError, Schedule, TermFactory, TermKind};
+use nonrigid::rig::{Rig, RigReadOptions};
 
 /// Without a subcommand, the first run: makes a face rig and a scan of an extreme mouth, registers it with three models,
 /// and leaves a picture, results and errors.
@@ -35,6 +37,15 @@ struct Cli {
 enum Command {
     /// Register every case below DIR with every model and compare with the ground truth
     ScanBench(ScanBench),
+    /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
+    CompareRigs {
+        /// Rig folders
+        #[arg(value_name = "DIR", required = true)]
+        rigs: Vec<PathBuf>,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 #[derive(clap::Args)]
@@ -82,6 +93,7 @@ fn main() -> ExitCode {
     let outcome = match &cli.command {
         None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
         Some(Command::ScanBench(arguments)) => on_threads(arguments.threads).and_then(|()| run_scan_bench(arguments)),
+        Some(Command::CompareRigs { rigs, json }) => compare_rigs(rigs, *json),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
     eprintln!("error: {e:#}");
@@ -99,6 +111,29 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 fn on_threads(threads: Option<u16>) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from));
     Ok(pool.build_global().map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?)
+}
+
+fn compare_rigs(folders: &[PathBuf], json: bool) -> Result<()> {
+    let statistics = |folder: &PathBuf| -> Result<RigStatistics> {
+        let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", folder.display()));
+        let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(|e| unread(&e))?;
+        Ok(RigStatistics::of(&rig).map_err(|e| unread(&e))?)
+    };
+    let all = folders.iter().map(statistics).collect::<Result<Vec<_>>>()?;
+    if json {
+        println!("{:#}", serde_json::json!(all));
+        return Ok(());
+    }
+    let names: Vec<String> = folders.iter().map(|f| f.display().to_string()).collect();
+    let header: Vec<&str> = [""].into_iter().chain(names.iter().map(String::as_str)).collect();
+    let columns: Vec<Vec<(String, String)>> = all.iter().map(RigStatistics::rows).collect();
+    let longest = columns.iter().max_by_key(|c| c.len()).map_or(&[][..], |c| c);
+    let rows = longest.iter().map(|(name, _)| {
+        let cell = |c: &Vec<(String, String)>| c.iter().find(|r| r.0 == *name).map_or(String::new(), |r| r.1.clone());
+        [name.clone()].into_iter().chain(columns.iter().map(cell)).collect()
+    });
+    println!("{}", table(&header, rows));
+    Ok(())
 }
 
 fn run_scan_bench(a: &ScanBench) -> Result<()> {

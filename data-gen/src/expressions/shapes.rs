@@ -2,7 +2,9 @@
 
 use nonrigid::mesh::Vec3;
 
-use super::fields::{along, crease, follows_jaw, lower_lip, open_jaw, part_lips, pull, purse, roll, upper_lip, wrinkles};
+use super::fields::{
+    along, crease, follows_jaw, lower_lip, open_jaw, part_lips, pull, purse, roll, upper_lip, wrinkles,
+};
 use crate::face::{Site, bell, fade};
 
 /// Whether a shape has a mirror image, and how the two are called.
@@ -62,7 +64,8 @@ pub(super) const SHAPES: [Shape; 31] = [
     }),
     // Air blows up the cheek; buccinator gives way.
     pair("cheekPuff", |s| {
-        pull(s, [43.0, -66.0], [16.0, 17.0], [0.0, 0.0, 9.5]) + pull(s, [20.0, -56.0], [9.0, 7.0], [0.0, 0.0, 3.0])
+        pull(s, [43.0, -66.0], [16.0, 17.0], [0.0, 0.0, 9.5])
+            + pull(s, [20.0, -56.0], [9.0, 7.0], [0.0, 0.0, 3.0])
             + pull(s, [20.0, -82.0], [9.0, 7.0], [0.0, 0.0, 3.0])
     }),
     // Orbicularis oculi, its outer ring, lifts the whole cheek.
@@ -100,18 +103,18 @@ pub(super) const SHAPES: [Shape; 31] = [
     }),
     // Buccinator draws the corner back.
     pair("mouthDimple", |s| {
-        pull(s, CORNER, [9.0, 8.0], [5.0, 1.0, -2.5]) + pull(s, [34.0, -67.0], [3.5, 5.0], [0.0, 0.0, -2.0])
+        pull(s, CORNER, [9.0, 8.0], [5.0, 1.0, -2.5])
+            + pull(s, [34.0, -67.0], [3.5, 5.0], [0.0, 0.0, -2.0])
             + pull(s, [41.0, -66.0], [5.0, 8.0], [0.0, 0.0, 1.5])
     }),
     // Depressor anguli oris.
     pair("mouthFrown", |s| {
-        pull(s, CORNER, [10.5, 11.0], [1.0, -9.0, -0.5]) + crease(s, [29.0, -72.0], [31.0, -90.0], 3.0, 1.5)
+        pull(s, CORNER, [10.5, 11.0], [1.0, -9.0, -0.5])
+            + crease(s, [29.0, -72.0], [31.0, -90.0], 3.0, 1.5)
             + pull(s, [0.0, -84.0], [12.0, 7.0], [0.0, 1.0, 0.8])
     }),
     // Orbicularis oris, lips apart and turned out.
-    one("mouthFunnel", |s| {
-        purse(s, 0.32, 8.0, [26.0, 18.0]) + part_lips(s, 7.0, 11.0) + roll(s, [-14.0, -16.0])
-    }),
+    one("mouthFunnel", |s| purse(s, 0.32, 8.0, [26.0, 18.0]) + part_lips(s, 7.0, 11.0) + roll(s, [-14.0, -16.0])),
     left_right("mouth", |s| {
         pull(s, [2.0, -68.0], [27.0, 16.0], [9.0, 0.0, 0.0]) + pull(s, [36.0, -62.0], [10.0, 13.0], [0.0, 1.0, 2.0])
     }),
@@ -123,7 +126,9 @@ pub(super) const SHAPES: [Shape; 31] = [
     // Both lips against each other.
     pair("mouthPress", |s| {
         let side = fade(s.x / 8.0);
-        (roll(s, [26.0, 26.0]) + Vec3::new(0.0, -2.2, 0.0) * upper_lip(s, 9.0) + Vec3::new(0.0, 2.2, 0.0) * lower_lip(s, 9.0))
+        (roll(s, [26.0, 26.0])
+            + Vec3::new(0.0, -2.2, 0.0) * upper_lip(s, 9.0)
+            + Vec3::new(0.0, 2.2, 0.0) * lower_lip(s, 9.0))
             * side
             + pull(s, CORNER, [7.0, 7.0], [1.5, 0.5, -1.5])
             + pull(s, [12.0, -83.0], [9.0, 6.0], [0.0, 1.0, 1.2])
@@ -131,17 +136,19 @@ pub(super) const SHAPES: [Shape; 31] = [
     // Orbicularis oris, lips together.
     one("mouthPucker", |s| purse(s, 0.48, 11.0, [26.0, 17.0]) + roll(s, [-12.0, -12.0])),
     one("mouthRollLower", |s| {
-        roll(s, [0.0, 58.0]) + Vec3::new(0.0, 3.5, 0.0) * lower_lip(s, 12.0) + pull(s, [0.0, -86.0], [17.0, 6.0], [0.0, 1.5, 1.2])
+        roll(s, [0.0, 58.0])
+            + Vec3::new(0.0, 3.5, 0.0) * lower_lip(s, 12.0)
+            + pull(s, [0.0, -86.0], [17.0, 6.0], [0.0, 1.5, 1.2])
     }),
     one("mouthRollUpper", |s| roll(s, [58.0, 0.0]) + Vec3::new(0.0, -3.5, 0.0) * upper_lip(s, 11.0)),
     // Mentalis.
     one("mouthShrugLower", |s| {
-        pull(s, [0.0, -92.0], [17.0, 13.0], [0.0, 5.5, 1.0]) + pull(s, [0.0, -72.0], [19.0, 8.0], [0.0, 3.0, 2.5])
-            + roll(s, [0.0, -10.0]) + wrinkles(s, [0.0, -100.0], [10.0, 7.0], [0.0, 7.0], 0.35)
+        pull(s, [0.0, -92.0], [17.0, 13.0], [0.0, 5.5, 1.0])
+            + pull(s, [0.0, -72.0], [19.0, 8.0], [0.0, 3.0, 2.5])
+            + roll(s, [0.0, -10.0])
+            + wrinkles(s, [0.0, -100.0], [10.0, 7.0], [0.0, 7.0], 0.35)
     }),
-    one("mouthShrugUpper", |s| {
-        pull(s, [0.0, -64.0], [18.0, 8.5], [0.0, 4.5, 2.5]) + roll(s, [-10.0, 0.0])
-    }),
+    one("mouthShrugUpper", |s| pull(s, [0.0, -64.0], [18.0, 8.5], [0.0, 4.5, 2.5]) + roll(s, [-10.0, 0.0])),
     // Zygomaticus major pulls the corner up and back; the cheek bunches above the fold.
     pair("mouthSmile", |s| {
         pull(s, CORNER, [13.0, 11.5], [8.5, 9.0, -2.5])
@@ -151,7 +158,8 @@ pub(super) const SHAPES: [Shape; 31] = [
     }),
     // Risorius and platysma.
     pair("mouthStretch", |s| {
-        pull(s, CORNER, [14.0, 12.0], [9.5, -3.0, -0.5]) + pull(s, [28.0, -92.0], [13.0, 11.0], [2.0, -2.5, 0.0])
+        pull(s, CORNER, [14.0, 12.0], [9.5, -3.0, -0.5])
+            + pull(s, [28.0, -92.0], [13.0, 11.0], [2.0, -2.5, 0.0])
             + crease(s, [36.0, -58.0], [38.0, -84.0], 3.5, 1.0)
     }),
     // Levator labii superioris.
