@@ -115,9 +115,8 @@ fn on_threads(threads: Option<u16>) -> Result<()> {
 
 fn compare_rigs(folders: &[PathBuf], json: bool) -> Result<()> {
     let statistics = |folder: &PathBuf| -> Result<RigStatistics> {
-        let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", folder.display()));
-        let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(|e| unread(&e))?;
-        Ok(RigStatistics::of(&rig).map_err(|e| unread(&e))?)
+        let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(Failure::loading)?;
+        Ok(RigStatistics::of(&rig).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?)
     };
     let all = folders.iter().map(statistics).collect::<Result<Vec<_>>>()?;
     if json {
