@@ -23,8 +23,14 @@ use crate::tables::write_tables;
 /// What is compared, in this order.
 const MODELS: [ModelKind; 3] = [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape];
 
-/// Seconds per step for 5,000 vertices on two cores: data, the models, the picture.
-const ESTIMATES: [f64; 5] = [1.0, 2.0, 2.0, 1.0, 1.0];
+/// The steps, with seconds for 5,000 vertices on two cores.
+const PLAN: [(&str, f64); 5] = [
+    ("make a rig and a scan", 1.0),
+    ("register: hybrid", 2.0),
+    ("register: graph", 2.0),
+    ("register: blendshape", 1.0),
+    ("measure and draw", 1.0),
+];
 
 /// What to run.
 #[derive(Debug, Clone, clap::Args)]
@@ -57,18 +63,15 @@ pub fn run(options: &Options, log: &mut dyn Write) -> Result<Vec<BenchRow>> {
     fs::create_dir_all(&data).map_err(|e| Failure::writing(format!("{}: {e}", data.display())))?;
 
     let scale = *vertices as f64 / 5000.0;
-    let steps =
-        ["make a rig and a scan", "register: hybrid", "register: graph", "register: blendshape", "measure and draw"];
-    let total = scale * ESTIMATES.iter().sum::<f64>();
+    let plan = PLAN.map(|(name, seconds)| format!("{name} {:.0} s", (seconds * scale).ceil())).join("; ");
+    let total = scale * PLAN.iter().map(|s| s.1).sum::<f64>();
     let threads = rayon::current_num_threads();
     say(log, format_args!("One scan of an extreme mouth, registered by three deformation models.\n"))?;
     say(log, format_args!("seed {seed}, threads {threads}, template of about {} vertices\n", grouped(*vertices)))?;
-    let plan: Vec<String> =
-        steps.iter().zip(ESTIMATES).map(|(s, e)| format!("{s} {:.0} s", (e * scale).ceil())).collect();
-    say(log, format_args!("plan, about {total:.0} s: {}\n\n", plan.join("; ")))?;
+    say(log, format_args!("plan, about {:.0} s: {plan}\n\n", total.ceil()))?;
 
-    let mut steps = steps.iter();
-    let mut step = Step::start(log, steps.next())?;
+    let [making, registering @ .., measuring] = PLAN.map(|s| s.0);
+    let mut step = Step::start(log, making)?;
     let made = extreme_mouth(&data, *vertices, *seed)?;
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&made.rig).map_err(unread)?;
@@ -77,8 +80,8 @@ pub fn run(options: &Options, log: &mut dyn Write) -> Result<Vec<BenchRow>> {
 
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let mut results = Vec::new();
-    for model in MODELS {
-        step = Step::start(log, steps.next())?;
+    for (model, name) in MODELS.into_iter().zip(registering) {
+        step = Step::start(log, name)?;
         let (row, result) = run_case(&model, &terms, &model.schedule()?, &case, LandmarkUse::All)?;
         let mesh = case.template.with_positions(result.positions);
         write_polygon_mesh(&out.join(format!("{model}.obj")), &mesh).map_err(Failure::writing)?;
@@ -86,7 +89,7 @@ pub fn run(options: &Options, log: &mut dyn Write) -> Result<Vec<BenchRow>> {
         step.done(log)?;
     }
 
-    step = Step::start(log, steps.next())?;
+    step = Step::start(log, measuring)?;
     let rows: Vec<BenchRow> = results.iter().map(|r| r.0.clone()).collect();
     let errors = rows.iter().map(|r| format!("{} {:.2} mm", r.model, r.errors.rmse)).collect::<Vec<_>>().join(", ");
     let observed = grouped(case.observed.iter().filter(|o| **o).count());
@@ -120,8 +123,8 @@ struct Step {
 }
 
 impl Step {
-    fn start(log: &mut dyn Write, name: Option<&&str>) -> Result<Self> {
-        say(log, format_args!("{:24}", name.unwrap_or(&"")))?;
+    fn start(log: &mut dyn Write, name: &str) -> Result<Self> {
+        say(log, format_args!("{name:24}"))?;
         Ok(Self { clock: Instant::now() })
     }
 
