@@ -6,13 +6,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
 use nonrigid::mesh::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals_into};
-use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 
 fn face() -> (FaceRig, ScanCase) {
     let rig = FaceRig::generate(&FaceOptions { vertices: 5000 });

@@ -7,6 +7,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use data_gen::{FaceOptions, FaceRig};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
@@ -16,7 +17,6 @@ use nonrigid::nlls::{
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;
-use data_gen::{FaceOptions, FaceRig};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -6,6 +6,7 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 
+use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::energy::{DataTerm, Pointwise, QuadricField, SampleResidual};
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::Vec3;
@@ -16,7 +17,6 @@ use nonrigid::registration::{
     TermInput, TermKind, register_with,
 };
 use nonrigid::rig::ShapeBasis;
-use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -3,9 +3,9 @@
 
 mod support;
 
+use data_gen::{FaceOptions, FaceRig, write_rig};
 use nonrigid::mesh::io::{NpyArray, PlyOptions, read_obj, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use data_gen::{FaceOptions, FaceRig, write_rig};
 use support::{Bench, files_in, landmarks_json};
 
 const ARGUMENTS: i32 = 1;

@@ -4,6 +4,7 @@ mod support;
 
 use std::path::Path;
 
+use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
 use nonrigid::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
 use nonrigid::mesh::closest_point::ClosestPoint;
@@ -13,7 +14,6 @@ use nonrigid::mesh::io::{
 };
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
-use data_gen::{FaceRig, write_rig};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use support::{Bench, farthest, landmarks_json};

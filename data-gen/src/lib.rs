@@ -6,8 +6,9 @@
 //! and [`write_case`] make folders of them. Millimetres, Y up, the
 //! face looks towards +Z, the subject's left (`_L`) is +X. Equal options and seeds give equal bytes.
 
+mod contact_sheet;
 mod expressions;
-pub mod face;
+mod face;
 mod files;
 mod identity;
 mod remesh;
@@ -15,6 +16,7 @@ mod rig;
 mod scan;
 mod visibility;
 
+pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
 pub use files::{Subject, write_case, write_rig};
 pub use rig::{FaceOptions, FaceRig, Landmark};

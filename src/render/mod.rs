@@ -29,6 +29,8 @@ mod scene;
 mod sheet;
 mod text;
 
+pub use image::RgbImage;
+
 pub use camera::{Camera, Frame, Projection, View};
 pub use colour::{ColourMap, ColourScale, Rgb8};
 pub use png::{PictureError, save_png};

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use nonrigid::mesh::Vec3;
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use nonrigid::mesh::Vec3;
 
 /// A temporary folder with `rig/` and `case/` (a person whose neutral is known), removed with this value.
 pub struct Bench {

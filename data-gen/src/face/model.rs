@@ -1,6 +1,8 @@
 //! The face as a map from its flat domain into space, for any expression and person.
 
-use nonrigid::mesh::Vec3;
+use std::f64::consts::{PI, TAU};
+
+use nonrigid::mesh::{TriangleMesh, Vec3};
 use rayon::prelude::*;
 
 use super::layout::outline;
@@ -26,6 +28,26 @@ pub struct Eyeball {
     pub centre: Vec3,
     /// Its radius.
     pub radius: f64,
+}
+
+impl Eyeball {
+    /// Its surface as triangles, for pictures.
+    #[must_use]
+    pub fn surface(&self) -> TriangleMesh {
+        const ROUND: usize = 48;
+        const DOWN: usize = 24;
+        let point = |k: usize| {
+            let (around, down) = (TAU * (k % ROUND) as f64 / ROUND as f64, PI * (k / ROUND) as f64 / DOWN as f64);
+            self.centre + Vec3::new(around.cos() * down.sin(), around.sin() * down.sin(), down.cos()) * self.radius
+        };
+        let vertex = |i: usize, j: usize| (j * ROUND + i % ROUND) as u32;
+        let cells = (0..DOWN).flat_map(|j| (0..ROUND).map(move |i| (i, j)));
+        let triangles = cells.flat_map(|(i, j)| {
+            let [a, b, c, d] = [vertex(i, j), vertex(i, j + 1), vertex(i + 1, j + 1), vertex(i + 1, j)];
+            [[a, b, c], [a, c, d]]
+        });
+        TriangleMesh { positions: (0..ROUND * (DOWN + 1)).map(point).collect(), triangles: triangles.collect() }
+    }
 }
 
 /// A face of any resolution: positions of material points, exact everywhere and not at some mesh's vertices only.
@@ -113,7 +135,7 @@ impl FaceModel {
         [1.0, -1.0].map(|side| {
             let (centre, radius) = EYEBALL;
             let rim = (0..32).map(|k| {
-                let eta = f64::from(k) / 16.0 * std::f64::consts::PI;
+                let eta = f64::from(k) / 16.0 * PI;
                 let [x, y] = eye_point(Around { r: 0.0, eta });
                 identity.displacement(&site(flatten([side * x, y])))
             });

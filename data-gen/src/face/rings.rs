@@ -40,21 +40,39 @@ impl Rings {
 
     /// Ring and angle of a point; what lies inside the innermost ring counts to it.
     pub fn around(&self, x: f64, y: f64) -> Around {
-        // Falls with r.
+        // How far outside ring r, and by how much that falls with r.
         let outside = |r: f64| {
             let [a, b] = self.half_axes(r, y >= 0.0);
-            (x / a).hypot(y / b.max(1e-12)) - 1.0
+            let b = b.max(1e-12);
+            let growth = 1.0 - self.opening / self.fade * (-r / self.fade).exp();
+            let distance = (x / a).hypot(y / b);
+            let fall = ((x / a).powi(2) * self.alpha / a + (y / b).powi(2) * growth / b) / distance.max(1e-12);
+            (distance - 1.0, fall)
         };
+        // Newton's method, kept inside a shrinking interval.
         let (mut low, mut high) = (self.innermost, y.abs() + x.abs() / self.alpha + 1.0);
-        if outside(low) <= 0.0 {
+        let mut r = if outside(low).0 <= 0.0 {
             high = low;
+            low
+        } else {
+            0.5 * (low + high)
+        };
+        for _ in 0..100 {
+            let (over, fall) = outside(r);
+            if over > 0.0 {
+                low = r
+            } else {
+                high = r
+            }
+            let newton = r + over / fall;
+            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            if (next - r).abs() <= 1e-13 * r.abs().max(1.0) {
+                break;
+            }
+            r = next;
         }
-        while high - low > 1e-11 * high.abs().max(1.0) {
-            let middle = 0.5 * (low + high);
-            if outside(middle) > 0.0 { low = middle } else { high = middle }
-        }
-        let [a, b] = self.half_axes(high, y >= 0.0);
-        Around { r: high, eta: (y / b.max(1e-12)).atan2(x / a) }
+        let [a, b] = self.half_axes(r, y >= 0.0);
+        Around { r, eta: (y / b.max(1e-12)).atan2(x / a) }
     }
 }
 
