@@ -219,9 +219,13 @@ fn folds(sample: &Sample, posed: &[Vec3]) -> (usize, f64, f64) {
     // The margins of closed lids are pressed together out of sight; in the eyes' corners those of the neutral cross already.
     let outside_eyes: Vec<bool> =
         sample.triangles.iter().map(|t| every(t, |s| s.left_eye.r.min(s.right_eye.r) > -1e-6)).collect();
-    // Where lips meet they face each other; at the corners of a mouth that opens they come to face forwards.
-    let skin: Vec<bool> =
-        sample.triangles.iter().zip(&outside_eyes).map(|(t, out)| *out && every(t, |s| s.mouth.r > 3.0)).collect();
+    // Where lips meet they face each other; at the corners of a mouth that opens they come to face forwards. In an eye's
+    // corner the skin turns about it when the lids close.
+    let law = |s: &Site| {
+        let corner = [s.left_eye, s.right_eye].iter().any(|a| a.r < 1.5 && a.eta.sin().abs() < 0.25);
+        s.mouth.r > 3.0 && !corner
+    };
+    let skin: Vec<bool> = sample.triangles.iter().zip(&outside_eyes).map(|(t, out)| *out && every(t, law)).collect();
     let turned = (0..before.len()).filter(|k| skin[*k] && before[*k].dot(&after[*k]) < 0.0).count();
     let shares = (0..before.len()).filter(|k| outside_eyes[*k]).map(|k| after[k].norm() / before[k].norm());
     let bend = |n: &[Vec3], [a, b]: [usize; 2]| n[a].angle(&n[b]).to_degrees();
