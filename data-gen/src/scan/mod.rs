@@ -104,7 +104,7 @@ impl Stream {
 /// # Errors
 /// When an option makes no sense or names an expression that the rig does not have, or no camera sees anything.
 pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<ScanCase, ScanError> {
-    options.check()?;
+    options.validate(rig)?;
     let expression_weights = person::expression_weights(rig, options, &mut Stream::Expression.of(seed))?;
     let identity_weights = person::identity_weights(rig, options, &mut Stream::Identity.of(seed));
     let pose = options.pose.unwrap_or_else(|| Pose::random(options, &mut Stream::Pose.of(seed)));

@@ -3,7 +3,8 @@
 use nonrigid::mesh::Vec3;
 use serde::Serialize;
 
-use super::{Pose, ScanError};
+use super::{Pose, ScanError, resolve_shapes};
+use crate::FaceRig;
 
 /// What is scanned and how badly. Lengths in millimetres, angles in degrees.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -160,8 +161,17 @@ impl ScanOptions {
         }
     }
 
-    /// Whether all numbers make sense.
-    pub(super) fn check(&self) -> Result<(), ScanError> {
+    /// Whether these options make sense for a rig.
+    ///
+    /// # Errors
+    /// When a number is out of its range, or the rig does not have an expression.
+    pub fn validate(&self, rig: &FaceRig) -> Result<(), ScanError> {
+        let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
+        self.expressions.iter().flatten().try_for_each(|(name, _)| resolve_shapes(&names, name).map(|_| ()))?;
+        self.check()
+    }
+
+    fn check(&self) -> Result<(), ScanError> {
         let bad = |what: &str, range: &str, found: f64| Err(ScanError::Option(format!("{what}: {range}, not {found}")));
         let mix = &self.wrinkles;
         for (what, value, most) in [
