@@ -2,13 +2,13 @@
 //!
 //! | rig | case |
 //! |---|---|
-//! | `template.obj`, `neutral.npy` (V, 3) | `scan.ply` |
+//! | `template.obj`, `face.mtl`, `neutral.npy` (V, 3) | `scan.ply` |
 //! | `expression_deltas.npy` (K, V, 3), `expression_names.json` | `truth.npy` (V, 3), `observed.npy` (V) |
 //! | `identity_deltas.npy`, `identity_names.json` | `landmarks.json`: template vertex -> point of the scan |
-//! | `landmarks.json`: name -> template vertex | `case.json`: what a fit may use, and what was drawn |
-//! | | `neutral.npy` (V, 3), where the subject's own neutral is known |
+//! | `landmarks_multipie68.json`: 68 vertices; `landmarks.json`: name -> vertex | `case.json`: what a fit may use, and what was drawn |
+//! | `regions.json`: name -> vertices; `eyeballs.json`: spheres | `neutral.npy` (V, 3), where the subject's own neutral is known |
 //!
-//! Arrays hold 32 bits, coordinates in text files all digits.
+//! Arrays hold 32 bits, coordinates in text files all digits. Every file is written whole or not at all.
 
 use std::fs;
 use std::io::Write as _;
@@ -19,14 +19,19 @@ use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{PlyOptions, write_atomically, write_npy, write_obj, write_ply};
 use serde_json::{Map, Value, json};
 
+use crate::scan::CORRECTIVES;
 use crate::{FaceRig, ScanCase};
+
+/// The template's materials.
+const MATERIALS: &str = "newmtl skin\nKd 0.86 0.68 0.58\nKs 0.04 0.04 0.04\nNs 12\n
+newmtl lips\nKd 0.76 0.42 0.40\nKs 0.10 0.10 0.10\nNs 30\n";
 
 /// How much of the scanned person a fit knows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Subject {
     /// The person's own neutral face, but not these expressions of the rig.
     Same {
-        /// Names of expressions.
+        /// Full names of expressions.
         withheld: Vec<String>,
     },
     /// Nothing: it starts from the template with all expressions and the first identity modes.
@@ -45,10 +50,10 @@ impl Subject {
         Self::Same { withheld: weakest.map(|(e, _)| e.0.clone()).into_iter().collect() }
     }
 
-    /// An unknown person, with five eighths of the rig's identity modes.
+    /// An unknown person, with two thirds of the rig's identity modes: the first 40 of 60.
     #[must_use]
     pub fn new(rig: &FaceRig) -> Self {
-        Self::New { identity_modes: rig.identities.len() * 5 / 8 }
+        Self::New { identity_modes: rig.identities.len() * 2 / 3 }
     }
 }
 
@@ -59,6 +64,7 @@ impl Subject {
 pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     write_obj(&folder.join("template.obj"), &rig.mesh)?;
+    write_atomically(&folder.join("face.mtl"), |file| file.write_all(MATERIALS.as_bytes()))?;
     write_points(&folder.join("neutral.npy"), &rig.neutral)?;
     let (names, deltas): (Vec<&str>, Vec<&[Vec3]>) = rig.expressions.iter().map(|e| (&*e.0, &*e.1)).unzip();
     write_shapes(folder, "expression", &names, &deltas)?;
@@ -66,7 +72,14 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
     let deltas: Vec<&[Vec3]> = rig.identities.iter().map(Vec::as_slice).collect();
     write_shapes(folder, "identity", &names, &deltas)?;
     let landmarks: Map<String, Value> = rig.landmarks.iter().map(|l| (l.name.clone(), l.vertex.into())).collect();
-    write_json(&folder.join("landmarks.json"), &landmarks.into())
+    write_json(&folder.join("landmarks.json"), &landmarks.into())?;
+    let landmarks: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
+    write_json(&folder.join("landmarks_multipie68.json"), &json!(landmarks))?;
+    let regions: Map<String, Value> = rig.regions.iter().map(|(name, vertices)| (name.clone(), json!(vertices))).collect();
+    write_json(&folder.join("regions.json"), &regions.into())?;
+    let [left, right] =
+        rig.eyeballs(&[]).map(|e| json!({ "centre": [e.centre.x, e.centre.y, e.centre.z], "radius": e.radius }));
+    write_json(&folder.join("eyeballs.json"), &json!({ "left": left, "right": right }))
 }
 
 /// Writes a case; makes the folder if it is not there. `seed` is what the scan was simulated from.
@@ -97,14 +110,16 @@ pub fn write_case(folder: &Path, rig: &FaceRig, case: &ScanCase, subject: &Subje
         .filter(|(_, w)| **w != 0.0)
         .map(|(name, w)| (name.clone(), (*w).into()))
         .collect();
+    let offered = names.filter(|name| !withheld.contains(name) && !CORRECTIVES.contains(&name.as_str()));
     let description = json!({
         "seed": seed,
         "same_subject": same,
         "expression": drawn,
+        "identity_sigma": case.identity_sigma,
         "identity": case.identity_weights,
         "pose": case.pose,
         "withhold": withheld,
-        "rig_expressions": names.filter(|name| !withheld.contains(name)).collect::<Vec<_>>(),
+        "rig_expressions": offered.collect::<Vec<_>>(),
         "rig_identity_modes": identity_modes,
         "vertices": case.scan.positions.len(),
         "triangles": case.scan.triangles.len(),
@@ -121,11 +136,20 @@ fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
     (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 
+/// Shape by shape, so that a large rig is not in memory twice.
 fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<()> {
     let vertices = deltas.first().map_or(0, |d| d.len());
-    let items: Vec<f32> =
-        deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();
-    write_npy(&folder.join(format!("{family}_deltas.npy")), &[names.len(), vertices, 3], &items)?;
+    let shape = format!("({}, {vertices}, 3)", names.len());
+    // NPY 1.0; the data begin at a multiple of 64 bytes.
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    let length = (10 + header.len() + 1).next_multiple_of(64) - 10;
+    write_atomically(&folder.join(format!("{family}_deltas.npy")), |file| {
+        file.write_all(b"\x93NUMPY\x01\x00")?;
+        file.write_all(&(length as u16).to_le_bytes())?;
+        writeln!(file, "{header:<0$}", length - 1)?;
+        let items = deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z]));
+        items.map(|x| (x as f32).to_le_bytes()).try_for_each(|bytes| file.write_all(&bytes))
+    })?;
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     write_json(&folder.join(format!("{family}_names.json")), &names.into())
 }
@@ -148,14 +172,15 @@ mod tests {
 
     #[test]
     fn the_library_reads_back_the_rig() {
-        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 600 }));
+        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
         write_rig(folder.path(), &rig).unwrap();
         let (read, warnings) = Rig::read(folder.path(), &RigReadOptions::default()).unwrap();
         assert_eq!(warnings, []);
         assert_eq!(read.mesh(), Some(&rig.mesh));
         let names: Vec<&str> = read.shapes().iter().map(|s| s.name.as_str()).collect();
-        assert_eq!(names[..12], rig.expressions.iter().map(|e| &*e.0).collect::<Vec<_>>());
-        assert!(read.shapes()[12..].iter().all(|s| s.family == Family::Identity) && names.len() == 20);
+        let count = rig.expressions.len();
+        assert_eq!(names[..count], rig.expressions.iter().map(|e| &*e.0).collect::<Vec<_>>());
+        assert!(read.shapes()[count..].iter().all(|s| s.family == Family::Identity) && names.len() == count + 9);
         let shapes = rig.expressions.iter().map(|e| &e.1).chain(&rig.identities);
         for (k, shape) in shapes.enumerate() {
             let expected: Vec<f32> = shape.iter().flat_map(|p| [p.x, p.y, p.z]).map(|x| x as f32).collect();
@@ -163,12 +188,20 @@ mod tests {
         }
         let landmarks = read_template_landmarks(&folder.path().join("landmarks.json"), &rig.mesh).unwrap();
         assert_eq!(landmarks.len(), rig.landmarks.len());
+        let numbers: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
+        assert_eq!((numbers.len(), read.landmarks()), (68, Some(&*numbers)));
+        let json = |name: &str| -> Value { serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap() };
+        let in_regions = json("regions.json").as_object().unwrap().values().map(|r| r.as_array().unwrap().len()).sum();
+        assert_eq!(rig.neutral.len(), in_regions);
+        assert!(json("eyeballs.json")["left"]["centre"][0].as_f64().unwrap() > 20.0);
+        let materials = fs::read_to_string(folder.path().join("face.mtl")).unwrap();
+        assert!(materials.contains("newmtl skin\n") && materials.contains("newmtl lips\n"));
     }
 
     #[test]
     fn the_library_reads_back_cases_of_both_kinds() {
-        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 600 }));
-        let case = simulate_scan(&rig, &ScanOptions::default(), 5);
+        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
+        let case = simulate_scan(&rig, &ScanOptions { triangles: 5000, ..ScanOptions::default() }, 5).unwrap();
         let (same, new) = (folder.path().join("same"), folder.path().join("new"));
         write_case(&same, &rig, &case, &Subject::same(&rig, &case), 5).unwrap();
         write_case(&new, &rig, &case, &Subject::new(&rig), 5).unwrap();
@@ -193,9 +226,10 @@ mod tests {
         let description =
             |folder: &Path| -> Value { serde_json::from_slice(&fs::read(folder.join("case.json")).unwrap()).unwrap() };
         let (same, new) = (description(&same), description(&new));
-        assert_eq!(same["rig_expressions"].as_array().unwrap().len(), 11);
-        assert_eq!((&same["rig_identity_modes"], &new["rig_identity_modes"]), (&json!(0), &json!(5)));
-        assert_eq!(new["rig_expressions"].as_array().unwrap().len(), 12);
+        let count = rig.expressions.iter().filter(|e| e.0 != "mouthClose").count();
+        assert_eq!(same["rig_expressions"].as_array().unwrap().len(), count - 1);
+        assert_eq!((&same["rig_identity_modes"], &new["rig_identity_modes"]), (&json!(0), &json!(6)));
+        assert_eq!(new["rig_expressions"].as_array().unwrap().len(), count);
         assert!(same["start_rmse_mm"].as_f64().unwrap() > 0.5 && same["start_rmse_mm"] == new["start_rmse_mm"]);
         let withheld = same["withhold"][0].as_str().unwrap();
         assert!(same["expression"][withheld].as_f64().unwrap() > 0.0);

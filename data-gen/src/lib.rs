@@ -11,13 +11,13 @@ mod expressions;
 mod face;
 mod files;
 mod identity;
-mod remesh;
 mod rig;
 mod scan;
-mod visibility;
+mod sequence;
 
 pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
 pub use files::{Subject, write_case, write_rig};
 pub use rig::{FaceOptions, FaceRig, Landmark};
-pub use scan::{Pose, ScanCase, ScanOptions, simulate_scan};
+pub use scan::{Camera, PRESETS, Pose, ScanCase, ScanError, ScanOptions, WrinkleMix, resolve_shapes, simulate_scan};
+pub use sequence::{Motion, write_weights};

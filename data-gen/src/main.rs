@@ -1,119 +1,383 @@
-//! Makes a synthetic face and scans of it: writes them as folders, or says what is in one of them and draws it.
+//! `data-gen`: makes a synthetic face rig and scans of it with exact truth, as folders.
 
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
 
-use anyhow::Context;
 use clap::Parser;
-use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
-use nonrigid::mesh::{PolygonMesh, Vec3};
-use nonrigid::render::{Camera, Frame, Scene, Sheet, Style, View, draw_text, registration_sheet, render, save_png};
+use clap::builder::PossibleValuesParser;
+use data_gen::{
+    Camera, FaceOptions, FaceRig, Motion, PRESETS, ScanCase, ScanError, ScanOptions, Subject, WrinkleMix, contact_sheet,
+    resolve_shapes, simulate_scan, write_case, write_rig, write_weights,
+};
+use nonrigid::render::save_png;
 
-/// Synthetic face rigs and scans with exact truth, from one seed.
+const EXAMPLES: &str = "\
+Examples:
+  data-gen --seed 7 --out data                         the rig and the six standard cases
+  data-gen --seed 7 --out data --case same_open --triangles 1000000
+  data-gen --seed 7 --out data --case my_smile --expression mouthSmile=0.8 --expression jawOpen=0.3
+  data-gen --seed 7 --out data --cases 20              20 cases of random people and expressions
+  data-gen --seed 7 --out data --frames 60 --fps 30    a sequence of two seconds
+  data-gen --seed 7 --out data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8
+
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing.";
+
+/// Synthetic face rigs and scans with exact truth, from one seed: DIR/rig and DIR/cases/NAME, in millimetres.
 #[derive(Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Arguments {
+    /// Folder for everything; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
     /// Everything random comes from this number.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Vertices of the template, approximately.
-    #[arg(long, default_value_t = 1200)]
-    vertices: usize,
-    /// Writes a rig to OUT/rig and cases below OUT/cases, as scan-bench reads them.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Number of cases; every other one is of a person whose own neutral is known.
-    #[arg(long, default_value_t = 4, requires = "out")]
-    cases: u64,
-    /// Writes a picture of template, scan and truth (PNG).
-    #[arg(long, conflicts_with = "out")]
-    picture: Option<PathBuf>,
-    /// Writes a picture of all expressions (PNG).
+    /// Threads; default: one per processor. The result is the same with any number.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Also a picture of the rig and the first scans, DIR/contact_sheet.png.
     #[arg(long)]
-    expressions: Option<PathBuf>,
+    contact_sheet: bool,
+
+    /// Vertices of the template, approximately: 1,000 to 500,000.
+    #[arg(long, default_value_t = 5000, value_parser = in_range(1000, 500_000), help_heading = "Rig")]
+    vertices: usize,
+    /// Identity modes of the rig, at most 200.
+    #[arg(long, default_value_t = 60, value_parser = in_range(0, 200), help_heading = "Rig")]
+    identity_modes: usize,
+
+    /// Only these cases, repeatable. Names other than the six standard ones take their expression from --expression or
+    /// --preset or chance; those that begin with `new` are of an unknown person, all others of one whose own neutral is known.
+    #[arg(long = "case", value_name = "NAME", help_heading = "Cases", conflicts_with = "cases")]
+    names: Vec<String>,
+    /// This many cases of random people and expressions, every other one unknown, instead of the standard ones.
+    #[arg(long, value_name = "N", value_parser = in_range(0, 100_000), help_heading = "Cases")]
+    cases: Option<usize>,
+    /// A sequence of N frames of one person, DIR/sequence/frame_0000 and so on with weights.csv, instead of cases.
+    #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases", conflicts_with_all = ["names", "cases"])]
+    frames: Option<usize>,
+    /// Frames per second of a sequence.
+    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases")]
+    fps: f64,
+    /// Weight of an expression, repeatable, for every case or as the peak of a sequence; without _L or _R: both sides.
+    #[arg(long = "expression", value_name = "NAME=WEIGHT", value_parser = name_and_weight, help_heading = "Cases")]
+    expressions: Vec<(String, f64)>,
+    /// A named expression for every case or as the peak of a sequence.
+    #[arg(long, value_parser = PossibleValuesParser::new(PRESETS.iter().map(|p| p.0)), conflicts_with = "expressions", help_heading = "Cases")]
+    preset: Option<String>,
+    /// Identity weights, for every case; missing ones are 0. Default: drawn.
+    #[arg(long, value_delimiter = ',', value_name = "W,W,...", allow_hyphen_values = true, help_heading = "Cases")]
+    identity: Option<Vec<f64>>,
+    /// Standard deviation of drawn identity weights.
+    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, help_heading = "Cases")]
+    identity_sigma: f64,
+    /// Largest angle of the random rotation, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().rotation, help_heading = "Cases")]
+    rotation: f64,
+    /// Largest translation along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().translation, help_heading = "Cases")]
+    translation: f64,
+
+    /// Triangles of each finished scan: 5,000 to 5,000,000, met within about 3 %.
+    #[arg(long, default_value_t = ScanOptions::default().triangles, value_parser = in_range(5000, 5_000_000), help_heading = "Scanner")]
+    triangles: usize,
+    /// Azimuth from +Z towards +X, elevation and, if not 700 mm, distance of a camera; repeatable. Default: -30,0 0,0 30,0.
+    #[arg(long = "camera", value_name = "AZ,EL[,MM]", value_parser = camera, allow_hyphen_values = true, help_heading = "Scanner")]
+    cameras: Vec<Camera>,
+    /// A camera's position in the scan's coordinates, mm; repeatable.
+    #[arg(long = "camera-at", value_name = "X,Y,Z", value_parser = camera_at, allow_hyphen_values = true, help_heading = "Scanner")]
+    cameras_at: Vec<Camera>,
+    /// No cameras: everything is seen, inside the lips too.
+    #[arg(long, conflicts_with_all = ["cameras", "cameras_at"], help_heading = "Scanner")]
+    see_all: bool,
+    /// Steepest angle between normal and view ray, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().grazing, help_heading = "Scanner")]
+    grazing: f64,
+    /// Leaves the eyeballs out.
+    #[arg(long, help_heading = "Scanner")]
+    no_eyeballs: bool,
+    /// Largest height of wrinkles that no shape expresses, mm.
+    #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
+    detail: f64,
+    /// Strengths of forehead lines, crow's feet, folds and skin structure; 1 is usual.
+    #[arg(long, value_name = "F,C,F,S", value_parser = wrinkles, default_value = "1,1,1,1", help_heading = "Scanner")]
+    wrinkles: WrinkleMix,
+
+    /// Standard deviation of the noise along the view ray, mm.
+    #[arg(long, default_value_t = ScanOptions::default().noise, help_heading = "Faults")]
+    noise: f64,
+    /// Growth of the noise with the angle a to the ray: x (1 + G (1 / cos a - 1)).
+    #[arg(long, value_name = "G", default_value_t = ScanOptions::default().grazing_noise, help_heading = "Faults")]
+    grazing_noise: f64,
+    /// Number of holes.
+    #[arg(long, default_value_t = ScanOptions::default().holes, help_heading = "Faults")]
+    holes: usize,
+    /// Smallest and largest radius of a hole, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "4,9", help_heading = "Faults")]
+    hole_radius: [f64; 2],
+    /// Share of the points that are spikes.
+    #[arg(long, default_value_t = ScanOptions::default().spikes, help_heading = "Faults")]
+    spikes: f64,
+    /// Smallest and largest height of a spike, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "3,15", help_heading = "Faults")]
+    spike_height: [f64; 2],
+    /// Share of the triangles that float alone near the surface.
+    #[arg(long, default_value_t = ScanOptions::default().outliers, help_heading = "Faults")]
+    outliers: f64,
+    /// Number of loose parts beside the face.
+    #[arg(long, default_value_t = ScanOptions::default().loose_parts, help_heading = "Faults")]
+    loose_parts: usize,
+    /// Standard deviation of the landmarks along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().landmark_noise, help_heading = "Faults")]
+    landmark_noise: f64,
 }
 
-fn main() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
-    let rig = FaceRig::generate(&FaceOptions { vertices: arguments.vertices });
-    if let Some(out) = &arguments.out {
-        write_all(out, &rig, arguments.seed, arguments.cases)?;
-    } else {
-        describe(&rig, &arguments)?;
-    }
-    if let Some(path) = &arguments.expressions {
-        save_png(&expression_sheet(&rig).render(), path).context("picture of the expressions")?;
-    }
-    Ok(())
+/// A standard case: name, preset, and what is withheld of a known person; `None`: an unknown one.
+type Standard = (&'static str, &'static str, Option<[&'static str; 3]>);
+
+const STANDARD: [Standard; 6] = [
+    ("same_open", "open", Some(["mouthStretch", "eyeWide", "jawForward"])),
+    ("same_smile", "smile", Some(["cheekSquint", "mouthDimple", "mouthStretch"])),
+    ("same_blink", "blink", Some(["browDown", "mouthFunnel", "noseSneer"])),
+    ("new_neutral", "neutral", None),
+    ("new_open", "shout", None),
+    ("new_asym", "asym", None),
+];
+
+/// Why nothing or not everything was made.
+enum Failure {
+    Arguments(String),
+    Computation(String),
+    Writing(anyhow::Error),
 }
 
-/// The rig and `cases` cases; the k-th is simulated from `seed + k`.
-fn write_all(out: &Path, rig: &FaceRig, seed: u64, cases: u64) -> anyhow::Result<()> {
-    println!("seed {seed}");
-    let folder = out.join("rig");
-    write_rig(&folder, rig)?;
-    let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
-    println!("{}: {vertices} vertices, {expressions} expressions, {modes} identity modes", folder.display());
-    for k in 0..cases {
-        let case = simulate_scan(rig, &ScanOptions::default(), seed.wrapping_add(k));
-        let (name, subject) = if k % 2 == 0 { ("same", Subject::same(rig, &case)) } else { ("new", Subject::new(rig)) };
-        let folder = out.join("cases").join(format!("{name}_{k:02}"));
-        write_case(&folder, rig, &case, &subject, seed.wrapping_add(k))?;
-        let seen = case.observed.iter().filter(|o| **o).count();
-        let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
-        println!("{}: {points} points, {triangles} triangles, {seen} vertices observed", folder.display());
-    }
-    Ok(())
-}
-
-fn describe(rig: &FaceRig, arguments: &Arguments) -> anyhow::Result<()> {
-    let case = simulate_scan(rig, &ScanOptions::default(), arguments.seed);
-    let weights: serde_json::Map<String, serde_json::Value> =
-        rig.expressions.iter().zip(&case.expression_weights).map(|(e, w)| (e.0.clone(), (*w).into())).collect();
-    let summary = serde_json::json!({
-        "seed": arguments.seed,
-        "template": { "vertices": rig.neutral.len(), "polygons": rig.mesh.polygon_count() },
-        "scan": { "vertices": case.scan.positions.len(), "triangles": case.scan.triangles.len() },
-        "observed": case.observed.iter().filter(|o| **o).count(),
-        "expression_weights": weights,
-        "identity_weights": case.identity_weights,
-        "pose": case.pose,
-    });
-    println!("{}", serde_json::to_string_pretty(&summary)?);
-    if let Some(path) = &arguments.picture {
-        let truth = at(rig, case.truth.clone());
-        let title = format!("seed {}", arguments.seed);
-        save_png(&registration_sheet(&title, &rig.mesh, &case.scan, &truth, 440), path).context("picture")?;
-    }
-    Ok(())
-}
-
-fn at(rig: &FaceRig, positions: Vec<Vec3>) -> PolygonMesh {
-    PolygonMesh { positions, ..rig.mesh.clone() }
-}
-
-fn expression_sheet(rig: &FaceRig) -> Sheet {
-    const ACROSS: usize = 5;
-    let mut faces = vec![("neutral".to_string(), rig.neutral.clone())];
-    for (k, (name, _)) in rig.expressions.iter().enumerate() {
-        let mut weights = vec![0.0; rig.expressions.len()];
-        weights[k] = 1.0;
-        faces.push((name.clone(), rig.pose(&weights, &[])));
-    }
-    let frame = Frame::of(&rig.neutral);
-    let size = [320, 360];
-    let mut sheet = Sheet::new("expressions at weight 1");
-    for row in faces.chunks(ACROSS) {
-        for view in [View::Front, View::ThreeQuarter] {
-            let camera = Camera::framing(&frame, view, size);
-            let panels = row.iter().map(|(name, positions)| {
-                let mesh = at(rig, positions.clone());
-                let scene = Scene::new().mesh(&mesh.triangulate(), Style::Clay).wireframe(&mesh);
-                let mut panel = render(&scene, &camera, size);
-                draw_text(&mut panel, 8, 8, name, 2, [32, 36, 44]);
-                panel
-            });
-            sheet = sheet.row("", panels.collect());
+impl From<ScanError> for Failure {
+    fn from(error: ScanError) -> Self {
+        match error {
+            ScanError::Option(what) => Self::Arguments(what),
+            ScanError::NothingSeen => Self::Computation(error.to_string()),
         }
     }
-    sheet
+}
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            let _ = error.print(); // if even that fails there is nowhere to say so
+            return ExitCode::from(u8::from(error.use_stderr()));
+        }
+    };
+    let (code, message) = match run(&arguments) {
+        Ok(()) => return ExitCode::SUCCESS,
+        Err(Failure::Arguments(message)) => (1, message),
+        Err(Failure::Computation(message)) => (2, message),
+        Err(Failure::Writing(error)) => (3, format!("{error:#}")),
+    };
+    eprintln!("error: {message}");
+    ExitCode::from(code)
+}
+
+fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(threads) = arguments.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        pool.map_err(|e| Failure::Computation(format!("threads: {e}")))?;
+    }
+    if !(1e-3..=1e4).contains(&arguments.fps) {
+        return Err(Failure::Arguments(format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
+    }
+    let Arguments { seed, vertices, identity_modes, .. } = *arguments;
+    println!("seed {seed}");
+    let start = Instant::now();
+    let rig = FaceRig::generate(&FaceOptions { vertices, identity_modes });
+    let plans = plan(&rig, arguments)?;
+    // Whatever is wrong with the options shows before anything is written.
+    for plan in &plans {
+        plan.options.validate(&rig)?;
+    }
+    let folder = arguments.out.join("rig");
+    write_rig(&folder, &rig).map_err(Failure::Writing)?;
+    let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
+    println!(
+        "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {:.1} s",
+        folder.display(),
+        start.elapsed().as_secs_f64()
+    );
+    let mut shown = Vec::new();
+    let mut weights = Vec::new();
+    let count = plans.len();
+    for (k, plan) in plans.into_iter().enumerate() {
+        let case = scan(&rig, &plan, &arguments.out, &format!("{}/{count}", k + 1))?;
+        weights.push((plan.time, case.expression_weights.clone()));
+        if arguments.contact_sheet && shown.len() < 3 {
+            shown.push((plan.name, case));
+        }
+    }
+    if arguments.frames.is_some() {
+        let path = arguments.out.join("sequence/weights.csv");
+        write_weights(&path, &rig, &weights).map_err(Failure::Writing)?;
+        println!("{}", path.display());
+    }
+    if arguments.contact_sheet {
+        let path = arguments.out.join("contact_sheet.png");
+        save_png(&contact_sheet(&rig, &shown, seed).render(), &path).map_err(|e| Failure::Writing(e.into()))?;
+        println!("{}", path.display());
+    }
+    Ok(())
+}
+
+/// One scan to make.
+struct Plan {
+    /// Its folder, below the output's.
+    name: String,
+    options: ScanOptions,
+    /// What a fit knows; `None`: decided by what the scan shows, [`Subject::same`].
+    subject: Option<Subject>,
+    seed: u64,
+    /// In a sequence, seconds.
+    time: f64,
+}
+
+fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
+    let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
+    let options = arguments.scan_options();
+    let seed = |k: usize| arguments.seed.wrapping_add(k as u64);
+    if let Some(frames) = arguments.frames {
+        let time = |frame: usize| frame as f64 / arguments.fps;
+        options.validate(rig)?;
+        let motion = Motion::new(rig, &options, time(frames), arguments.seed)?;
+        let frame = |k| Plan {
+            name: format!("sequence/frame_{k:04}"),
+            options: motion.options(time(k)),
+            subject: Some(Subject::Same { withheld: Vec::new() }),
+            seed: seed(k),
+            time: time(k),
+        };
+        return Ok((0..frames).map(frame).collect());
+    }
+    let unknown = || Some(Subject::new(rig));
+    if let Some(cases) = arguments.cases {
+        let case = |k| {
+            let (prefix, subject) = if k % 2 == 0 { ("same", None) } else { ("new", unknown()) };
+            Plan { name: format!("cases/{prefix}_{k:04}"), options: options.clone(), subject, seed: seed(k), time: 0.0 }
+        };
+        return Ok((0..cases).map(case).collect());
+    }
+    let standard = STANDARD.iter().map(|s| s.0.to_owned());
+    let wanted: Vec<String> = if arguments.names.is_empty() { standard.collect() } else { arguments.names.clone() };
+    let mut plans = Vec::new();
+    for name in wanted {
+        let at = STANDARD.iter().position(|s| s.0 == name);
+        let mut options = options.clone();
+        let mut subject = if name.starts_with("new") { unknown() } else { None };
+        if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
+            return Err(Failure::Arguments(format!("--case {name:?} is no name for a folder")));
+        }
+        if let Some((_, preset, withheld)) = at.map(|at| STANDARD[at]) {
+            options.expressions = options.expressions.or_else(|| Some(preset_weights(preset)));
+            if let Some(withheld) = withheld {
+                let full: Result<Vec<Vec<&str>>, ScanError> =
+                    withheld.iter().map(|name| resolve_shapes(&names, name)).collect();
+                subject = Some(Subject::Same { withheld: full?.concat().into_iter().map(str::to_owned).collect() });
+            }
+        }
+        // A standard case is the same whether it is made alone or with the others.
+        let number = at.unwrap_or(STANDARD.len() + plans.len());
+        plans.push(Plan { name: format!("cases/{name}"), options, subject, seed: seed(number), time: 0.0 });
+    }
+    Ok(plans)
+}
+
+/// Simulates and writes one case.
+fn scan(rig: &FaceRig, plan: &Plan, out: &Path, progress: &str) -> Result<ScanCase, Failure> {
+    let start = Instant::now();
+    let case = simulate_scan(rig, &plan.options, plan.seed)?;
+    let simulated = start.elapsed().as_secs_f64();
+    let folder = out.join(&plan.name);
+    let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, &case));
+    write_case(&folder, rig, &case, &subject, plan.seed).map_err(Failure::Writing)?;
+    let seen = case.observed.iter().filter(|o| **o).count();
+    let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
+    println!(
+        "[{progress}] {}: {points} points, {triangles} triangles, {seen} vertices observed; {simulated:.1} + {:.1} s",
+        folder.display(),
+        start.elapsed().as_secs_f64() - simulated
+    );
+    Ok(case)
+}
+
+fn preset_weights(name: &str) -> Vec<(String, f64)> {
+    let parts = PRESETS.iter().find(|p| p.0 == name).map_or(&[][..], |p| p.1);
+    parts.iter().map(|(shape, weight)| ((*shape).to_owned(), *weight)).collect()
+}
+
+impl Arguments {
+    fn scan_options(&self) -> ScanOptions {
+        let given = (!self.expressions.is_empty()).then(|| self.expressions.clone());
+        let all: Vec<Camera> = self.cameras.iter().chain(&self.cameras_at).copied().collect();
+        let cameras = if self.see_all || !all.is_empty() { all } else { ScanOptions::default().cameras };
+        ScanOptions {
+            expressions: given.or_else(|| self.preset.as_deref().map(preset_weights)),
+            identity: self.identity.clone(),
+            identity_sigma: self.identity_sigma,
+            detail: self.detail,
+            wrinkles: self.wrinkles,
+            detail_seed: None,
+            rotation: self.rotation,
+            translation: self.translation,
+            pose: None,
+            triangles: self.triangles,
+            eyeballs: !self.no_eyeballs,
+            cameras,
+            grazing: self.grazing,
+            noise: self.noise,
+            grazing_noise: self.grazing_noise,
+            holes: self.holes,
+            hole_radius: self.hole_radius,
+            spikes: self.spikes,
+            spike_height: self.spike_height,
+            outliers: self.outliers,
+            loose_parts: self.loose_parts,
+            landmark_noise: self.landmark_noise,
+        }
+    }
+}
+
+fn in_range(low: usize, high: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
+    move |text| match text.parse() {
+        Ok(number) if (low..=high).contains(&number) => Ok(number),
+        _ => Err(format!("a whole number from {low} to {high}")),
+    }
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| format!("{N} numbers, separated by commas"))
+}
+
+fn two_numbers(text: &str) -> Result<[f64; 2], String> {
+    numbers(text)
+}
+
+fn camera(text: &str) -> Result<Camera, String> {
+    if let Ok([azimuth, elevation]) = numbers(text) {
+        return Ok(Camera::orbit(azimuth, elevation));
+    }
+    let [azimuth, elevation, distance] = numbers(text).map_err(|_| "azimuth,elevation or azimuth,elevation,distance")?;
+    Ok(Camera::Orbit { azimuth, elevation, distance })
+}
+
+fn camera_at(text: &str) -> Result<Camera, String> {
+    Ok(Camera::Position(numbers(text)?))
+}
+
+fn wrinkles(text: &str) -> Result<WrinkleMix, String> {
+    let [forehead, crows_feet, folds, skin] = numbers(text)?;
+    Ok(WrinkleMix { forehead, crows_feet, folds, skin })
+}
+
+fn name_and_weight(text: &str) -> Result<(String, f64), String> {
+    let parts = text.split_once('=').and_then(|(name, weight)| Some((name, weight.parse::<f64>().ok()?)));
+    parts.map(|(name, weight)| (name.to_owned(), weight)).ok_or_else(|| "NAME=WEIGHT".into())
 }

@@ -1,0 +1,219 @@
+//! A scan of a face: what a structured-light scanner would deliver, with the truth that it would not.
+
+mod detail;
+mod domain;
+mod faults;
+mod net;
+mod options;
+mod person;
+mod surface;
+#[cfg(test)]
+mod tests;
+mod view;
+
+use std::fmt;
+
+use nonrigid::mesh::normals::{NormalWeighting::Area, vertex_normals};
+use nonrigid::mesh::{TriangleMesh, Vec3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::{FaceRig, FaceWeights, Flat};
+use detail::Detail;
+use faults::Hole;
+use surface::{Shell, Surface};
+use view::{Occluder, View};
+
+pub use options::{Camera, ScanOptions, WrinkleMix};
+pub(crate) use person::CORRECTIVES;
+pub use person::{PRESETS, Pose, resolve_shapes};
+
+/// Why there is no scan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ScanError {
+    /// An option that makes no sense.
+    Option(String),
+    /// No camera sees any of the face.
+    NothingSeen,
+}
+
+impl fmt::Display for ScanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Option(what) => f.write_str(what),
+            Self::NothingSeen => f.write_str("no camera sees any of the face"),
+        }
+    }
+}
+
+impl std::error::Error for ScanError {}
+
+/// A simulated scan and everything that is known about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScanCase {
+    /// What the scanner delivers.
+    pub scan: TriangleMesh,
+    /// Where each template vertex truly is, in scan coordinates, detail included.
+    pub truth: Vec<Vec3>,
+    /// Whether the scan shows the surface all round the vertex.
+    pub observed: Vec<bool>,
+    /// Template vertex and noisy position in the scan, for the landmarks whose vertex is observed.
+    pub landmarks: Vec<(u32, Vec3)>,
+    /// Weight of each of the rig's expressions.
+    pub expression_weights: Vec<f64>,
+    /// Weight of each of the rig's identity modes.
+    pub identity_weights: Vec<f64>,
+    /// Standard deviation that these were drawn with; `None`: they were given.
+    pub identity_sigma: Option<f64>,
+    /// From the rig's coordinates to the scan's.
+    pub pose: Pose,
+}
+
+/// Points of the trial scan, which tells what is visible and how many points the scan needs.
+const TRIAL: usize = 40_000;
+
+/// What is drawn from a random stream of its own, so that one option does not change what the others draw.
+#[derive(Clone, Copy)]
+enum Stream {
+    Expression = 1,
+    Identity,
+    Pose,
+    Trial,
+    Detail,
+    Holes,
+    Noise,
+    Spikes,
+    LooseParts,
+    Outliers,
+    Order,
+    Landmarks,
+    Points,
+}
+
+impl Stream {
+    fn of(self, seed: u64) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(self as u64);
+        rng
+    }
+}
+
+/// Scans `rig`. Everything random comes from `seed`; equal arguments give equal bits, with any number of threads.
+///
+/// # Errors
+/// When an option makes no sense or names an expression that the rig does not have, or no camera sees anything.
+pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<ScanCase, ScanError> {
+    options.validate(rig)?;
+    let expression_weights = person::expression_weights(rig, options, &mut Stream::Expression.of(seed))?;
+    let identity_weights = person::identity_weights(rig, options, &mut Stream::Identity.of(seed));
+    let pose = options.pose.unwrap_or_else(|| Pose::random(options, &mut Stream::Pose.of(seed)));
+    let detail_seed = options.detail_seed.unwrap_or(seed);
+    let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(detail_seed));
+    let weights = FaceWeights { expressions: expression_weights.clone(), identity: identity_weights.clone() };
+    let contains = |place: Flat| rig.model.contains(place);
+    let surface = Surface::new(&rig.model, &contains, weights, pose, detail, options.eyeballs);
+
+    let trial = surface.sample(TRIAL, &mut Stream::Trial.of(seed));
+    let centre = trial.positions.iter().sum::<Vec3>() / trial.positions.len().max(1) as f64;
+    let eyes: Vec<Vec3> = options.cameras.iter().map(|c| c.position(centre)).collect();
+    let Shell { positions, triangles, skin_points, .. } = &trial;
+    let view = View::new(&eyes, Occluder { positions, triangles, skin_points: *skin_points }, options.grazing);
+    let seen = Seen::new(&trial, &view, &[]);
+    let visible: Vec<Vec3> =
+        trial.positions.iter().zip(&seen.kept).filter(|(_, kept)| **kept).map(|(p, _)| *p).collect();
+    let holes = Hole::draw(&visible, options, &mut Stream::Holes.of(seed));
+    let seen = seen.without(&trial, &holes);
+    let outliers = (options.outliers * options.triangles as f64) as usize;
+    let points = seen.points_for(&trial, options.triangles - outliers).ok_or(ScanError::NothingSeen)?;
+    drop((trial, seen));
+
+    let mut shell = surface.sample(points, &mut Stream::Points.of(seed));
+    let seen = Seen::new(&shell, &view, &holes);
+    let truth = surface.skin(&rig.places);
+    let observed = shell.skin.shown(&rig.places, &seen.kept);
+
+    let mut mesh = TriangleMesh { positions: std::mem::take(&mut shell.positions), triangles: seen.whole(&shell) };
+    drop(shell);
+    if mesh.triangles.is_empty() {
+        return Err(ScanError::NothingSeen);
+    }
+    let edge = mean_edge(&mesh);
+    faults::measure(
+        &mut mesh.positions,
+        &seen.rays,
+        options,
+        [&mut Stream::Noise.of(seed), &mut Stream::Spikes.of(seed)],
+    );
+    faults::add_outliers(&mut mesh, edge, outliers, &mut Stream::Outliers.of(seed));
+    faults::add_loose_parts(&mut mesh, centre, edge, options.loose_parts, &mut Stream::LooseParts.of(seed));
+    let scan = faults::shuffled(&mesh, &mut Stream::Order.of(seed));
+    let landmarks = landmarks(rig, &truth, &observed, options, &mut Stream::Landmarks.of(seed));
+    let identity_sigma = options.identity.is_none().then_some(options.identity_sigma);
+    Ok(ScanCase { scan, truth, observed, landmarks, expression_weights, identity_weights, identity_sigma, pose })
+}
+
+/// Which points of a sampled surface the scanner measures, and along which rays.
+struct Seen {
+    rays: Vec<Option<(f64, Vec3)>>,
+    kept: Vec<bool>,
+}
+
+impl Seen {
+    fn new(shell: &Shell, view: &View, holes: &[Hole]) -> Self {
+        let normals = vertex_normals(&shell.positions, &shell.triangles, Area);
+        let rays = view.seen(&shell.positions, &normals, shell.skin_points);
+        let kept = rays.iter().map(Option::is_some).collect();
+        Self { rays, kept }.without(shell, holes)
+    }
+
+    fn without(mut self, shell: &Shell, holes: &[Hole]) -> Self {
+        self.kept.par_iter_mut().zip(&shell.positions).for_each(|(kept, p)| *kept &= !holes.iter().any(|h| h.holds(p)));
+        self
+    }
+
+    /// Triangles all of whose corners are kept.
+    fn whole(&self, shell: &Shell) -> Vec<[u32; 3]> {
+        shell.triangles.iter().copied().filter(|t| t.iter().all(|v| self.kept[*v as usize])).collect()
+    }
+
+    /// How many points a surface needs, of which these are some, for a number of `triangles` to be left.
+    ///
+    /// N points, a share s of them seen, are 2 s N triangles, less those along the borders, which number c sqrt(N).
+    fn points_for(&self, shell: &Shell, triangles: usize) -> Option<usize> {
+        let all = self.kept.len() as f64;
+        let twice_kept = 2.0 * self.kept.iter().filter(|k| **k).count() as f64;
+        let whole = self.whole(shell).len() as f64;
+        if whole == 0.0 {
+            return None;
+        }
+        let (a, b) = (twice_kept / all, (twice_kept - whole) / all.sqrt());
+        let root = (b + (b * b + 4.0 * a * triangles as f64).sqrt()) / (2.0 * a);
+        // A sliver of the face at ten million triangles would be more than memory holds.
+        Some((root * root).min(2e7) as usize)
+    }
+}
+
+fn mean_edge(mesh: &TriangleMesh) -> f64 {
+    let length = |t: &[u32; 3]| (mesh.positions[t[0] as usize] - mesh.positions[t[1] as usize]).norm();
+    mesh.triangles.iter().map(length).sum::<f64>() / mesh.triangles.len().max(1) as f64
+}
+
+fn landmarks(
+    rig: &FaceRig,
+    truth: &[Vec3],
+    observed: &[bool],
+    options: &ScanOptions,
+    rng: &mut ChaCha8Rng,
+) -> Vec<(u32, Vec3)> {
+    use rand_distr::{Distribution, StandardNormal};
+    let mut found = Vec::new();
+    for landmark in &rig.landmarks {
+        let noise = Vec3::from_fn(|_, _| StandardNormal.sample(rng));
+        let v = landmark.vertex as usize;
+        if observed[v] {
+            found.push((landmark.vertex, truth[v] + noise * options.landmark_noise));
+        }
+    }
+    found
+}

@@ -1,0 +1,234 @@
+//! What is scanned, by which cameras, and how badly.
+
+use nonrigid::mesh::Vec3;
+use serde::Serialize;
+
+use super::{Pose, ScanError, resolve_shapes};
+use crate::FaceRig;
+
+/// What is scanned and how badly. Lengths in millimetres, angles in degrees.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScanOptions {
+    /// Expression weights by name; a name without `_L` or `_R` stands for both sides, and of two equal names the later
+    /// counts. `None` draws three of 0.4 to 1.
+    pub expressions: Option<Vec<(String, f64)>>,
+    /// Identity weights, missing ones are 0; `None` draws them from N(0, `identity_sigma`).
+    pub identity: Option<Vec<f64>>,
+    /// Standard deviation of drawn identity weights; default 0.8.
+    pub identity_sigma: f64,
+    /// Largest height of wrinkles and skin structure that no shape expresses; default 0.8.
+    pub detail: f64,
+    /// How strong the kinds of detail are among each other.
+    pub wrinkles: WrinkleMix,
+    /// Where the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
+    pub detail_seed: Option<u64>,
+    /// Largest angle of the random rotation; default 12.
+    pub rotation: f64,
+    /// Largest translation along each axis; default 20.
+    pub translation: f64,
+    /// The pose, in place of a random one.
+    pub pose: Option<Pose>,
+    /// Triangles of the finished scan, after visibility and holes, 500 to 10,000,000; met within about 3 %; default 60,000.
+    pub triangles: usize,
+    /// Whether the visible part of the eyeballs belongs to the scan; default true.
+    pub eyeballs: bool,
+    /// What is measured is what at least one of them sees; default three at -30, 0, 30 degrees. None: everything is seen.
+    pub cameras: Vec<Camera>,
+    /// Steepest angle between surface normal and view ray at which a point is still seen; default 70.
+    pub grazing: f64,
+    /// Standard deviation of the noise along the view ray, where it meets the surface squarely; default 0.1.
+    pub noise: f64,
+    /// Growth of the noise with the angle a between normal and ray: x (1 + `grazing_noise` (1 / cos a - 1)); default 0.5.
+    pub grazing_noise: f64,
+    /// Number of holes; default 4.
+    pub holes: usize,
+    /// Smallest and largest radius of a hole; default 4 to 9.
+    pub hole_radius: [f64; 2],
+    /// Share of the points that are spikes along the ray; default 0.001.
+    pub spikes: f64,
+    /// Smallest and largest height of a spike, either way; default 3 to 15.
+    pub spike_height: [f64; 2],
+    /// Single triangles that float within 60 mm of the surface, as a share of all triangles; default 0.001.
+    pub outliers: f64,
+    /// Number of loose parts that float beside the face; default 2.
+    pub loose_parts: usize,
+    /// Standard deviation of the landmarks along each axis; default 1.
+    pub landmark_noise: f64,
+}
+
+/// How strong the kinds of detail are among each other; 1 is usual, 0 none.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WrinkleMix {
+    /// Lines across the forehead.
+    pub forehead: f64,
+    /// Crow's feet, from the outer corners of the eyes.
+    pub crows_feet: f64,
+    /// Folds from nose to mouth and under the eyes.
+    pub folds: f64,
+    /// Isotropic structure of the skin.
+    pub skin: f64,
+}
+
+impl Default for WrinkleMix {
+    fn default() -> Self {
+        Self { forehead: 1.0, crows_feet: 1.0, folds: 1.0, skin: 1.0 }
+    }
+}
+
+/// Where a camera stands. All of them look at the face's centre.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Camera {
+    /// Round the face's centre, in the scan's axes.
+    Orbit {
+        /// From +Z towards +X, degrees.
+        azimuth: f64,
+        /// Upwards, degrees.
+        elevation: f64,
+        /// From the centre, millimetres.
+        distance: f64,
+    },
+    /// A point in the scan's coordinates.
+    Position([f64; 3]),
+}
+
+impl Camera {
+    /// At the usual distance, 700 mm.
+    #[must_use]
+    pub fn orbit(azimuth: f64, elevation: f64) -> Self {
+        Self::Orbit { azimuth, elevation, distance: 700.0 }
+    }
+
+    /// Its position when the face's centre is at `centre`.
+    pub(super) fn position(&self, centre: Vec3) -> Vec3 {
+        match *self {
+            Self::Position(p) => p.into(),
+            Self::Orbit { azimuth, elevation, distance } => {
+                let ((sin, cos), (up, level)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
+                centre + Vec3::new(sin * level, up, cos * level) * distance
+            }
+        }
+    }
+}
+
+impl Default for ScanOptions {
+    fn default() -> Self {
+        Self {
+            expressions: None,
+            identity: None,
+            identity_sigma: 0.8,
+            detail: 0.8,
+            wrinkles: WrinkleMix::default(),
+            detail_seed: None,
+            rotation: 12.0,
+            translation: 20.0,
+            pose: None,
+            triangles: 60_000,
+            eyeballs: true,
+            cameras: [-30.0, 0.0, 30.0].map(|azimuth| Camera::orbit(azimuth, 0.0)).to_vec(),
+            grazing: 70.0,
+            noise: 0.1,
+            grazing_noise: 0.5,
+            holes: 4,
+            hole_radius: [4.0, 9.0],
+            spikes: 0.001,
+            spike_height: [3.0, 15.0],
+            outliers: 0.001,
+            loose_parts: 2,
+            landmark_noise: 1.0,
+        }
+    }
+}
+
+impl ScanOptions {
+    /// The face as it is: no noise, holes, spikes, outliers, loose parts, detail, pose, hidden regions or eyeballs, exact
+    /// landmarks.
+    #[must_use]
+    pub fn clean() -> Self {
+        Self {
+            detail: 0.0,
+            rotation: 0.0,
+            translation: 0.0,
+            eyeballs: false,
+            cameras: Vec::new(),
+            noise: 0.0,
+            holes: 0,
+            spikes: 0.0,
+            outliers: 0.0,
+            loose_parts: 0,
+            landmark_noise: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// Whether these options make sense for a rig.
+    ///
+    /// # Errors
+    /// When a number is out of its range, or the rig does not have an expression.
+    pub fn validate(&self, rig: &FaceRig) -> Result<(), ScanError> {
+        let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
+        self.expressions.iter().flatten().try_for_each(|(name, _)| resolve_shapes(&names, name).map(|_| ()))?;
+        self.check()
+    }
+
+    fn check(&self) -> Result<(), ScanError> {
+        let bad = |what: &str, range: &str, found: f64| Err(ScanError::Option(format!("{what}: {range}, not {found}")));
+        let mix = &self.wrinkles;
+        for (what, value, most) in [
+            ("identity sigma", self.identity_sigma, 10.0),
+            ("detail", self.detail, 5.0),
+            ("forehead lines", mix.forehead, 10.0),
+            ("crow's feet", mix.crows_feet, 10.0),
+            ("folds", mix.folds, 10.0),
+            ("skin structure", mix.skin, 10.0),
+            ("rotation", self.rotation, 180.0),
+            ("translation", self.translation, 1e6),
+            ("grazing angle", self.grazing, 90.0),
+            ("noise", self.noise, 100.0),
+            ("growth of the noise", self.grazing_noise, 100.0),
+            ("smallest hole radius", self.hole_radius[0], self.hole_radius[1]),
+            ("largest hole radius", self.hole_radius[1], 1000.0),
+            ("share of spikes", self.spikes, 1.0),
+            ("smallest spike", self.spike_height[0], self.spike_height[1]),
+            ("largest spike", self.spike_height[1], 1e6),
+            ("share of outliers", self.outliers, 0.5),
+            ("landmark noise", self.landmark_noise, 1000.0),
+        ] {
+            if !(0.0..=most).contains(&value) {
+                return bad(what, &format!("0 to {most}"), value);
+            }
+        }
+        if !(500..=10_000_000).contains(&self.triangles) {
+            return bad("triangles", "500 to 10,000,000", self.triangles as f64);
+        }
+        for (what, count) in [("holes", self.holes), ("loose parts", self.loose_parts)] {
+            if count > 1000 {
+                return bad(what, "at most 1000", count as f64);
+            }
+        }
+        for camera in &self.cameras {
+            match *camera {
+                Camera::Orbit { azimuth, elevation, distance } => {
+                    if !(azimuth.abs() <= 360.0 && elevation.abs() < 90.0) {
+                        let range = "azimuth within 360 and elevation within 90 degrees".to_owned();
+                        return Err(ScanError::Option(format!("camera: {range}, not {azimuth}, {elevation}")));
+                    }
+                    if !(250.0..=1e5).contains(&distance) {
+                        return bad("distance of a camera", "250 to 100,000 mm", distance);
+                    }
+                }
+                Camera::Position(p) => {
+                    if p.iter().any(|x| x.is_nan() || x.abs() > 1e5) {
+                        return Err(ScanError::Option(format!("camera: a position within 100,000 mm, not {p:?}")));
+                    }
+                }
+            }
+        }
+        let finite = |w: &f64| w.is_finite() && w.abs() <= 100.0;
+        let weights = self.expressions.iter().flatten().map(|e| &e.1).chain(self.identity.iter().flatten());
+        match weights.copied().find(|w| !finite(w)) {
+            Some(weight) => bad("weight", "-100 to 100", weight),
+            None => Ok(()),
+        }
+    }
+}

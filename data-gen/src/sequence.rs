@@ -1,0 +1,177 @@
+//! Sequences: one person's expressions and head moving smoothly from frame to frame.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::Path;
+
+use anyhow::Result;
+use nonrigid::mesh::Vec3;
+use nonrigid::mesh::io::write_atomically;
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::scan::CORRECTIVES;
+use crate::{FaceRig, Pose, ScanOptions};
+
+/// Seconds from one key expression to the next, and of the slowest turn of the head.
+const KEY: f64 = 0.6;
+const SWAY: f64 = 4.0;
+/// Apart from the streams of a scan.
+const STREAM: u64 = 100;
+
+/// How a person moves: key expressions from neutral on, eased into each other, and a swaying head.
+pub struct Motion {
+    options: ScanOptions,
+    names: Vec<String>,
+    /// Weights of all expressions, every [`KEY`] seconds.
+    keys: Vec<Vec<f64>>,
+    /// Amplitude (degrees or millimetres, about or along x, y, z), angular frequency and phase of the head's motion.
+    sways: Vec<([f64; 6], f64, f64)>,
+}
+
+impl Motion {
+    /// A motion of `seconds`; `options` say who moves and how far the head may turn and go. Given expressions are the
+    /// motion's peak, reached and left again and again; otherwise each key is another expression of three shapes.
+    ///
+    /// # Errors
+    /// When `options` name an expression that the rig does not have.
+    pub fn new(rig: &FaceRig, options: &ScanOptions, seconds: f64, seed: u64) -> Result<Self, crate::ScanError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(STREAM);
+        let names: Vec<String> = rig.expressions.iter().map(|e| e.0.clone()).collect();
+        let known: Vec<&str> = names.iter().map(String::as_str).collect();
+        let usable: Vec<usize> = (0..names.len()).filter(|k| !CORRECTIVES.contains(&known[*k])).collect();
+        let count = (seconds.clamp(0.0, 1e5) / KEY).ceil() as usize + 2;
+        let mut keys = vec![vec![0.0; names.len()]; count];
+        for (at, key) in keys.iter_mut().enumerate().skip(1) {
+            if let Some(wanted) = &options.expressions {
+                let strength = if at % 2 == 1 { 1.0 } else { rng.random_range(0.0..0.3) };
+                for (name, weight) in wanted {
+                    for full in crate::resolve_shapes(&known, name)? {
+                        known.iter().zip(&mut *key).filter(|n| *n.0 == full).for_each(|n| *n.1 = weight * strength);
+                    }
+                }
+            } else {
+                let mut order = usable.clone();
+                order.shuffle(&mut rng);
+                for k in order.into_iter().take(3) {
+                    key[k] = rng.random_range(0.3..1.0);
+                }
+            }
+        }
+        let mut identity_rng = ChaCha8Rng::seed_from_u64(seed);
+        identity_rng.set_stream(STREAM + 1);
+        let mut options = options.clone();
+        if options.identity.is_none() {
+            use rand_distr::{Distribution, StandardNormal};
+            let mut draw = || -> f64 { StandardNormal.sample(&mut identity_rng) };
+            options.identity = Some((0..rig.identities.len()).map(|_| options.identity_sigma * draw()).collect());
+        }
+        options.detail_seed = options.detail_seed.or(Some(seed));
+        let mut sway = |share: f64, slow: f64| {
+            let reach = [options.rotation, options.rotation, options.rotation]
+                .into_iter()
+                .chain([options.translation; 3])
+                .map(|most| share * most * rng.random_range(-1.0..1.0) / 3f64.sqrt());
+            let mut amplitudes = [0.0; 6];
+            amplitudes.iter_mut().zip(reach).for_each(|(a, r)| *a = r);
+            (amplitudes, std::f64::consts::TAU / (slow * rng.random_range(0.7..1.3)), rng.random_range(0.0..6.28))
+        };
+        let sways = vec![sway(0.6, SWAY), sway(0.3, 0.5 * SWAY), sway(0.1, 0.25 * SWAY)];
+        Ok(Self { options, names, keys, sways })
+    }
+
+    /// Weight of each of the rig's expressions after `seconds`.
+    #[must_use]
+    pub fn weights(&self, seconds: f64) -> Vec<f64> {
+        let at = (seconds / KEY).clamp(0.0, (self.keys.len() - 2) as f64);
+        let key = (at as usize).min(self.keys.len() - 2);
+        let ease = 0.5 - 0.5 * (std::f64::consts::PI * (at - key as f64)).cos();
+        self.keys[key].iter().zip(&self.keys[key + 1]).map(|(a, b)| a + ease * (b - a)).collect()
+    }
+
+    /// The head's pose after `seconds`.
+    #[must_use]
+    pub fn pose(&self, seconds: f64) -> Pose {
+        let mut sum = [0.0; 6];
+        for (amplitudes, frequency, phase) in &self.sways {
+            let wave = (frequency * seconds + phase).sin();
+            sum.iter_mut().zip(amplitudes).for_each(|(s, a)| *s += a * wave);
+        }
+        let turn = Vec3::new(sum[0], sum[1], sum[2]);
+        let angle = turn.norm();
+        let axis = turn.try_normalize(1e-12).unwrap_or_else(Vec3::y);
+        Pose::new(axis, angle.to_radians(), Vec3::new(sum[3], sum[4], sum[5]))
+    }
+
+    /// What is scanned after `seconds`: the same person, the same cameras and faults.
+    #[must_use]
+    pub fn options(&self, seconds: f64) -> ScanOptions {
+        let expressions = self.names.iter().cloned().zip(self.weights(seconds)).collect();
+        ScanOptions { expressions: Some(expressions), pose: Some(self.pose(seconds)), ..self.options.clone() }
+    }
+}
+
+/// Writes `weights.csv`: frame, time in seconds, and every expression's weight.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_weights(path: &Path, rig: &FaceRig, frames: &[(f64, Vec<f64>)]) -> Result<()> {
+    let mut text = String::from("frame,time");
+    rig.expressions.iter().for_each(|(name, _)| {
+        let _ = write!(text, ",{name}"); // never fails on a string
+    });
+    for (frame, (time, weights)) in frames.iter().enumerate() {
+        let _ = write!(text, "\n{frame},{time}");
+        weights.iter().for_each(|w| {
+            let _ = write!(text, ",{w}");
+        });
+    }
+    Ok(write_atomically(path, |file| writeln!(file, "{text}"))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FaceOptions;
+
+    #[test]
+    fn motion_begins_neutral_and_stays_smooth_and_within_bounds() {
+        let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 3 });
+        let options = ScanOptions::default();
+        let motion = Motion::new(&rig, &options, 4.0, 5).unwrap();
+        assert!(motion.weights(0.0).iter().all(|w| *w == 0.0));
+        let mut moved: f64 = 0.0;
+        for frame in 0..400 {
+            let (t, later) = (0.01 * f64::from(frame), 0.01 * f64::from(frame + 1));
+            let (a, b) = (motion.weights(t), motion.weights(later));
+            assert!(a.iter().all(|w| (0.0..=1.0).contains(w)));
+            // An eased step of 1 in 0.6 s moves by at most pi / 2 / 0.6 a second.
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 0.027));
+            let (a, b) = (motion.pose(t), motion.pose(later));
+            let p = Vec3::new(0.0, 0.0, 100.0);
+            assert!((a.apply(&p) - b.apply(&p)).norm() < 2.0);
+            assert!(Vec3::from(a.translation).amax() <= options.translation);
+            assert!((a.rotate(&p).normalize().z).acos() <= options.rotation.to_radians());
+            moved = moved.max((a.apply(&p) - motion.pose(0.0).apply(&p)).norm());
+        }
+        assert!(moved > 1.0, "{moved}");
+        assert!(motion.weights(0.6).iter().filter(|w| **w > 0.0).count() == 3);
+        let other = motion.options(2.0);
+        assert_eq!(other.identity, motion.options(0.0).identity);
+        assert_eq!(other.detail_seed, Some(5));
+    }
+
+    #[test]
+    fn given_expressions_are_the_peak() {
+        let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 3 });
+        let options =
+            |name: &str| ScanOptions { expressions: Some(vec![(name.into(), 0.8)]), ..ScanOptions::default() };
+        let motion = Motion::new(&rig, &options("jawOpen"), 4.0, 5).unwrap();
+        let jaw = rig.expressions.iter().position(|e| e.0 == "jawOpen").unwrap();
+        assert!((motion.weights(0.6)[jaw] - 0.8).abs() < 1e-12);
+        assert!(motion.weights(1.2)[jaw] < 0.3);
+        assert!(Motion::new(&rig, &options("jawClose"), 4.0, 5).is_err());
+    }
+}
