@@ -191,7 +191,7 @@ mod tests {
         let numbers: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
         assert_eq!((numbers.len(), read.landmarks()), (68, Some(&*numbers)));
         let json = |name: &str| -> Value { serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap() };
-        let in_regions = json("regions.json").as_object().unwrap().values().map(|r| r.as_array().unwrap().len()).sum();
+        let in_regions: usize = json("regions.json").as_object().unwrap().values().map(|r| r.as_array().unwrap().len()).sum();
         assert_eq!(rig.neutral.len(), in_regions);
         assert!(json("eyeballs.json")["left"]["centre"][0].as_f64().unwrap() > 20.0);
         let materials = fs::read_to_string(folder.path().join("face.mtl")).unwrap();
