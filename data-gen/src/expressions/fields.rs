@@ -25,6 +25,12 @@ pub(super) fn pull(s: &Site, at: [f64; 2], widths: [f64; 2], by: [f64; 3]) -> Ve
     along(s, by) * blob(s, at, widths)
 }
 
+/// Moves a blob of skin and its mirror image.
+pub(super) fn pull_both(s: &Site, at: [f64; 2], widths: [f64; 2], by: [f64; 3]) -> Vec3 {
+    let right = pull(&s.mirrored(), at, widths, by);
+    pull(s, at, widths, by) + Vec3::new(-right.x, right.y, right.z)
+}
+
 /// Wrinkles: waves of skin in a blob, across the direction `[x, y]` in which they repeat every `|[x, y]|` millimetres.
 pub(super) fn wrinkles(s: &Site, at: [f64; 2], widths: [f64; 2], [x, y]: [f64; 2], height: f64) -> Vec3 {
     let phase = ((s.x - at[0]) * x + (s.y - at[1]) * y) / (x * x + y * y);
@@ -55,23 +61,30 @@ pub(super) fn part_lips(s: &Site, half: f64, reach: f64) -> Vec3 {
     Vec3::new(0.0, half * s.mouth.eta.sin() * bell(s.mouth.r.max(0.0), reach), 0.0)
 }
 
-/// Draws the mouth together from the sides by a share of its width, and forward.
-pub(super) fn purse(s: &Site, narrower: f64, forward: f64, [wide, high]: [f64; 2]) -> Vec3 {
-    let around = blob(s, MOUTH, [wide, high]);
-    along(s, [-narrower * s.x * around, 0.0, 0.0]) + Vec3::new(0.0, 0.0, forward * around * bell(s.x, 0.8 * wide))
+/// Draws the mouth together from the sides by a share of its width, and forward; `high` is how far up and down that reaches.
+pub(super) fn purse(s: &Site, narrower: f64, forward: f64, high: f64) -> Vec3 {
+    let evenly = |half: f64| (-(s.x / half).powi(4)).exp() * bell(s.y - MOUTH[1], high);
+    along(s, [-narrower * s.x * evenly(36.0), 0.0, 0.0])
+        + Vec3::new(0.0, 0.0, forward * evenly(27.0) * bell(s.y - MOUTH[1], high))
 }
 
-/// Turns the lips about their outer borders, inwards if positive; degrees in the middle of upper and lower lip.
+/// Turns the lips about their outer borders, inwards if positive; degrees in the middle of upper and lower lip. Their edges
+/// move back or forward, not up or down.
 pub(super) fn roll(s: &Site, [upper, lower]: [f64; 2]) -> Vec3 {
     let Around { r, eta } = s.mouth;
-    if r > 30.0 {
+    if r > 40.0 {
         return Vec3::zeros();
     }
     let degrees = if eta > 0.0 { upper } else { -lower };
-    let angle = degrees.to_radians() * eta.sin().powi(2) * bell((r - 2.0).max(0.0), 4.0);
-    let [x, y] = CLOSED_MOUTH.point(Around { r: 8.5, eta });
-    let offset = s.neutral - skin([MOUTH[0] + x, MOUTH[1] + y]);
-    turned_about_x(offset, angle) - offset
+    let angle = degrees.to_radians() * eta.sin().powi(2);
+    let on_ring = |r: f64| {
+        let [x, y] = CLOSED_MOUTH.point(Around { r, eta });
+        skin([MOUTH[0] + x, MOUTH[1] + y])
+    };
+    let border = on_ring(8.5);
+    let (offset, edge) = (s.neutral - border, on_ring(1e-3) - border);
+    let turned = turned_about_x(offset, angle * bell((r - 2.0).max(0.0), 4.0)) - offset;
+    turned - Vec3::new(0.0, (turned_about_x(edge, angle) - edge).y * bell(r.max(0.0), 9.0), 0.0)
 }
 
 fn turned_about_x(v: Vec3, angle: f64) -> Vec3 {
@@ -79,11 +92,21 @@ fn turned_about_x(v: Vec3, angle: f64) -> Vec3 {
     Vec3::new(v.x, cos * v.y - sin * v.z, sin * v.y + cos * v.z)
 }
 
-/// How much the skin follows the jaw: all at the chin and the lower lip, a third at the corners of the mouth, hardly at the
-/// upper lip and before the ears.
-pub(super) fn follows_jaw(s: &Site) -> f64 {
-    let down = s.mouth.eta.sin();
-    let lips = (1.0 - down) * (0.5 - 0.17 * (1.0 + down));
+/// How much the skin drops with the jaw: all at the chin and the lower lip, a third at the corners of the mouth, hardly at
+/// the upper lip and before the ears.
+fn drops_with_jaw(s: &Site) -> f64 {
+    let up = s.mouth.eta.sin();
+    follows_jaw(s, (1.0 - up) * (0.5 - (1.0 + up) * (0.17 + 0.11 * up)))
+}
+
+/// How much it goes with a jaw that slides: the corners of the mouth half, the lips beside them alike.
+pub(super) fn slides_with_jaw(s: &Site) -> f64 {
+    let up = s.mouth.eta.sin();
+    follows_jaw(s, 0.5 - 0.5 * up * up.abs())
+}
+
+/// Given how much the lips' edges follow.
+fn follows_jaw(s: &Site, lips: f64) -> f64 {
     // The cheek stretches between cheek bone and jaw.
     let x2 = s.x * s.x;
     let cheek = fade((-71.0 - x2 / 300.0 - s.y) / (14.0 + x2 / 200.0));
@@ -95,7 +118,7 @@ pub(super) fn follows_jaw(s: &Site) -> f64 {
 /// Opens the jaw: it turns about an axis through both joints in front of the ears, which glide forwards and down.
 pub(super) fn open_jaw(s: &Site, degrees: f64, glide: Vec3) -> Vec3 {
     let offset = s.neutral - Vec3::new(0.0, -12.0, -75.0);
-    (turned_about_x(offset, degrees.to_radians()) - offset + glide) * follows_jaw(s)
+    (turned_about_x(offset, degrees.to_radians()) - offset + glide) * drops_with_jaw(s)
 }
 
 /// Neutral position of a chart point.
@@ -109,26 +132,32 @@ pub(super) fn lids(s: &Site, [upper, lower]: [f64; 2]) -> Vec3 {
     if r > 40.0 || (upper == 0.0 && lower == 0.0) {
         return Vec3::zeros();
     }
-    let on_upper = 0.5 + 0.5 * (eta.sin() / 0.25).tanh();
-    let close = lower + (upper - lower) * on_upper;
-    // Here and across the opening, on the lids' edges.
-    let edge = |eta: f64| skin(eye_point(Around { r: 0.0, eta }));
+    let up = eta.sin();
+    // Near the corners both lids do alike, so that they meet there on a straight line.
+    let on_upper = 0.5 + 0.5 * (1.8 * up * up.abs()).tanh() / 1.8f64.tanh();
+    // Here and across the opening: on the lids' edges, at the corners on the margins themselves.
+    let ring = r.min(0.0) * (1.0 - up * up);
+    let edge = |eta: f64| skin(eye_point(Around { r: ring, eta }));
     let (here, across) = (edge(eta), edge(-eta));
+    // The very corners stay open, by less than half a millimetre.
+    let opening = (across - here).norm_squared();
+    let close = (lower + (upper - lower) * on_upper) * opening / (opening + 0.6);
     let centre = Vec3::from(EYEBALL.0);
-    let follow = bell(r.max(0.0), 6.5 + 2.0 * on_upper);
+    let follow = bell(r.max(0.0), 1.0 + (5.5 + 2.0 * on_upper) * up * up);
     let inside = r.min(0.0) / EYELIDS.innermost;
     // The margins of lids that close are pressed together.
-    let pressed = if r < 0.0 { 0.6 * (upper + lower).max(0.0) } else { 0.0 };
+    let pressed = if r < 0.0 { 0.6 * (upper + lower).max(0.0) * up * up } else { 0.0 };
     let moved = s.neutral + (across - here) * (close * follow) + (here - s.neutral) * pressed - centre;
     let sinks = (across - centre).norm() - (here - centre).norm();
     let radius = (s.neutral - centre).norm() + close * follow * (1.0 - inside) * sinks;
     centre + moved * (radius / moved.norm()) - s.neutral
 }
 
-/// Displacement that slides over the eyeballs wherever lids move.
+/// Displacement that slides over the eyeballs wherever lids move, and little: their corners are tied to the bone.
 pub(super) fn keep_off_eyeballs(s: &Site, mut displacement: Vec3) -> Vec3 {
     for (eye, side) in [(s.left_eye, 1.0), (s.right_eye, -1.0)] {
         if eye.r < 30.0 {
+            displacement *= 1.0 - 0.85 * bell(eye.r.max(0.0), 5.0);
             let from_centre = s.neutral - Vec3::new(side * EYEBALL.0[0], EYEBALL.0[1], EYEBALL.0[2]);
             let moved = from_centre + displacement;
             displacement += moved * ((from_centre.norm() / moved.norm() - 1.0) * bell(eye.r.max(0.0), 5.0));

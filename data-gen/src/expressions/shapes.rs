@@ -2,7 +2,9 @@
 
 use nonrigid::mesh::Vec3;
 
-use super::fields::{along, crease, follows_jaw, lower_lip, open_jaw, part_lips, pull, purse, roll, upper_lip, wrinkles};
+use super::fields::{
+    along, crease, lower_lip, open_jaw, part_lips, pull, pull_both, purse, roll, slides_with_jaw, upper_lip, wrinkles,
+};
 use crate::face::{Site, bell, fade};
 
 /// Whether a shape has a mirror image, and how the two are called.
@@ -62,55 +64,57 @@ pub(super) const SHAPES: [Shape; 31] = [
     }),
     // Air blows up the cheek; buccinator gives way.
     pair("cheekPuff", |s| {
-        pull(s, [43.0, -66.0], [16.0, 17.0], [0.0, 0.0, 9.5]) + pull(s, [20.0, -56.0], [9.0, 7.0], [0.0, 0.0, 3.0])
+        pull(s, [47.0, -66.0], [16.0, 17.0], [0.0, 0.0, 11.5])
+            + pull(s, [20.0, -56.0], [9.0, 7.0], [0.0, 0.0, 3.0])
             + pull(s, [20.0, -82.0], [9.0, 7.0], [0.0, 0.0, 3.0])
     }),
     // Orbicularis oculi, its outer ring, lifts the whole cheek.
     eye("cheekRaiser", [0.04, 0.14], |s| {
         pull(s, [36.0, -30.0], [15.0, 12.0], [0.5, 5.5, 3.0])
-            + wrinkles(s, [57.0, -3.0], [6.0, 9.0], [2.0, 7.0], 0.5)
-            + crease(s, [24.0, -52.0], [30.0, -62.0], 4.0, 0.8)
+            + wrinkles(s, [57.0, -3.0], [7.0, 9.0], [2.0, 9.0], 0.5)
+            + crease(s, [24.0, -52.0], [31.0, -64.0], 4.0, 0.8)
     }),
     // Its upper part, under the eye.
     eye("cheekSquint", [0.02, 0.22], |s| {
-        pull(s, [35.0, -19.0], [13.0, 7.5], [0.0, 3.6, 2.2]) + wrinkles(s, [54.0, -5.0], [5.0, 6.0], [2.0, 6.0], 0.35)
+        pull(s, [35.0, -19.0], [13.0, 7.5], [0.0, 3.6, 2.2]) + wrinkles(s, [54.0, -5.0], [6.0, 7.0], [2.0, 8.0], 0.35)
     }),
-    eye("eyeBlink", [0.83, 0.155], |s| pull(s, [32.0, 14.0], [14.0, 6.0], [0.0, -0.8, 0.0])),
+    eye("eyeBlink", [0.79, 0.2], |s| pull(s, [32.0, 14.0], [14.0, 6.0], [0.0, -0.8, 0.0])),
     // The lids follow the eyeball; the cornea lifts them a little.
     eye("eyeLookDown", [0.42, -0.12], |_| Vec3::zeros()),
-    eye("eyeLookIn", [0.0, 0.0], |s| look_aside(s, -1.3)),
-    eye("eyeLookOut", [0.0, 0.0], |s| look_aside(s, 1.3)),
+    eye("eyeLookIn", [0.0, 0.0], |s| look_aside(s, -3.5)),
+    eye("eyeLookOut", [0.0, 0.0], |s| look_aside(s, 3.5)),
     eye("eyeLookUp", [-0.16, 0.12], |s| pull(s, [32.0, 20.0], [15.0, 7.0], [0.0, 0.8, 0.0])),
     eye("eyeSquint", [0.12, 0.32], |s| {
         pull(s, [34.0, -15.0], [13.0, 6.0], [0.0, 1.6, 1.0])
             + pull(s, [32.0, 17.0], [14.0, 6.0], [0.0, -1.5, 0.2])
-            + wrinkles(s, [53.0, -2.0], [4.5, 6.0], [2.0, 6.0], 0.35)
+            + wrinkles(s, [54.0, -2.0], [5.5, 7.0], [2.0, 8.0], 0.35)
     }),
     // Levator palpebrae.
     eye("eyeWide", [-0.26, -0.1], |s| pull(s, [32.0, 19.0], [15.0, 7.0], [0.0, 1.2, 0.0])),
-    one("jawForward", |s| Vec3::new(0.0, -1.5, 8.0) * follows_jaw(s)),
-    left_right("jaw", |s| Vec3::new(8.0, -1.0, 0.0) * follows_jaw(s)),
+    one("jawForward", |s| Vec3::new(0.0, -3.0, 8.5) * slides_with_jaw(s)),
+    left_right("jaw", |s| Vec3::new(8.0, -2.5, 0.0) * slides_with_jaw(s)),
+    // Depressors of the jaw; the corners of the mouth come nearer to each other.
     one("jawOpen", |s| {
-        let corners = pull(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0]) - {
-            let m = s.mirrored();
-            let d = pull(&m, CORNER, [9.0, 12.0], [3.5, 0.0, 0.0]);
-            Vec3::new(-d.x, d.y, d.z)
-        };
-        open_jaw(s, 27.0, Vec3::new(0.0, -3.0, 10.0)) + corners
+        open_jaw(s, 27.0, Vec3::new(0.0, -3.0, 10.0)) + pull_both(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0])
     }),
     // Buccinator draws the corner back.
     pair("mouthDimple", |s| {
-        pull(s, CORNER, [9.0, 8.0], [5.0, 1.0, -2.5]) + pull(s, [34.0, -67.0], [3.5, 5.0], [0.0, 0.0, -2.0])
+        pull(s, CORNER, [9.0, 8.0], [5.0, 1.0, -2.5])
+            + pull(s, [34.0, -67.0], [3.5, 5.0], [0.0, 0.0, -2.0])
             + pull(s, [41.0, -66.0], [5.0, 8.0], [0.0, 0.0, 1.5])
     }),
     // Depressor anguli oris.
     pair("mouthFrown", |s| {
-        pull(s, CORNER, [10.5, 11.0], [1.0, -9.0, -0.5]) + crease(s, [29.0, -72.0], [31.0, -90.0], 3.0, 1.5)
+        pull(s, CORNER, [10.5, 11.0], [1.0, -9.0, -0.5])
+            + crease(s, [29.0, -72.0], [31.0, -90.0], 3.0, 1.5)
             + pull(s, [0.0, -84.0], [12.0, 7.0], [0.0, 1.0, 0.8])
     }),
     // Orbicularis oris, lips apart and turned out.
     one("mouthFunnel", |s| {
-        purse(s, 0.32, 8.0, [26.0, 18.0]) + part_lips(s, 7.0, 11.0) + roll(s, [-14.0, -16.0])
+        purse(s, 0.42, 7.5, 19.0)
+            + part_lips(s, 7.5, 11.0)
+            + roll(s, [-14.0, -16.0])
+            + pull(s, [0.0, -68.0], [4.0, 7.0], [0.0, 0.9, 0.0])
     }),
     left_right("mouth", |s| {
         pull(s, [2.0, -68.0], [27.0, 16.0], [9.0, 0.0, 0.0]) + pull(s, [36.0, -62.0], [10.0, 13.0], [0.0, 1.0, 2.0])
@@ -123,35 +127,35 @@ pub(super) const SHAPES: [Shape; 31] = [
     // Both lips against each other.
     pair("mouthPress", |s| {
         let side = fade(s.x / 8.0);
-        (roll(s, [26.0, 26.0]) + Vec3::new(0.0, -2.2, 0.0) * upper_lip(s, 9.0) + Vec3::new(0.0, 2.2, 0.0) * lower_lip(s, 9.0))
-            * side
+        roll(s, [38.0, 38.0]) * side
             + pull(s, CORNER, [7.0, 7.0], [1.5, 0.5, -1.5])
             + pull(s, [12.0, -83.0], [9.0, 6.0], [0.0, 1.0, 1.2])
     }),
     // Orbicularis oris, lips together.
-    one("mouthPucker", |s| purse(s, 0.48, 11.0, [26.0, 17.0]) + roll(s, [-12.0, -12.0])),
-    one("mouthRollLower", |s| {
-        roll(s, [0.0, 58.0]) + Vec3::new(0.0, 3.5, 0.0) * lower_lip(s, 12.0) + pull(s, [0.0, -86.0], [17.0, 6.0], [0.0, 1.5, 1.2])
-    }),
-    one("mouthRollUpper", |s| roll(s, [58.0, 0.0]) + Vec3::new(0.0, -3.5, 0.0) * upper_lip(s, 11.0)),
+    one("mouthPucker", |s| purse(s, 0.52, 11.0, 18.0) + roll(s, [-20.0, -20.0])),
+    one("mouthRollLower", |s| roll(s, [0.0, 52.0]) + pull(s, [0.0, -86.0], [17.0, 6.0], [0.0, 1.5, 1.2])),
+    one("mouthRollUpper", |s| roll(s, [70.0, 0.0])),
     // Mentalis.
     one("mouthShrugLower", |s| {
-        pull(s, [0.0, -92.0], [17.0, 13.0], [0.0, 5.5, 1.0]) + pull(s, [0.0, -72.0], [19.0, 8.0], [0.0, 3.0, 2.5])
-            + roll(s, [0.0, -10.0]) + wrinkles(s, [0.0, -100.0], [10.0, 7.0], [0.0, 7.0], 0.35)
+        pull(s, [0.0, -92.0], [17.0, 13.0], [0.0, 5.5, 1.0])
+            + pull(s, [0.0, -72.0], [19.0, 8.0], [0.0, 3.0, 2.5])
+            + roll(s, [0.0, -10.0])
+            + wrinkles(s, [0.0, -100.0], [10.0, 7.0], [0.0, 7.0], 0.35)
     }),
-    one("mouthShrugUpper", |s| {
-        pull(s, [0.0, -64.0], [18.0, 8.5], [0.0, 4.5, 2.5]) + roll(s, [-10.0, 0.0])
-    }),
+    one("mouthShrugUpper", |s| pull(s, [0.0, -64.0], [18.0, 8.5], [0.0, 4.5, 2.5]) + roll(s, [-10.0, 0.0])),
     // Zygomaticus major pulls the corner up and back; the cheek bunches above the fold.
     pair("mouthSmile", |s| {
-        pull(s, CORNER, [13.0, 11.5], [8.5, 9.0, -2.5])
-            + pull(s, [40.0, -44.0], [12.0, 11.0], [1.0, 3.0, 4.5])
-            + crease(s, [21.0, -46.0], [37.0, -68.0], 3.5, 2.0)
+        pull(s, CORNER, [15.0, 12.5], [9.0, 8.5, -2.5])
+            + pull(s, [13.0, -68.0], [9.0, 10.0], [0.0, -0.5, -2.5])
+            + pull(s, [40.0, -46.0], [13.0, 12.0], [1.0, 3.0, 4.0])
+            + crease(s, [26.0, -51.0], [38.0, -73.0], 4.5, 0.9)
+            + roll(s, [14.0, 14.0]) * fade(s.x / 8.0)
             + pull(s, [34.0, -21.0], [13.0, 7.0], [0.0, 1.2, 0.6])
     }),
     // Risorius and platysma.
     pair("mouthStretch", |s| {
-        pull(s, CORNER, [14.0, 12.0], [9.5, -3.0, -0.5]) + pull(s, [28.0, -92.0], [13.0, 11.0], [2.0, -2.5, 0.0])
+        pull(s, CORNER, [14.0, 12.0], [9.5, -3.0, -0.5])
+            + pull(s, [28.0, -92.0], [13.0, 11.0], [2.0, -2.5, 0.0])
             + crease(s, [36.0, -58.0], [38.0, -84.0], 3.5, 1.0)
     }),
     // Levator labii superioris.
@@ -174,5 +178,5 @@ pub(super) const SHAPES: [Shape; 31] = [
 
 /// The bulge of the cornea draws the lids with it.
 fn look_aside(s: &Site, by: f64) -> Vec3 {
-    pull(s, [31.5, 0.0], [9.0, 6.5], [by, 0.0, 0.0])
+    pull(s, [31.5, 0.0], [9.0, 7.0], [by, 0.0, 0.0])
 }

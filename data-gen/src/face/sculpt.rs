@@ -189,7 +189,9 @@ fn round_the_mouth(x: f64, y: f64) -> f64 {
 pub(crate) fn lip_height(eta: f64) -> f64 {
     let (up, across) = eta.sin_cos();
     let x = across * CLOSED_MOUTH.half_width;
-    1.5 + up.abs() * if up >= 0.0 { 7.3 + 1.1 * both(x, 5.5, 3.0) - 0.6 * bell(x, 2.5) } else { 9.5 }
+    // Smooth past the corners.
+    let rise = 1.15 * up * up / (up.abs() + 0.15);
+    1.5 + rise * if up >= 0.0 { 7.3 + 1.1 * both(x, 5.5, 3.0) - 0.6 * bell(x, 2.5) } else { 9.5 }
 }
 
 /// What the lips add: they swell from the line where they meet, stand out at the red's border, and roll into the mouth.
@@ -206,7 +208,7 @@ fn lips(site: &Site) -> Vec3 {
     let taper = ((up * up + beside) / (1.0 + beside)).powf(0.4);
     let t = outside / height;
     let profile = if t < 0.5 { (PI * t).sin() } else { 0.62 + 0.38 * (PI * (t - 0.5)).cos().max(0.0) };
-    let (meet, out) = (3.0, if upper { 6.5 } else { 7.5 });
+    let (meet, out) = (3.0, 7.0 - 0.5 * (up / 0.2).tanh());
     let skin = (-((r - height) / 7.0).max(0.0).powi(2)).exp();
     let swell = taper * (meet + (out - meet) * profile) * skin;
     let border = 0.5 * up.abs() * bell(r - height, 0.9);
@@ -231,8 +233,8 @@ fn eyelids(mut p: Vec3, site: &Site) -> Vec3 {
     let rise = eye.eta.sin();
     let crease = if rise > 0.0 { bell(eye.r - 6.0, 1.3) } else { 0.5 * bell(eye.r - 6.5, 1.5) };
     p.z -= 1.1 * rise * rise * crease;
-    let opening = EYELIDS.half_heights[usize::from(rise < 0.0)];
-    p.y += opening * rise * (rise.abs().powf(0.45) - 1.0) * bell(eye.r.max(0.0), 3.0);
+    let height = (EYELIDS.half_heights[usize::from(rise < 0.0)] + eye.r) * rise;
+    p.y += height * (rise.abs().powf(0.45) - 1.0) * bell(eye.r.max(0.0), 3.0);
 
     let turned = eye.r.min(0.0) / EYELIDS.innermost;
     let outward = p - centre;

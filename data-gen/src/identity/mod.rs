@@ -1,0 +1,244 @@
+//! Identity modes: the principal components of how faces differ.
+//!
+//! People differ by independent Gaussian amounts of some hundred and fifty smooth fields on the skin: the named
+//! [directions], and patches all over the face along its three axes. With the fields D on a fixed sampling of the skin,
+//! weighted by area and freed of rigid motion, and the amounts' deviations S, the covariance of faces is D S S D^T: the
+//! modes are the left singular vectors of D S. Each is kept as its mixture of fields, so it has a value anywhere.
+
+mod directions;
+
+use std::sync::LazyLock;
+
+use faer::Mat;
+use nonrigid::mesh::Vec3;
+use rayon::prelude::*;
+
+use self::directions::{ASYMMETRIES, At, Direction, MIDDLE, PAIRS};
+use crate::face::{Layout, Site, site};
+
+/// Patches that move alike on both sides, and patches that move against each other.
+const PATCHES: [usize; 2] = [40, 20];
+/// Vertices of the layout whose places stand for the skin.
+const SAMPLES: usize = 1500;
+
+/// A smooth round spot, moved along the surface, up and off it.
+struct Patch {
+    /// In the chart, millimetres.
+    centre: [f64; 2],
+    radius: f64,
+    /// Deviations of the three motions.
+    sigma: [f64; 3],
+    /// Of the other side's motion: 1 symmetric, -1 antisymmetric.
+    parity: f64,
+}
+
+/// Evenly spread places in the chart's left half, the first of them large and strong. Beyond the face's border they do no
+/// harm.
+fn patches() -> Vec<Patch> {
+    let place = |k: usize| [98.0 * halton(k, 2), 80.0 - 218.0 * halton(k, 3)];
+    let on_face = |[x, y]: &[f64; 2]| (x / 98.0).powi(2) + ((y + 30.0) / 112.0).powi(2) < 1.0;
+    let mut places = (1..).map(place).filter(on_face);
+    let mut family = |count: usize, parity: f64, strength: f64| -> Vec<Patch> {
+        let of_patch = |(k, centre)| {
+            let share = k as f64 / count as f64;
+            let sigma = [0.5, 0.5, 1.0].map(|axis| axis * strength * (-2.5 * share).exp());
+            Patch { centre, radius: 20.0 - 12.0 * share, sigma, parity }
+        };
+        places.by_ref().take(count).enumerate().map(of_patch).collect()
+    };
+    let mut patches = family(PATCHES[0], 1.0, 0.9);
+    patches.extend(family(PATCHES[1], -1.0, 0.25));
+    patches
+}
+
+/// Element `k` of the van der Corput sequence in a base.
+fn halton(mut k: usize, base: usize) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0);
+    while k > 0 {
+        digit /= base as f64;
+        value += digit * (k % base) as f64;
+        k /= base;
+    }
+    value
+}
+
+fn mirror(v: Vec3) -> Vec3 {
+    Vec3::new(-v.x, v.y, v.z)
+}
+
+/// Infinitesimal translations and rotations.
+fn rigid(p: Vec3) -> [Vec3; 6] {
+    let axes = [Vec3::x(), Vec3::y(), Vec3::z()];
+    [axes[0], axes[1], axes[2], axes[0].cross(&p), axes[1].cross(&p), axes[2].cross(&p)]
+}
+
+/// The population: all fields and how the modes are mixed from them. It does not depend on any template.
+struct Population {
+    patches: Vec<Patch>,
+    /// For each mode, the amount of each field in the order of [`Population::fields`], then of the rigid motions.
+    mixing: Vec<Vec<f64>>,
+}
+
+static POPULATION: LazyLock<Population> = LazyLock::new(Population::new);
+
+impl Population {
+    fn new() -> Self {
+        let mut population = Self { patches: patches(), mixing: Vec::new() };
+        let sigmas = population.sigmas();
+        let (sites, weights) = reference();
+        let roots: Vec<f64> = weights.iter().map(|w| w.sqrt()).collect();
+        let fields: Vec<Vec<Vec3>> = sites.iter().map(|s| population.fields(s)).collect();
+        let motions: Vec<[Vec3; 6]> = sites.iter().map(|s| rigid(s.neutral)).collect();
+        let mut matrix =
+            Mat::from_fn(3 * sites.len(), sigmas.len(), |i, j| roots[i / 3] * sigmas[j] * fields[i / 3][j][i % 3]);
+        let motion = Mat::from_fn(3 * sites.len(), 6, |i, j| roots[i / 3] * motions[i / 3][j][i % 3]);
+
+        // Each field less the rigid motion that is nearest to it.
+        let basis = motion.qr();
+        let orthonormal = basis.compute_thin_Q();
+        let taken = orthonormal.transpose() * &matrix;
+        matrix -= &orthonormal * &taken;
+        let mut rigid_of = taken;
+        faer::linalg::triangular_solve::solve_upper_triangular_in_place(
+            basis.thin_R(),
+            rigid_of.as_mut(),
+            faer::Par::Seq,
+        );
+
+        let Ok(svd) = matrix.thin_svd() else { return population };
+        let right = svd.V();
+        for k in 0..sigmas.len() {
+            let mut column: Vec<f64> = (0..sigmas.len()).map(|j| right[(j, k)]).collect();
+            let largest = column.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);
+            column.iter_mut().for_each(|c| *c *= largest.signum());
+            let back = (0..6).map(|m| -column.iter().enumerate().map(|(j, c)| rigid_of[(m, j)] * c).sum::<f64>());
+            let mixed: Vec<f64> = column.iter().zip(&sigmas).map(|(c, sigma)| c * sigma).chain(back).collect();
+            population.mixing.push(mixed);
+        }
+        population
+    }
+
+    fn sigmas(&self) -> Vec<f64> {
+        let named = MIDDLE.iter().chain(PAIRS).chain(ASYMMETRIES).map(|d| d.1);
+        named.chain(self.patches.iter().flat_map(|p| p.sigma)).collect()
+    }
+
+    /// Every field there, in the order of the deviations.
+    fn fields(&self, site: &Site) -> Vec<Vec3> {
+        let twin = site.mirrored();
+        let (at, other) = (At::new(site), At::new(&twin));
+        let mut fields: Vec<Vec3> = Vec::new();
+        fields.extend(MIDDLE.iter().map(|d| d.2(&at)));
+        fields.extend(PAIRS.iter().map(|d| d.2(&at) + mirror(d.2(&other))));
+        fields.extend(ASYMMETRIES.iter().map(|d| d.2(&at) - mirror(d.2(&other))));
+        let axes = [Vec3::x(), Vec3::y(), Vec3::z()];
+        for patch in &self.patches {
+            let here = at.spot(patch.centre, [patch.radius; 2]);
+            let there = patch.parity * other.spot(patch.centre, [patch.radius; 2]);
+            fields.extend(axes.map(|axis| at.local(axis) * here + mirror(other.local(axis)) * there));
+        }
+        fields
+    }
+}
+
+/// Places that stand for the skin, and the share of its area that each stands for.
+fn reference() -> (Vec<Site>, Vec<f64>) {
+    let Layout { flat, quads } = Layout::new(SAMPLES);
+    let sites: Vec<Site> = flat.iter().map(|f| site(*f)).collect();
+    let mut areas = vec![0.0; sites.len()];
+    for quad in &quads {
+        let [a, b, c, d] = quad.map(|v| sites[v as usize].neutral);
+        let area = 0.5 * (c - a).cross(&(d - b)).norm();
+        quad.iter().for_each(|v| areas[*v as usize] += 0.25 * area);
+    }
+    let total: f64 = areas.iter().sum();
+    areas.iter_mut().for_each(|a| *a /= total);
+    (sites, areas)
+}
+
+/// Modes of falling variance, each scaled by its standard deviation.
+pub(crate) struct IdentityModes {
+    count: usize,
+}
+
+impl IdentityModes {
+    /// The first `count` modes; there are as many as fields, about 250, at the most.
+    pub fn new(count: usize) -> Self {
+        Self { count: count.min(POPULATION.mixing.len()) }
+    }
+
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// The person of these weights; missing ones are 0, superfluous ones are ignored.
+    pub fn mix(&self, weights: &[f64]) -> Person {
+        let mut amounts = vec![0.0; POPULATION.mixing.first().map_or(0, Vec::len)];
+        for (weight, mode) in weights.iter().zip(&POPULATION.mixing[..self.count]) {
+            amounts.iter_mut().zip(mode).for_each(|(a, m)| *a += weight * m);
+        }
+        Person::new(&amounts)
+    }
+
+    /// Each mode's displacement at weight 1, vertex by vertex.
+    pub fn deltas(&self, sites: &[Site]) -> Vec<Vec<Vec3>> {
+        let modes = &POPULATION.mixing[..self.count];
+        let at_site = |site: &Site| {
+            let mut fields = POPULATION.fields(site);
+            fields.extend(rigid(site.neutral));
+            let felt: Vec<(usize, Vec3)> = fields.into_iter().enumerate().filter(|f| f.1 != Vec3::zeros()).collect();
+            modes.iter().map(|mode| felt.iter().map(|(j, f)| f * mode[*j]).sum()).collect()
+        };
+        let by_site: Vec<Vec<Vec3>> = sites.par_iter().map(at_site).collect();
+        (0..self.count).map(|k| by_site.iter().map(|modes| modes[k]).collect()).collect()
+    }
+}
+
+type Field = fn(&At) -> Vec3;
+
+/// A sum of modes, as a sum of fields.
+pub(crate) struct Person {
+    middle: Vec<(f64, Field)>,
+    /// Amounts of the field and of the other side's.
+    sides: Vec<([f64; 2], Field)>,
+    patches: Vec<(&'static Patch, Vec3)>,
+    translation: Vec3,
+    rotation: Vec3,
+}
+
+impl Person {
+    /// The sum of all fields and the rigid motions in these amounts.
+    fn new(amounts: &[f64]) -> Self {
+        let mut rest = amounts.iter().copied();
+        let mut take = |directions: &[Direction]| -> Vec<(f64, Field)> {
+            directions.iter().map(|d| (rest.next().unwrap_or(0.0), d.2)).filter(|d| d.0 != 0.0).collect()
+        };
+        let middle = take(MIDDLE);
+        let pairs = take(PAIRS).into_iter().map(|(amount, field)| ([amount; 2], field));
+        let mut sides: Vec<([f64; 2], Field)> = pairs.collect();
+        sides.extend(take(ASYMMETRIES).into_iter().map(|(amount, field)| ([amount, -amount], field)));
+        let mut vector = || [0; 3].map(|_| rest.next().unwrap_or(0.0)).into();
+        let patches = POPULATION.patches.iter().map(|p| (p, vector())).filter(|p| p.1 != Vec3::zeros()).collect();
+        Self { middle, sides, patches, translation: vector(), rotation: vector() }
+    }
+
+    /// Millimetres.
+    pub fn displacement(&self, site: &Site) -> Vec3 {
+        let twin = site.mirrored();
+        let (at, other) = (At::new(site), At::new(&twin));
+        let mut left: Vec3 = self.middle.iter().map(|(amount, field)| field(&at) * *amount).sum();
+        let mut right = Vec3::zeros();
+        for ([here, there], field) in &self.sides {
+            left += field(&at) * *here;
+            right += field(&other) * *there;
+        }
+        let (mut here, mut there) = (Vec3::zeros(), Vec3::zeros());
+        for (patch, motion) in &self.patches {
+            here += motion * at.spot(patch.centre, [patch.radius; 2]);
+            there += motion * (patch.parity * other.spot(patch.centre, [patch.radius; 2]));
+        }
+        left += at.local(here);
+        right += other.local(there);
+        left + mirror(right) + self.translation + self.rotation.cross(&site.neutral)
+    }
+}
