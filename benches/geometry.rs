@@ -15,8 +15,8 @@ use nonrigid::mesh::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals_into};
 
 fn face() -> (FaceRig, ScanCase) {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 5000 });
-    let case = simulate_scan(&rig, &ScanOptions::default(), 1);
+    let rig = FaceRig::generate(&FaceOptions { vertices: 5000, ..FaceOptions::default() });
+    let case = simulate_scan(&rig, &ScanOptions::default(), 1).unwrap();
     (rig, case)
 }
 

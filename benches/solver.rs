@@ -69,7 +69,7 @@ fn bordered_solve(c: &mut Criterion) {
 
 /// A face under a 400-node hybrid with smooth random shapes, near a target: what a step of a registration solves.
 fn face(shapes: usize) -> Deformation<Hybrid, Pointwise<PointToPlane, Kernel, 1>> {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 5000 });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 5000, ..FaceOptions::default() });
     let mesh = rig.mesh.triangulate();
     let nodes = NodeGraph::along_surface(&mesh, 400, 4).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);

@@ -89,8 +89,8 @@ impl TermFactory for Photograph {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 2500 });
-    let case = simulate_scan(&rig, &ScanOptions::default(), 4);
+    let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
+    let case = simulate_scan(&rig, &ScanOptions::default(), 4)?;
     let mark = |(v, p): &(u32, Vec3)| Landmark { name: v.to_string(), template: TemplatePoint::Vertex(*v), target: *p };
     let landmarks: Vec<Landmark> = case.landmarks.iter().map(mark).collect();
     let shapes = ShapeBasis::none();

@@ -81,8 +81,8 @@ impl Task {
 }
 
 fn small() -> (FaceRig, ScanCase) {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 600 });
-    let case = simulate_scan(&rig, &ScanOptions::default(), 3);
+    let rig = FaceRig::generate(&FaceOptions { vertices: 600, ..FaceOptions::default() });
+    let case = simulate_scan(&rig, &ScanOptions::default(), 3).unwrap();
     (rig, case)
 }
 
@@ -99,7 +99,7 @@ fn bits(positions: &[Vec3]) -> Vec<[u64; 3]> {
 fn the_hybrid_recovers_faces_better_than_its_parts() {
     // The subject's neutral is known, one of the two expressions shown is not: blendshapes alone cannot reach it, and the
     // graph alone does not know where skin slides.
-    let rig = FaceRig::generate(&FaceOptions { vertices: 2500 });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
     let triangles = rig.mesh.triangulate().triangles;
     let models = [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape, ModelKind::Rigid];
     let cases = [
@@ -116,7 +116,7 @@ fn the_hybrid_recovers_faces_better_than_its_parts() {
     for (seed, known, withheld) in cases {
         let wanted = [known, withheld].map(|(name, w)| (name.to_owned(), w)).to_vec();
         let options = ScanOptions { expressions: Some(wanted), landmark_noise: 0.3, ..ScanOptions::default() };
-        let case = simulate_scan(&rig, &options, seed);
+        let case = simulate_scan(&rig, &options, seed).unwrap();
         let mut subject = rig.clone();
         subject.neutral = rig.pose(&[], &case.identity_weights);
         subject.mesh.positions.clone_from(&subject.neutral);

@@ -45,7 +45,7 @@ pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Genera
     let known = |name: &str| rig.expressions.iter().any(|e| e.0 == name);
     let shown = EXTREME.iter().filter(|e| known(e.0)).map(|(name, weight)| ((*name).to_owned(), *weight)).collect();
     let withheld = WITHHELD.iter().filter(|name| known(name)).map(ToString::to_string).collect();
-    let scan = simulate_scan(&rig, &ScanOptions { expressions: Some(shown), ..ScanOptions::default() }, seed);
+    let scan = simulate_scan(&rig, &ScanOptions { expressions: Some(shown), ..ScanOptions::default() }, seed)?;
 
     let (rig_folder, case_folder) = (folder.join("rig"), folder.join("cases/same_open"));
     let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));

@@ -107,7 +107,8 @@ impl<'a> Domain<'a> {
         };
         let [wide, high] = self.cells();
         let known: Vec<Option<[f64; 3]>> = (0..wide * high).map(one).collect();
-        let average = |found: &[[f64; 3]]| [0, 1, 2].map(|k| found.iter().map(|m| m[k]).sum::<f64>() / found.len() as f64);
+        let average =
+            |found: &[[f64; 3]]| [0, 1, 2].map(|k| found.iter().map(|m| m[k]).sum::<f64>() / found.len() as f64);
         let filled = spread(known, wide, &average);
         filled.into_iter().map(|m| m.unwrap_or([1.0, 0.0, 1.0])).collect()
     }
@@ -168,7 +169,8 @@ impl<'a> Domain<'a> {
         let known: Vec<Option<Vec3>> = (0..wide * high).map(normal).collect();
         let average = |found: &[Vec3]| found.iter().sum::<Vec3>() / found.len() as f64;
         let filled = spread(known, wide, &average);
-        let node = |i: usize| [self.low[0] + self.step * (i % wide) as f64, self.low[1] + self.step * (i / wide) as f64];
+        let node =
+            |i: usize| [self.low[0] + self.step * (i % wide) as f64, self.low[1] + self.step * (i / wide) as f64];
         let values: Vec<Vec3> = filled
             .into_par_iter()
             .enumerate()

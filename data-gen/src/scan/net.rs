@@ -160,7 +160,8 @@ fn twice_area(places: &[Flat], [a, b, c]: [usize; 3]) -> f64 {
 
 /// Whether a Delaunay triangle lies in the domain.
 fn belongs(domain: &Domain, places: &[Flat], borders: &Borders, t: &[usize]) -> bool {
-    let middle = |corners: &[usize]| [0, 1].map(|k| corners.iter().map(|v| places[*v][k]).sum::<f64>() / corners.len() as f64);
+    let middle =
+        |corners: &[usize]| [0, 1].map(|k| corners.iter().map(|v| places[*v][k]).sum::<f64>() / corners.len() as f64);
     if !domain.contains(middle(t)) {
         return false;
     }

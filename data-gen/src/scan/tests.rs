@@ -101,10 +101,8 @@ fn scan_vertices_say_nothing_about_template_vertices() {
                 [rig.places[*v][0] + 3.0 * cos, rig.places[*v][1] + 3.0 * sin]
             })
             .collect();
-        let weights = FaceWeights {
-            expressions: case.expression_weights.clone(),
-            identity: case.identity_weights.clone(),
-        };
+        let weights =
+            FaceWeights { expressions: case.expression_weights.clone(), identity: case.identity_weights.clone() };
         let contains = |p: Flat| rig.model.contains(p);
         let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(seed));
         let surface = Surface::new(&rig.model, &contains, weights, case.pose, detail, false);
@@ -122,7 +120,10 @@ fn scan_vertices_say_nothing_about_template_vertices() {
     let ratio = at_vertices / elsewhere;
     assert!((0.95..1.05).contains(&ratio), "{ratio}");
     // Close pairs are as many as elsewhere, up to four standard deviations, and none is more than close.
-    assert!(close[1] > 100 && f64::from(close[0] - close[1]).abs() < 4.0 * f64::from(close[0] + close[1]).sqrt(), "{close:?}");
+    assert!(
+        close[1] > 100 && f64::from(close[0] - close[1]).abs() < 4.0 * f64::from(close[0] + close[1]).sqrt(),
+        "{close:?}"
+    );
     assert!(nearest > 1e-7, "{nearest}");
 }
 
