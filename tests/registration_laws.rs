@@ -81,7 +81,7 @@ impl Task {
 }
 
 fn small() -> (FaceRig, ScanCase) {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 600, ..FaceOptions::default() });
     let case = simulate_scan(&rig, &ScanOptions::default(), 3).unwrap();
     (rig, case)
 }

@@ -75,7 +75,8 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
     write_json(&folder.join("landmarks.json"), &landmarks.into())?;
     let landmarks: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
     write_json(&folder.join("landmarks_multipie68.json"), &json!(landmarks))?;
-    let regions: Map<String, Value> = rig.regions.iter().map(|(name, vertices)| (name.clone(), json!(vertices))).collect();
+    let regions: Map<String, Value> =
+        rig.regions.iter().map(|(name, vertices)| (name.clone(), json!(vertices))).collect();
     write_json(&folder.join("regions.json"), &regions.into())?;
     let [left, right] =
         rig.eyeballs(&[]).map(|e| json!({ "centre": [e.centre.x, e.centre.y, e.centre.z], "radius": e.radius }));
@@ -172,7 +173,8 @@ mod tests {
 
     #[test]
     fn the_library_reads_back_the_rig() {
-        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
+        let (folder, rig) =
+            (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
         write_rig(folder.path(), &rig).unwrap();
         let (read, warnings) = Rig::read(folder.path(), &RigReadOptions::default()).unwrap();
         assert_eq!(warnings, []);
@@ -190,8 +192,10 @@ mod tests {
         assert_eq!(landmarks.len(), rig.landmarks.len());
         let numbers: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
         assert_eq!((numbers.len(), read.landmarks()), (68, Some(&*numbers)));
-        let json = |name: &str| -> Value { serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap() };
-        let in_regions = json("regions.json").as_object().unwrap().values().map(|r| r.as_array().unwrap().len()).sum();
+        let json =
+            |name: &str| -> Value { serde_json::from_slice(&fs::read(folder.path().join(name)).unwrap()).unwrap() };
+        let in_regions: usize =
+            json("regions.json").as_object().unwrap().values().map(|r| r.as_array().unwrap().len()).sum();
         assert_eq!(rig.neutral.len(), in_regions);
         assert!(json("eyeballs.json")["left"]["centre"][0].as_f64().unwrap() > 20.0);
         let materials = fs::read_to_string(folder.path().join("face.mtl")).unwrap();
@@ -200,7 +204,8 @@ mod tests {
 
     #[test]
     fn the_library_reads_back_cases_of_both_kinds() {
-        let (folder, rig) = (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
+        let (folder, rig) =
+            (tempfile::tempdir().unwrap(), FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 9 }));
         let case = simulate_scan(&rig, &ScanOptions { triangles: 5000, ..ScanOptions::default() }, 5).unwrap();
         let (same, new) = (folder.path().join("same"), folder.path().join("new"));
         write_case(&same, &rig, &case, &Subject::same(&rig, &case), 5).unwrap();

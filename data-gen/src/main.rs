@@ -7,8 +7,8 @@ use std::time::Instant;
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use data_gen::{
-    Camera, FaceOptions, FaceRig, Motion, PRESETS, ScanCase, ScanError, ScanOptions, Subject, WrinkleMix, contact_sheet,
-    resolve_shapes, simulate_scan, write_case, write_rig, write_weights,
+    Camera, FaceOptions, FaceRig, Motion, PRESETS, ScanCase, ScanError, ScanOptions, Subject, WrinkleMix,
+    contact_sheet, resolve_shapes, simulate_scan, write_case, write_rig, write_weights,
 };
 use nonrigid::render::save_png;
 
@@ -352,7 +352,8 @@ fn in_range(low: usize, high: usize) -> impl Fn(&str) -> Result<usize, String> +
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|t| t.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
     numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| format!("{N} numbers, separated by commas"))
 }
 
@@ -364,7 +365,8 @@ fn camera(text: &str) -> Result<Camera, String> {
     if let Ok([azimuth, elevation]) = numbers(text) {
         return Ok(Camera::orbit(azimuth, elevation));
     }
-    let [azimuth, elevation, distance] = numbers(text).map_err(|_| "azimuth,elevation or azimuth,elevation,distance")?;
+    let [azimuth, elevation, distance] =
+        numbers(text).map_err(|_| "azimuth,elevation or azimuth,elevation,distance")?;
     Ok(Camera::Orbit { azimuth, elevation, distance })
 }
 

@@ -107,7 +107,8 @@ impl<'a> Domain<'a> {
         };
         let [wide, high] = self.cells();
         let known: Vec<Option<[f64; 3]>> = (0..wide * high).map(one).collect();
-        let average = |found: &[[f64; 3]]| [0, 1, 2].map(|k| found.iter().map(|m| m[k]).sum::<f64>() / found.len() as f64);
+        let average =
+            |found: &[[f64; 3]]| [0, 1, 2].map(|k| found.iter().map(|m| m[k]).sum::<f64>() / found.len() as f64);
         let filled = spread(known, wide, &average);
         filled.into_iter().map(|m| m.unwrap_or([1.0, 0.0, 1.0])).collect()
     }
@@ -121,28 +122,23 @@ impl<'a> Domain<'a> {
         }
     }
 
-    /// First fundamental form at a place.
-    pub fn metric(&self, p: Flat) -> [f64; 3] {
-        self.metric[self.cell(p)]
+    /// First fundamental form of a cell.
+    pub fn metric(&self, cell: usize) -> [f64; 3] {
+        self.metric[cell]
     }
 
-    /// Area of the surface up to each cell's end, square millimetres; the last one is all, border cells counted whole.
+    /// Area of the surface over each cell, square millimetres; border cells count whole.
     pub fn areas(&self) -> Vec<f64> {
-        let mut sum = 0.0;
-        let areas = self.state.iter().zip(&self.metric).map(|(state, [e, f, g])| {
-            sum += if *state == State::Outside { 0.0 } else { (e * g - f * f).max(0.0).sqrt() * self.step.powi(2) };
-            sum
-        });
-        areas.collect()
+        let area = |(state, [e, f, g]): (&State, &[f64; 3])| {
+            if *state == State::Outside { 0.0 } else { (e * g - f * f).max(0.0).sqrt() * self.step.powi(2) }
+        };
+        self.state.iter().zip(&self.metric).map(area).collect()
     }
 
-    /// Area of the surface, square millimetres, border cells counted half.
+    /// Area of the surface, square millimetres; border cells count half.
     pub fn area(&self) -> f64 {
-        let all = self.state.iter().zip(&self.metric).map(|(state, [e, f, g])| {
-            let share = [0.0, 0.5, 1.0][*state as usize];
-            share * (e * g - f * f).max(0.0).sqrt() * self.step.powi(2)
-        });
-        all.sum()
+        let half = |state: &State| if *state == State::Border { 0.5 } else { 1.0 };
+        self.areas().iter().zip(&self.state).map(|(area, state)| area * half(state)).sum()
     }
 
     /// A place in a cell, by two numbers from 0 to 1.
@@ -173,7 +169,8 @@ impl<'a> Domain<'a> {
         let known: Vec<Option<Vec3>> = (0..wide * high).map(normal).collect();
         let average = |found: &[Vec3]| found.iter().sum::<Vec3>() / found.len() as f64;
         let filled = spread(known, wide, &average);
-        let node = |i: usize| [self.low[0] + self.step * (i % wide) as f64, self.low[1] + self.step * (i / wide) as f64];
+        let node =
+            |i: usize| [self.low[0] + self.step * (i % wide) as f64, self.low[1] + self.step * (i / wide) as f64];
         let values: Vec<Vec3> = filled
             .into_par_iter()
             .enumerate()
@@ -246,10 +243,11 @@ fn clamped([e, f, g]: [f64; 3]) -> [f64; 3] {
 /// The border of a hole that is star-shaped about `centre`, clockwise or not as it comes, on the side of the domain. Empty
 /// where `centre` is in no hole.
 pub(super) fn hole(contains: &(dyn Fn(Flat) -> bool + Sync), centre: Flat) -> Vec<Flat> {
-    const POINTS: usize = 768;
+    const POINTS: usize = 512;
     let at = |direction: [f64; 2], t: f64| [centre[0] + direction[0] * t, centre[1] + direction[1] * t];
-    let border = |direction: [f64; 2]| -> Option<f64> {
-        let mut high = 0.125;
+    // The first place of the domain in a direction, its distance guessed.
+    let border = |direction: [f64; 2], guess: f64| -> Option<f64> {
+        let mut high = guess;
         while !contains(at(direction, high)) {
             high *= 1.25;
             if high > 200.0 {
@@ -260,7 +258,7 @@ pub(super) fn hole(contains: &(dyn Fn(Flat) -> bool + Sync), centre: Flat) -> Ve
         if contains(at(direction, low)) {
             low = 0.0;
         }
-        for _ in 0..42 {
+        for _ in 0..34 {
             let middle = 0.5 * (low + high);
             if contains(at(direction, middle)) { high = middle } else { low = middle }
         }
@@ -269,12 +267,12 @@ pub(super) fn hole(contains: &(dyn Fn(Flat) -> bool + Sync), centre: Flat) -> Ve
     if contains(centre) {
         return Vec::new();
     }
-    let half_axes = [border([1.0, 0.0]), border([0.0, 1.0])];
+    let half_axes = [border([1.0, 0.0], 0.1), border([0.0, 1.0], 0.1)];
     let [Some(a), Some(b)] = half_axes else { return Vec::new() };
     let point = |k: usize| {
         let (sin, cos) = (std::f64::consts::TAU * k as f64 / POINTS as f64).sin_cos();
         let direction = [a * cos, b * sin];
-        Some(at(direction, border(direction)?))
+        Some(at(direction, border(direction, 0.9)?))
     };
     (0..POINTS).into_par_iter().map(point).collect::<Option<Vec<Flat>>>().unwrap_or_default()
 }

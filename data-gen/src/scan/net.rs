@@ -160,7 +160,8 @@ fn twice_area(places: &[Flat], [a, b, c]: [usize; 3]) -> f64 {
 
 /// Whether a Delaunay triangle lies in the domain.
 fn belongs(domain: &Domain, places: &[Flat], borders: &Borders, t: &[usize]) -> bool {
-    let middle = |corners: &[usize]| [0, 1].map(|k| corners.iter().map(|v| places[*v][k]).sum::<f64>() / corners.len() as f64);
+    let middle =
+        |corners: &[usize]| [0, 1].map(|k| corners.iter().map(|v| places[*v][k]).sum::<f64>() / corners.len() as f64);
     if !domain.contains(middle(t)) {
         return false;
     }
@@ -195,24 +196,33 @@ fn scatter(domain: &Domain, wanted: usize, rng: &mut ChaCha8Rng) -> (Vec<Flat>, 
         counts.push(places.len() - before);
     }
     let areas = domain.areas();
-    let all = areas.last().copied().unwrap_or(0.0);
-    let least = LEAST * spacing;
+    let all = areas.iter().sum::<f64>().max(1e-300);
     let mut grid = Buckets::new(domain, spacing, &places);
-    for _ in 0..80 * wanted {
-        if places.len() >= wanted {
+    let (mut thrown, mut hits) = (0.0, 1.0);
+    // Rounds over the lattice: neighbours in space are neighbours in memory.
+    for _ in 0..200 {
+        let missing = wanted.saturating_sub(places.len());
+        if missing == 0 || thrown > 80.0 * wanted as f64 {
             break;
         }
-        let target = rng.random::<f64>() * all;
-        let cell = areas.partition_point(|a| *a <= target).min(areas.len() - 1);
-        let p = domain.place(cell, [rng.random(), rng.random()]);
-        if !domain.contains(p) {
-            continue;
+        // A round hits less than the one before: the last one ends with the face rather than in the middle of it.
+        let darts = (missing as f64 / hits).min(wanted as f64);
+        thrown += darts;
+        let before = places.len();
+        for (cell, area) in areas.iter().enumerate().filter(|a| *a.1 > 0.0) {
+            let expected = area / all * darts;
+            let count = expected.floor() as usize + usize::from(rng.random::<f64>() < expected.fract());
+            for _ in 0..count {
+                let p = domain.place(cell, [rng.random(), rng.random()]);
+                let metric = domain.metric(cell);
+                if grid.free(p, metric, LEAST * spacing, &places) && domain.contains(p) {
+                    grid.insert(p);
+                    places.push(p);
+                }
+            }
         }
-        let metric = domain.metric(p);
-        if grid.free(p, metric, least, &places) {
-            grid.insert(p);
-            places.push(p);
-        }
+        hits = (places.len() - before).max(1) as f64 / darts;
+        places.truncate(wanted.max(counts.iter().sum()));
     }
     (places, counts)
 }
@@ -232,7 +242,7 @@ fn along_border(domain: &Domain, polygon: &[Flat], spacing: f64, places: &mut Ve
     let shape = BORDER * spacing * FEWEST / polygon.len() as f64;
     let mut lengths = vec![0.0];
     for (k, p) in polygon.iter().enumerate() {
-        let length = squared_length(domain.metric(*p), step(k)).max(0.0).sqrt().max(shape);
+        let length = squared_length(domain.metric(domain.cell(*p)), step(k)).max(0.0).sqrt().max(shape);
         lengths.push(lengths[k] + length);
     }
     let all = lengths[polygon.len()];
@@ -282,7 +292,7 @@ impl Buckets {
     /// Whether no place is nearer on the surface than `least`.
     fn free(&self, p: Flat, metric: [f64; 3], least: f64, places: &[Flat]) -> bool {
         let [e, f, g] = metric;
-        let shortest = 0.5 * (e + g) - (0.5 * (e - g)).hypot(f);
+        let shortest = 0.5 * (e + g) - (0.25 * (e - g) * (e - g) + f * f).sqrt();
         let reach = least / shortest.sqrt();
         for y in self.index(1, p[1] - reach)..=self.index(1, p[1] + reach) {
             for x in self.index(0, p[0] - reach)..=self.index(0, p[0] + reach) {

@@ -19,13 +19,7 @@ pub const PRESETS: [(&str, &[(&str, f64)]); 8] = [
     ("shout", &[("jawOpen", 0.9), ("mouthLowerDown", 0.7), ("noseSneer", 0.6)]),
     (
         "asym",
-        &[
-            ("mouthLeft", 0.8),
-            ("noseSneer_L", 1.0),
-            ("eyeBlink_R", 1.0),
-            ("cheekPuff_L", 0.8),
-            ("browInnerUp", 0.5),
-        ],
+        &[("mouthLeft", 0.8), ("noseSneer_L", 1.0), ("eyeBlink_R", 1.0), ("cheekPuff_L", 0.8), ("browInnerUp", 0.5)],
     ),
     ("sad", &[("mouthFrown", 0.9), ("browInnerUp", 1.0), ("mouthShrugLower", 0.5)]),
     ("surprise", &[("jawOpen", 0.5), ("eyeWide", 1.0), ("browInnerUp", 0.8), ("browOuterUp", 0.8)]),
