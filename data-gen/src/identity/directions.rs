@@ -9,7 +9,7 @@ pub(super) const EYEBALL: [f64; 3] = [30.6, 0.0, -25.5];
 /// Centre of the left eye's opening, in the chart and in space.
 const EYE: ([f64; 2], [f64; 3]) = ([31.5, 0.0], [31.5, 0.0, -13.0]);
 /// How much of a field's change across an eye's opening is kept: eyes differ less than what is round them.
-const EYE_SHARE: f64 = 0.3;
+const EYE_SHARE: f64 = 0.2;
 
 /// A site as the fields see it: near the eyes the coordinates are drawn together, so that what is not about the eyes moves
 /// each nearly as one.
@@ -68,13 +68,13 @@ impl<'a> At<'a> {
     }
 
     /// From the centre of the left eye's opening, in the chart.
-    fn from_eye(&self) -> [f64; 2] {
+    fn off_eye(&self) -> [f64; 2] {
         [self.site.x - EYE.0[0], self.site.y - EYE.0[1]]
     }
 
     /// Share of the upper (1) or lower (-1) lid or lip at an angle round it.
     fn part(eta: f64, side: f64) -> f64 {
-        (side * eta.sin()).max(0.0).powi(2)
+        (side * eta.sin()).max(0.0).powi(3)
     }
 
     /// The red of the upper (1) or lower (-1) lip: 0 where the lips meet, 1 at its border, fading beyond.
@@ -175,12 +175,12 @@ pub(super) const PAIRS: &[Direction] = &[
     ("eye height", 1.2, |s| y(s.spot([31.5, 2.0], [26.0, 18.0]))),
     ("eye depth", 1.6, |s| z(-s.spot([30.0, 2.0], [20.0, 14.0]))),
     ("eye size", 0.045, |s| {
-        let [dx, dy] = s.from_eye();
-        s.slide(dx, 0.7 * dy)
+        let [dx, dy] = s.off_eye();
+        s.slide(dx, 0.4 * dy)
     }),
     ("upper lid", 0.80, |s| s.slide(0.0, At::part(s.site.left_eye.eta, 1.0))),
     ("lower lid", 0.50, |s| s.slide(0.0, At::part(s.site.left_eye.eta, -1.0))),
-    ("eye tilt", 0.9, |s| s.slide(0.0, s.from_eye()[0] / 14.0)),
+    ("eye tilt", 0.9, |s| s.slide(0.0, s.off_eye()[0] / 14.0)),
     ("lid fold", 0.9, |s| z(s.spot([34.0, 12.0], [13.0, 5.0]))),
     ("inner socket", 0.80, |s| z(s.spot([16.0, 4.0], [7.0, 9.0]))),
     ("bags below the eyes", 0.65, |s| Vec3::new(0.0, -0.4, 0.8) * s.spot([31.0, -13.0], [12.0, 4.5])),
