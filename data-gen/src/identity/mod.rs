@@ -105,6 +105,7 @@ impl Population {
             faer::Par::Seq,
         );
 
+        // Of finite numbers it always converges.
         let Ok(svd) = matrix.thin_svd() else { return population };
         let right = svd.V();
         for k in 0..sigmas.len() {
