@@ -17,7 +17,7 @@ pub struct ScanOptions {
     /// Standard deviation of drawn identity weights; default 0.8.
     pub identity_sigma: f64,
     /// How differently the person makes an expression from how the rig does: largest relative change of a displacement;
-    /// default 0.15.
+    /// default 0.2.
     pub manner: f64,
     /// Largest height of wrinkles and skin structure that no shape expresses; default 0.8.
     pub detail: f64,
@@ -120,7 +120,7 @@ impl Default for ScanOptions {
             expressions: None,
             identity: None,
             identity_sigma: 0.8,
-            manner: 0.15,
+            manner: 0.2,
             detail: 0.8,
             wrinkles: WrinkleMix::default(),
             detail_seed: None,
