@@ -44,7 +44,7 @@ struct Arguments {
     #[arg(long, default_value_t = 5000, value_parser = in_range(1000, 500_000), help_heading = "Rig")]
     vertices: usize,
     /// Identity modes of the rig, at most 200.
-    #[arg(long, default_value_t = 60, value_parser = in_range(0, 200), help_heading = "Rig")]
+    #[arg(long, default_value_t = 100, value_parser = in_range(0, 200), help_heading = "Rig")]
     identity_modes: usize,
 
     /// Only these cases, repeatable. Names other than the six standard ones take their expression from --expression or
@@ -97,6 +97,9 @@ struct Arguments {
     /// Leaves the eyeballs out.
     #[arg(long, help_heading = "Scanner")]
     no_eyeballs: bool,
+    /// How differently a person makes an expression from how the rig does: largest relative change.
+    #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
+    manner: f64,
     /// Largest height of wrinkles that no shape expresses, mm.
     #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
     detail: f64,
@@ -321,6 +324,7 @@ impl Arguments {
             expressions: given.or_else(|| self.preset.as_deref().map(preset_weights)),
             identity: self.identity.clone(),
             identity_sigma: self.identity_sigma,
+            manner: self.manner,
             detail: self.detail,
             wrinkles: self.wrinkles,
             detail_seed: None,

@@ -12,13 +12,13 @@ use crate::face::{Eyeball, FaceModel, FaceWeights, Flat, LANDMARKS, Layout, REGI
 pub struct FaceOptions {
     /// Number of vertices aimed at, 1,000 to 500,000; default 5,000. The layout comes as close as it can.
     pub vertices: usize,
-    /// Number of identity modes; default 60.
+    /// Number of identity modes; default 100.
     pub identity_modes: usize,
 }
 
 impl Default for FaceOptions {
     fn default() -> Self {
-        Self { vertices: 5000, identity_modes: 60 }
+        Self { vertices: 5000, identity_modes: 100 }
     }
 }
 

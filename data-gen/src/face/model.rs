@@ -103,6 +103,16 @@ impl FaceModel {
     /// Where the material points `places` are, millimetres in the rig's coordinates.
     #[must_use]
     pub fn positions(&self, places: &[Flat], weights: &FaceWeights) -> Vec<Vec3> {
+        self.positions_in_manner(places, weights, &|_| Vec3::repeat(1.0))
+    }
+
+    /// The same with the expressions' displacement multiplied, coordinate by coordinate, by `manner`.
+    pub(crate) fn positions_in_manner(
+        &self,
+        places: &[Flat],
+        weights: &FaceWeights,
+        manner: &(dyn Fn(&Site) -> Vec3 + Sync),
+    ) -> Vec<Vec3> {
         let expressions: Vec<(f64, &Expression)> =
             weights.expressions.iter().copied().zip(&self.expressions).filter(|e| e.0 != 0.0).collect();
         let identity = self.identity.mix(&weights.identity);
@@ -111,7 +121,7 @@ impl FaceModel {
             .map(|place| {
                 let site = site(*place);
                 let moved: Vec3 = expressions.iter().map(|(w, e)| e.displacement(&site) * *w).sum();
-                site.neutral + moved + identity.displacement(&site)
+                site.neutral + moved.component_mul(&manner(&site)) + identity.displacement(&site)
             })
             .collect()
     }

@@ -9,7 +9,7 @@ pub(super) const EYEBALL: [f64; 3] = [30.6, 0.0, -25.5];
 /// Centre of the left eye's opening, in the chart and in space.
 const EYE: ([f64; 2], [f64; 3]) = ([31.5, 0.0], [31.5, 0.0, -13.0]);
 /// How much of a field's change across an eye's opening is kept: eyes differ less than what is round them.
-const EYE_SHARE: f64 = 0.3;
+const EYE_SHARE: f64 = 0.2;
 
 /// A site as the fields see it: near the eyes the coordinates are drawn together, so that what is not about the eyes moves
 /// each nearly as one.
@@ -68,13 +68,13 @@ impl<'a> At<'a> {
     }
 
     /// From the centre of the left eye's opening, in the chart.
-    fn from_eye(&self) -> [f64; 2] {
+    fn off_eye(&self) -> [f64; 2] {
         [self.site.x - EYE.0[0], self.site.y - EYE.0[1]]
     }
 
     /// Share of the upper (1) or lower (-1) lid or lip at an angle round it.
     fn part(eta: f64, side: f64) -> f64 {
-        (side * eta.sin()).max(0.0).powi(2)
+        (side * eta.sin()).max(0.0).powi(3)
     }
 
     /// The red of the upper (1) or lower (-1) lip: 0 where the lips meet, 1 at its border, fading beyond.
@@ -113,18 +113,18 @@ pub(super) const MIDDLE: &[Direction] = &[
     ("face depth", 0.045, |s| z(s.p.z)),
     ("lower face height", 1.7, |s| y(-s.beyond(-45.0, -115.0))),
     ("middle face height", 1.6, |s| y(-s.beyond(-5.0, -50.0))),
-    ("lower face width", 0.028, |s| x(s.p.x * s.beyond(-25.0, -95.0))),
+    ("lower face width", 0.036, |s| x(s.p.x * s.beyond(-25.0, -95.0))),
     ("upper face width", 0.020, |s| x(s.p.x * s.beyond(0.0, 55.0))),
-    ("facial convexity", 1.7, |s| z(1.0 - ((s.y + 30.0) / 62.0).powi(2))),
-    ("mandibular prognathism", 1.8, |s| z(s.beyond(-52.0, -100.0))),
-    ("forehead slope", 2.3, |s| z(-s.beyond(18.0, 85.0))),
+    ("facial convexity", 2.1, |s| z(1.0 - ((s.y + 30.0) / 62.0).powi(2))),
+    ("mandibular prognathism", 2.5, |s| z(s.beyond(-52.0, -100.0))),
+    ("forehead slope", 2.9, |s| z(-s.beyond(18.0, 85.0))),
     ("flat face", 1.7, |s| z((s.x / 60.0).powi(2).min(2.5) - 0.5)),
     ("chin height", 1.6, |s| y(-s.spot([0.0, -112.0], [30.0, 14.0]))),
     ("chin protrusion", 1.7, |s| z(s.spot([0.0, -105.0], [22.0, 13.0]))),
     ("chin width", 1.4, |s| x((s.x / 14.0) * s.spot([0.0, -106.0], [20.0, 13.0]))),
     ("chin cleft", 0.45, |s| z(-s.spot([0.0, -104.0], [3.5, 7.0]))),
     ("fold below the lips", 0.9, |s| z(-s.spot([0.0, -87.0], [16.0, 5.5]))),
-    ("under the chin", 2.0, |s| Vec3::new(0.0, -0.8, 0.6) * s.spot([0.0, -134.0], [32.0, 12.0])),
+    ("under the chin", 1.5, |s| Vec3::new(0.0, -0.8, 0.6) * s.spot([0.0, -134.0], [32.0, 12.0])),
     ("nose length", 1.7, |s| y(-s.spot([0.0, -41.0], [15.0, 11.0]))),
     ("nose bridge height", 1.4, |s| z(s.spot([0.0, -12.0], [8.0, 13.0]))),
     ("nose hump", 0.80, |s| z(s.spot([0.0, -19.0], [6.0, 6.5]))),
@@ -152,15 +152,19 @@ pub(super) const MIDDLE: &[Direction] = &[
 
 /// On the subject's left; the right gets the mirror image.
 pub(super) const PAIRS: &[Direction] = &[
-    ("jaw width", 2.0, |s| s.out * s.spot([76.0, -76.0], [18.0, 17.0])),
+    ("heaviness", 2.2, |s| {
+        let cheek = s.spot([58.0, -62.0], [24.0, 28.0]) + 0.4 * s.spot([25.0, -105.0], [20.0, 14.0]);
+        s.out * cheek + Vec3::new(0.0, -0.8, 0.4) * s.spot([20.0, -132.0], [28.0, 14.0])
+    }),
+    ("jaw width", 1.7, |s| s.out * s.spot([78.0, -74.0], [20.0, 22.0])),
     ("gonial angle", 2.1, |s| y(-s.spot([76.0, -84.0], [20.0, 18.0]))),
-    ("jaw hollow", 1.2, |s| s.out * -s.spot([44.0, -98.0], [16.0, 12.0])),
-    ("jowls", 1.3, |s| Vec3::new(0.5, -0.7, 0.3) * s.spot([42.0, -100.0], [13.0, 11.0])),
+    ("jaw hollow", 0.9, |s| s.out * -s.spot([44.0, -98.0], [16.0, 12.0])),
+    ("jowls", 1.0, |s| Vec3::new(0.5, -0.7, 0.3) * s.spot([42.0, -100.0], [13.0, 11.0])),
     ("square chin", 1.0, |s| s.local(Vec3::new(0.3, 0.0, 1.0)) * s.spot([18.0, -107.0], [9.0, 9.0])),
     ("cheekbone width", 1.7, |s| s.out * s.spot([70.0, -18.0], [18.0, 15.0])),
     ("cheekbone prominence", 1.7, |s| s.out * s.spot([46.0, -24.0], [15.0, 12.0])),
     ("cheekbone height", 1.3, |s| y(s.spot([50.0, -24.0], [17.0, 15.0]))),
-    ("cheek fullness", 2.3, |s| s.out * s.spot([52.0, -60.0], [17.0, 19.0])),
+    ("cheek fullness", 1.6, |s| s.out * s.spot([48.0, -60.0], [17.0, 20.0])),
     ("cheek fat", 1.3, |s| s.out * s.spot([33.0, -38.0], [12.0, 12.0])),
     ("tear trough", 0.80, |s| z(-s.spot([24.0, -18.0], [10.0, 6.5]))),
     ("nasolabial fold", 0.80, |s| z(s.spot([34.0, -56.0], [7.0, 13.0]) - s.spot([24.0, -56.0], [5.0, 12.0]))),
@@ -171,12 +175,12 @@ pub(super) const PAIRS: &[Direction] = &[
     ("eye height", 1.2, |s| y(s.spot([31.5, 2.0], [26.0, 18.0]))),
     ("eye depth", 1.6, |s| z(-s.spot([30.0, 2.0], [20.0, 14.0]))),
     ("eye size", 0.045, |s| {
-        let [dx, dy] = s.from_eye();
-        s.slide(dx, 0.7 * dy)
+        let [dx, dy] = s.off_eye();
+        s.slide(dx, 0.4 * dy)
     }),
     ("upper lid", 0.80, |s| s.slide(0.0, At::part(s.site.left_eye.eta, 1.0))),
     ("lower lid", 0.50, |s| s.slide(0.0, At::part(s.site.left_eye.eta, -1.0))),
-    ("eye tilt", 0.9, |s| s.slide(0.0, s.from_eye()[0] / 14.0)),
+    ("eye tilt", 0.9, |s| s.slide(0.0, s.off_eye()[0] / 14.0)),
     ("lid fold", 0.9, |s| z(s.spot([34.0, 12.0], [13.0, 5.0]))),
     ("inner socket", 0.80, |s| z(s.spot([16.0, 4.0], [7.0, 9.0]))),
     ("bags below the eyes", 0.65, |s| Vec3::new(0.0, -0.4, 0.8) * s.spot([31.0, -13.0], [12.0, 4.5])),
@@ -191,18 +195,18 @@ pub(super) const PAIRS: &[Direction] = &[
 
 /// How the sides differ: half of what is between the left, given here, and the mirrored right.
 pub(super) const ASYMMETRIES: &[Direction] = &[
-    ("nose bent", 0.29, |s| x(s.spot([0.0, -34.0], [11.0, 14.0]))),
-    ("bridge bent", 0.2, |s| x(s.spot([0.0, -14.0], [8.0, 9.0]))),
-    ("jaw to one side", 0.45, |s| x(s.beyond(-55.0, -110.0))),
-    ("mouth to one side", 0.26, |s| x(s.spot([0.0, -68.0], [26.0, 15.0]))),
-    ("mouth tilted", 0.26, |s| y((s.x / 25.0) * s.spot([0.0, -68.0], [26.0, 15.0]))),
-    ("one eye lower", 0.26, |s| y(-s.spot([31.5, 2.0], [22.0, 17.0]))),
-    ("one eye deeper", 0.2, |s| z(-s.spot([31.5, 0.0], [20.0, 14.0]))),
-    ("one eye more open", 0.13, |s| s.slide(0.0, At::part(s.site.left_eye.eta, 1.0))),
-    ("one brow higher", 0.33, |s| y(s.spot([32.0, 20.0], [22.0, 10.0]))),
-    ("one cheek fuller", 0.39, |s| s.out * s.spot([50.0, -50.0], [20.0, 22.0])),
-    ("one jaw angle wider", 0.45, |s| s.out * s.spot([76.0, -78.0], [18.0, 18.0])),
-    ("one nostril lower", 0.16, |s| y(-s.spot([12.0, -45.0], [7.0, 7.0]))),
-    ("one side forward", 0.33, |s| z((s.x / 40.0).tanh())),
-    ("chin oblique", 0.23, |s| y((s.x / 18.0) * s.spot([0.0, -108.0], [22.0, 12.0]))),
+    ("nose bent", 0.38, |s| x(s.spot([0.0, -34.0], [11.0, 14.0]))),
+    ("bridge bent", 0.26, |s| x(s.spot([0.0, -14.0], [8.0, 9.0]))),
+    ("jaw to one side", 0.59, |s| x(s.beyond(-55.0, -110.0))),
+    ("mouth to one side", 0.34, |s| x(s.spot([0.0, -68.0], [26.0, 15.0]))),
+    ("mouth tilted", 0.34, |s| y((s.x / 25.0) * s.spot([0.0, -68.0], [26.0, 15.0]))),
+    ("one eye lower", 0.34, |s| y(-s.spot([31.5, 2.0], [22.0, 17.0]))),
+    ("one eye deeper", 0.26, |s| z(-s.spot([31.5, 0.0], [20.0, 14.0]))),
+    ("one eye more open", 0.17, |s| s.slide(0.0, At::part(s.site.left_eye.eta, 1.0))),
+    ("one brow higher", 0.43, |s| y(s.spot([32.0, 20.0], [22.0, 10.0]))),
+    ("one cheek fuller", 0.51, |s| s.out * s.spot([50.0, -50.0], [20.0, 22.0])),
+    ("one jaw angle wider", 0.59, |s| s.out * s.spot([76.0, -78.0], [18.0, 18.0])),
+    ("one nostril lower", 0.21, |s| y(-s.spot([12.0, -45.0], [7.0, 7.0]))),
+    ("one side forward", 0.43, |s| z((s.x / 40.0).tanh())),
+    ("chin oblique", 0.3, |s| y((s.x / 18.0) * s.spot([0.0, -108.0], [22.0, 12.0]))),
 ];

@@ -1,7 +1,7 @@
 //! Identity modes: the principal components of how faces differ.
 //!
-//! People differ by independent Gaussian amounts of some hundred and fifty smooth fields on the skin: the named
-//! [directions], and patches all over the face along its three axes. With the fields D on a fixed sampling of the skin,
+//! People differ by independent Gaussian amounts of some 270 smooth fields on the skin: the named [directions], and
+//! patches all over the face that move along it, up and off it. With the fields D on a fixed sampling of the skin,
 //! weighted by area and freed of rigid motion, and the amounts' deviations S, the covariance of faces is D S S D^T: the
 //! modes are the left singular vectors of D S. Each is kept as its mixture of fields, so it has a value anywhere.
 
@@ -105,6 +105,7 @@ impl Population {
             faer::Par::Seq,
         );
 
+        // Of finite numbers it always converges.
         let Ok(svd) = matrix.thin_svd() else { return population };
         let right = svd.V();
         for k in 0..sigmas.len() {
@@ -162,7 +163,7 @@ pub(crate) struct IdentityModes {
 }
 
 impl IdentityModes {
-    /// The first `count` modes; there are as many as fields, about 250, at the most.
+    /// The first `count` modes; there are as many as fields, some 270, at the most.
     pub fn new(count: usize) -> Self {
         Self { count: count.min(POPULATION.mixing.len()) }
     }
@@ -240,5 +241,170 @@ impl Person {
         left += at.local(here);
         right += other.local(there);
         left + mirror(right) + self.translation + self.rotation.cross(&site.neutral)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use nonrigid::evaluation::flipped_triangles;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+    use crate::{FaceModel, FaceOptions, FaceRig, FaceWeights};
+
+    const ALL: usize = 100;
+
+    fn people(count: usize) -> Vec<Vec<f64>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        (0..count).map(|_| (0..ALL).map(|_| StandardNormal.sample(&mut rng)).collect()).collect()
+    }
+
+    /// Inner products over the skin, mm^2 per area.
+    fn products(a: &[Vec<Vec3>], b: &[Vec<Vec3>], weights: &[f64]) -> Vec<Vec<f64>> {
+        let product = |a: &Vec<Vec3>, b: &Vec<Vec3>| a.iter().zip(b).zip(weights).map(|((a, b), w)| a.dot(b) * w).sum();
+        a.iter().map(|a| b.iter().map(|b| product(a, b)).collect()).collect()
+    }
+
+    #[test]
+    fn modes_are_orthogonal_have_falling_variance_and_no_rigid_motion() {
+        let (sites, weights) = reference();
+        let deltas = IdentityModes::new(ALL).deltas(&sites);
+        assert_eq!(deltas.len(), ALL);
+        let gram = products(&deltas, &deltas, &weights);
+        let deviation: Vec<f64> = (0..ALL).map(|k| gram[k][k].sqrt()).collect();
+        for k in 0..ALL {
+            assert!(k == 0 || deviation[k] <= deviation[k - 1] * (1.0 + 1e-9));
+            for j in 0..k {
+                assert!(gram[k][j].abs() < 1e-8 * deviation[k] * deviation[j], "{k} {j}");
+            }
+        }
+        let motions: Vec<Vec<Vec3>> = (0..6).map(|m| sites.iter().map(|s| rigid(s.neutral)[m]).collect()).collect();
+        let own = products(&motions, &motions, &weights);
+        for (m, with) in products(&motions, &deltas, &weights).iter().enumerate() {
+            for (k, product) in with.iter().enumerate() {
+                assert!(product.abs() < 1e-8 * own[m][m].sqrt() * deviation[k], "mode {k}, motion {m}: {product}");
+            }
+        }
+        // As wide a spread as scanned people have, from head size down to details.
+        let total = deviation.iter().map(|d| d * d).sum::<f64>().sqrt();
+        assert!((4.2..5.3).contains(&total), "{total}");
+        assert!((2.8..4.0).contains(&deviation[0]), "{}", deviation[0]);
+        let decades = |k: usize| 2.0 * (deviation[0] / deviation[k]).log10();
+        assert!((1.9..2.5).contains(&decades(19)) && (3.0..3.7).contains(&decades(59)), "{}", decades(59));
+    }
+
+    #[test]
+    fn each_mode_is_symmetric_or_antisymmetric_and_the_sides_differ_little() {
+        let (sites, weights) = reference();
+        let twins: Vec<Site> = sites.iter().map(Site::mirrored).collect();
+        let modes = IdentityModes::new(ALL);
+        let (deltas, other) = (modes.deltas(&sites), modes.deltas(&twins));
+        let (mut uneven, mut all) = (0.0, 0.0);
+        for (k, (mode, other)) in deltas.iter().zip(&other).enumerate() {
+            let norm = |difference: &dyn Fn(&Vec3, &Vec3) -> Vec3| -> f64 {
+                mode.iter().zip(other).zip(&weights).map(|((a, b), w)| w * difference(a, b).norm_squared()).sum()
+            };
+            let variance = norm(&|a, _| *a);
+            let (odd, even) = (norm(&|a, b| (a - mirror(*b)) * 0.5), norm(&|a, b| (a + mirror(*b)) * 0.5));
+            assert!(odd.min(even) < 1e-12 * variance, "mode {k}: {odd} {even}");
+            uneven += odd;
+            all += variance;
+        }
+        assert!((0.005..0.03).contains(&(uneven / all)), "{}", uneven / all);
+    }
+
+    #[test]
+    fn modes_are_functions_of_the_place_whatever_the_template() {
+        let rig = |vertices| FaceRig::generate(&FaceOptions { vertices, identity_modes: ALL });
+        let (coarse, fine) = (rig(1000), rig(5000));
+        let key = |p: &[f64; 2]| p.map(|c| (c * 1e6).round() as i64);
+        let at: BTreeMap<[i64; 2], usize> = coarse.places.iter().enumerate().map(|(v, p)| (key(p), v)).collect();
+        let common: Vec<(usize, usize)> =
+            fine.places.iter().enumerate().filter_map(|(v, p)| at.get(&key(p)).map(|c| (*c, v))).collect();
+        assert!(common.len() > 20, "{}", common.len());
+        for (a, b) in coarse.identities.iter().zip(&fine.identities) {
+            assert!(common.iter().all(|(c, f)| (a[*c] - b[*f]).norm() < 1e-4));
+        }
+        let identity = people(1).remove(0);
+        let weights = FaceWeights { identity: identity.clone(), ..FaceWeights::default() };
+        let posed = coarse.pose(&[], &identity);
+        for (rig, posed) in [(&fine, posed), (&coarse, fine.pose(&[], &identity))] {
+            let other = if rig.places.len() > 2000 { &coarse } else { &fine };
+            let direct = rig.model.positions(&other.places, &weights);
+            assert!(direct.iter().zip(&posed).all(|(a, b)| (a - b).norm() < 1e-9));
+        }
+        assert_eq!(IdentityModes::new(7).deltas(&[site([0.0, 0.0])]).len(), 7);
+        assert!(IdentityModes::new(100_000).len() > 2 * ALL);
+    }
+
+    /// Degrees between the normals on both sides of each edge.
+    fn bends(positions: &[Vec3], triangles: &[[u32; 3]]) -> BTreeMap<(u32, u32), f64> {
+        let mut first = BTreeMap::new();
+        let mut bends = BTreeMap::new();
+        for t in triangles {
+            let [a, b, c] = t.map(|v| positions[v as usize]);
+            let normal = (b - a).cross(&(c - a)).normalize();
+            for k in 0..3 {
+                let edge = (t[k].min(t[(k + 1) % 3]), t[k].max(t[(k + 1) % 3]));
+                if let Some(other) = first.insert(edge, normal) {
+                    bends.insert(edge, normal.dot(&other).clamp(-1.0, 1.0).acos().to_degrees());
+                }
+            }
+        }
+        bends
+    }
+
+    #[test]
+    fn nothing_folds_at_three_deviations_of_a_mode_or_in_random_people() {
+        for vertices in [5000, 20_000] {
+            let rig = FaceRig::generate(&FaceOptions { vertices, identity_modes: ALL });
+            let triangles = rig.mesh.triangulate().triangles;
+            let before = bends(&rig.neutral, &triangles);
+            let extremes = (0..2 * ALL).map(|k| {
+                let mut weights = vec![0.0; ALL];
+                weights[k / 2] = if k % 2 == 0 { 3.0 } else { -3.0 };
+                weights
+            });
+            for (k, weights) in extremes.chain(people(100)).enumerate().step_by(if vertices > 10_000 { 7 } else { 1 }) {
+                let posed = rig.pose(&[], &weights);
+                assert_eq!(flipped_triangles(&rig.neutral, &posed, &triangles), Ok(0), "person {k}");
+                for (edge, angle) in bends(&posed, &triangles) {
+                    // Some edges at the corners of mouth and eyes are sharp already.
+                    let was = before[&edge];
+                    let at = rig.neutral[edge.0 as usize];
+                    assert!(was > 45.0 || angle - was < 60.0, "person {k} folds from {was} to {angle} degrees at {at}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn closed_lips_stay_closed_and_lids_stay_near_the_eyeballs() {
+        let model = FaceModel::new(ALL);
+        let neutral = model.eyeballs(&FaceWeights::default())[0];
+        assert!((neutral.centre - Vec3::from(directions::EYEBALL)).norm() < 1e-9);
+        let lip = |eta: f64, up: f64| [25.5 * eta.cos(), -68.0 + up * 4.2 * eta.sin()];
+        let etas: Vec<f64> = (0..=60).map(|k| f64::from(k) / 60.0 * std::f64::consts::PI).collect();
+        let [upper, lower] = [1.0, -1.0].map(|up| etas.iter().map(|eta| lip(*eta, up)).collect::<Vec<_>>());
+        assert!(upper.iter().chain(&lower).all(|p| site(*p).mouth.r.abs() < 1e-6));
+        // The margin of the left lids.
+        let fine = FaceRig::generate(&FaceOptions { vertices: 20_000, identity_modes: 0 });
+        let margin: Vec<[f64; 2]> = fine.places.iter().copied().filter(|p| site(*p).left_eye.r < -1.9).collect();
+        assert!(margin.len() > 50);
+        for (k, identity) in people(100).into_iter().enumerate() {
+            let weights = FaceWeights { identity, ..FaceWeights::default() };
+            let [a, b] = [&upper, &lower].map(|lip| model.positions(lip, &weights));
+            let gap = a.iter().zip(&b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            assert!(gap < 0.2, "person {k}: lips {gap} mm apart");
+            let ball = model.eyeballs(&weights)[0];
+            for p in model.positions(&margin, &weights) {
+                let gap = (p - ball.centre).norm() - ball.radius;
+                assert!((-0.8..1.2).contains(&gap), "person {k}: lid {gap} mm off the eyeball at {p}");
+            }
+        }
     }
 }

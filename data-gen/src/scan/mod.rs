@@ -3,6 +3,7 @@
 mod detail;
 mod domain;
 mod faults;
+mod manner;
 mod net;
 mod options;
 mod person;
@@ -20,6 +21,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::{FaceRig, FaceWeights, Flat};
+use manner::Manner;
 use detail::Detail;
 use faults::Hole;
 use surface::{Shell, Surface};
@@ -89,6 +91,7 @@ enum Stream {
     Order,
     Landmarks,
     Points,
+    Manner,
 }
 
 impl Stream {
@@ -110,9 +113,10 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
     let pose = options.pose.unwrap_or_else(|| Pose::random(options, &mut Stream::Pose.of(seed)));
     let detail_seed = options.detail_seed.unwrap_or(seed);
     let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(detail_seed));
+    let manner = Manner::new(options.manner, &mut Stream::Manner.of(detail_seed));
     let weights = FaceWeights { expressions: expression_weights.clone(), identity: identity_weights.clone() };
     let contains = |place: Flat| rig.model.contains(place);
-    let surface = Surface::new(&rig.model, &contains, weights, pose, detail, options.eyeballs);
+    let surface = Surface::new(&rig.model, &contains, weights, pose, manner, detail, options.eyeballs);
 
     let trial = surface.sample(TRIAL, &mut Stream::Trial.of(seed));
     let centre = trial.positions.iter().sum::<Vec3>() / trial.positions.len().max(1) as f64;

@@ -16,11 +16,14 @@ pub struct ScanOptions {
     pub identity: Option<Vec<f64>>,
     /// Standard deviation of drawn identity weights; default 0.8.
     pub identity_sigma: f64,
+    /// How differently the person makes an expression from how the rig does: largest relative change of a displacement;
+    /// default 0.15.
+    pub manner: f64,
     /// Largest height of wrinkles and skin structure that no shape expresses; default 0.8.
     pub detail: f64,
     /// How strong the kinds of detail are among each other.
     pub wrinkles: WrinkleMix,
-    /// Where the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
+    /// Where the manner and the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
     pub detail_seed: Option<u64>,
     /// Largest angle of the random rotation; default 12.
     pub rotation: f64,
@@ -117,6 +120,7 @@ impl Default for ScanOptions {
             expressions: None,
             identity: None,
             identity_sigma: 0.8,
+            manner: 0.15,
             detail: 0.8,
             wrinkles: WrinkleMix::default(),
             detail_seed: None,
@@ -146,6 +150,7 @@ impl ScanOptions {
     #[must_use]
     pub fn clean() -> Self {
         Self {
+            manner: 0.0,
             detail: 0.0,
             rotation: 0.0,
             translation: 0.0,
@@ -176,6 +181,7 @@ impl ScanOptions {
         let mix = &self.wrinkles;
         for (what, value, most) in [
             ("identity sigma", self.identity_sigma, 10.0),
+            ("manner", self.manner, 1.0),
             ("detail", self.detail, 5.0),
             ("forehead lines", mix.forehead, 10.0),
             ("crow's feet", mix.crows_feet, 10.0),

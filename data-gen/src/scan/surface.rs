@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::Pose;
 use super::detail::Detail;
+use super::manner::Manner;
 use super::domain::{Domain, Field, hole};
 use super::net::Net;
 use crate::face::{EYEBALL, FaceModel, MOUTH, Site, flatten};
@@ -21,6 +22,7 @@ pub(super) struct Surface<'a> {
     model: &'a FaceModel,
     weights: FaceWeights,
     pose: Pose,
+    manner: Manner,
     detail: Detail,
     skin: Domain<'a>,
     /// Where detail points, times how much of it there is: none where lids and lips turn in.
@@ -44,6 +46,7 @@ impl<'a> Surface<'a> {
         contains: &'a (dyn Fn(Flat) -> bool + Sync),
         weights: FaceWeights,
         pose: Pose,
+        manner: Manner,
         detail: Detail,
         eyeballs: bool,
     ) -> Self {
@@ -51,19 +54,21 @@ impl<'a> Surface<'a> {
         let eye = [EYEBALL.0[0], EYEBALL.0[1]];
         let openings = [MOUTH, flatten(eye), flatten([-eye[0], eye[1]])];
         loops.extend(openings.into_iter().map(|centre| hole(contains, centre)).filter(|l| !l.is_empty()));
-        let skin = Domain::new(loops, STEP, contains, &|places| model.positions(places, &weights));
+        let skin = Domain::new(loops, STEP, contains, &|places| {
+            model.positions_in_manner(places, &weights, &|site| manner.at(site))
+        });
         let relief = skin.normals(|place| {
             let site = Site::flat(place);
             let lid = site.left_eye.r.min(site.right_eye.r);
             smooth(lid / 4.0) * smooth(site.mouth.r / 3.0)
         });
         let eyeballs = if eyeballs { model.eyeballs(&weights).to_vec() } else { Vec::new() };
-        Self { model, weights, pose, detail, skin, relief, eyeballs }
+        Self { model, weights, pose, manner, detail, skin, relief, eyeballs }
     }
 
     /// Where material points of the skin are, in scan coordinates.
     pub fn skin(&self, places: &[Flat]) -> Vec<Vec3> {
-        let mut points = self.model.positions(places, &self.weights);
+        let mut points = self.model.positions_in_manner(places, &self.weights, &|site| self.manner.at(site));
         points.par_iter_mut().zip(places).for_each(|(p, place)| {
             *p = self.pose.apply(&(*p + self.relief.at(*place) * self.detail.height(*place)));
         });
