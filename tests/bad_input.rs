@@ -165,7 +165,8 @@ fn broken() -> Bench {
     nan[7].y = f64::NAN;
     write_npy_points(&bench.path("nan.npy"), &nan).unwrap();
 
-    write_rig(&bench.path("other_rig"), &FaceRig::generate(&FaceOptions { vertices: 900, ..FaceOptions::default() })).unwrap();
+    write_rig(&bench.path("other_rig"), &FaceRig::generate(&FaceOptions { vertices: 900, ..FaceOptions::default() }))
+        .unwrap();
     write_rig(&bench.path("nameless"), &bench.rig).unwrap();
     bench.write("nameless/expression_names.json", "[\"jawOpen\"]");
     write_rig(&bench.path("nan_rig"), &bench.rig).unwrap();

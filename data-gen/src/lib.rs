@@ -1,10 +1,11 @@
 //! Synthetic face rigs and scans of them with exact truth, all from one seed.
 //!
 //! [`FaceRig::generate`] makes a stylised face of quads by formulas: a template with expressions, identity modes and
-//! landmarks. [`simulate_scan`] deforms and poses it, adds detail that the rig cannot express, and looks at it the way a
-//! scanner does: irregular triangles, only what the cameras see, noise, holes, spikes, loose parts. [`write_rig`]
-//! and [`write_case`] make folders of them. Millimetres, Y up, the
-//! face looks towards +Z, the subject's left (`_L`) is +X. Equal options and seeds give equal bytes.
+//! landmarks, all samples of one continuous map, [`FaceModel`]. [`simulate_scan`] samples the same map elsewhere, deformed
+//! and posed and with detail that the rig cannot express, and looks at it the way a scanner does: irregular triangles, only
+//! what the cameras see, noise, holes, spikes, loose parts. [`Motion`] moves a person through a sequence of scans.
+//! [`write_rig`] and [`write_case`] make folders of them. Millimetres, Y up, the face looks towards +Z, the subject's left
+//! (`_L`) is +X. Equal options and seeds give equal bytes.
 
 mod contact_sheet;
 mod expressions;

@@ -25,7 +25,7 @@ Exit codes: 0 done, 1 arguments, 2 computation, 3 writing.";
 
 /// Synthetic face rigs and scans with exact truth, from one seed: DIR/rig and DIR/cases/NAME, in millimetres.
 #[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
+#[command(version, after_help = EXAMPLES, allow_negative_numbers = true)]
 struct Arguments {
     /// Folder for everything; made if it is not there.
     #[arg(long, value_name = "DIR")]

@@ -76,7 +76,11 @@ impl Motion {
                 .map(|most| share * most * rng.random_range(-1.0..1.0) / 3f64.sqrt());
             let mut amplitudes = [0.0; 6];
             amplitudes.iter_mut().zip(reach).for_each(|(a, r)| *a = r);
-            (amplitudes, std::f64::consts::TAU / (slow * rng.random_range(0.7..1.3)), rng.random_range(0.0..std::f64::consts::TAU))
+            (
+                amplitudes,
+                std::f64::consts::TAU / (slow * rng.random_range(0.7..1.3)),
+                rng.random_range(0.0..std::f64::consts::TAU),
+            )
         };
         let sways = vec![sway(0.6, SWAY), sway(0.3, 0.5 * SWAY), sway(0.1, 0.25 * SWAY)];
         Ok(Self { options, names, keys, sways })

@@ -21,9 +21,9 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::{FaceRig, FaceWeights, Flat};
-use manner::Manner;
 use detail::Detail;
 use faults::Hole;
+use manner::Manner;
 use surface::{Shell, Surface};
 use view::{Occluder, View};
 

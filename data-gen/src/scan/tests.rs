@@ -62,7 +62,8 @@ fn inner(rig: &FaceRig) -> Vec<usize> {
 #[test]
 fn the_truth_lies_on_the_scan_up_to_the_chords_of_its_triangles() {
     let rig = rig();
-    // Nine tenths of the vertices are nearer than this, at edges of about 1, 1/2 and 1/4.
+    // Nine tenths of the vertices are nearer than this, at edges of about 1, 1/2 and 1/4: 1/16 in the end, but for detail
+    // that the first do not resolve.
     let errors = [20_000, 80_000, 320_000].map(|triangles| {
         let case = scan(&rig, &faultless(triangles), 3);
         let tree = ClosestPoint::new(&case.scan).unwrap();
@@ -71,7 +72,7 @@ fn the_truth_lies_on_the_scan_up_to_the_chords_of_its_triangles() {
         off[off.len() * 9 / 10]
     });
     assert!(errors[0] < 0.2 && errors[2] < 0.016, "{errors:?}");
-    assert!(errors[1] < 0.36 * errors[0] && errors[2] < 0.32 * errors[1], "{errors:?}");
+    assert!(errors[1] < 0.45 * errors[0] && errors[2] < 0.12 * errors[0], "{errors:?}");
     // A shift of the truth along the surface by its own detail's height would not pass unseen:
     let smooth = scan(&rig, &ScanOptions { detail: 0.0, ..faultless(160_000) }, 3);
     let detailed = scan(&rig, &faultless(10_000), 3);
@@ -105,7 +106,8 @@ fn scan_vertices_say_nothing_about_template_vertices() {
             FaceWeights { expressions: case.expression_weights.clone(), identity: case.identity_weights.clone() };
         let contains = |p: Flat| rig.model.contains(p);
         let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(seed));
-        let surface = Surface::new(&rig.model, &contains, weights, case.pose, detail, false);
+        let manner = Manner::new(options.manner, &mut Stream::Manner.of(seed));
+        let surface = Surface::new(&rig.model, &contains, weights, case.pose, manner, detail, false);
         let controls = surface.skin(&places);
         for ((v, place), control) in inner.iter().zip(&places).zip(&controls) {
             if contains(*place) {
@@ -132,7 +134,7 @@ fn the_library_finds_no_coincidence_of_vertices() {
     let rig = FaceRig::generate(&FaceOptions::default());
     let template = rig.mesh.triangulate();
     let schedule = Schedule::default_for("graph").unwrap();
-    let level = Level { distance_cap: 5.0, normal_angle: 60.0, ..schedule.levels[0].clone() };
+    let level = Level { distance_cap: 5.0, normal_angle: 60.0, ..schedule.levels[0] };
     for seed in 1..4 {
         let case = scan(&rig, &ScanOptions::default(), seed);
         let surface = ScanSurface::new(case.scan, None, &Reading::default()).unwrap();
@@ -188,7 +190,7 @@ fn triangles_are_a_clean_oriented_even_sampling() {
 #[test]
 fn observed_vertices_lie_on_the_scan_and_hidden_ones_do_not_count() {
     let rig = rig();
-    let options = ScanOptions { triangles: 20_000, ..ScanOptions::default() };
+    let options = ScanOptions::default();
     let case = scan(&rig, &options, 4);
     let all = share(&case.observed);
     assert!(all > 0.75 && all < 1.0, "{all}");
@@ -203,7 +205,7 @@ fn observed_vertices_lie_on_the_scan_and_hidden_ones_do_not_count() {
     let shown = quiet.truth.iter().zip(&quiet.observed).filter(|(_, o)| **o).map(|(p, _)| far(p));
     let mut shown: Vec<f64> = shown.collect();
     shown.sort_by(f64::total_cmp);
-    assert!(shown[shown.len() * 99 / 100] < 0.4 && shown[shown.len() - 1] < 2.0);
+    assert!(shown[shown.len() * 99 / 100] < 0.4 && shown[shown.len() - 1] < 1.5);
     let hidden: Vec<f64> = quiet.truth.iter().zip(&quiet.observed).filter(|(_, o)| !**o).map(|(p, _)| far(p)).collect();
     assert!(hidden.iter().filter(|d| **d > 0.5).count() > hidden.len() / 4);
     assert!(case.landmarks.len() > 40);

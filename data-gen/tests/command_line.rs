@@ -1,0 +1,114 @@
+//! The program: what it writes, what it refuses, and how it says so.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use nonrigid::mesh::io::{read_npy_mask, read_npy_points, read_scan};
+use nonrigid::rig::{Rig, RigReadOptions};
+
+fn run(folder: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_data-gen"));
+    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
+}
+
+fn done(folder: &Path, arguments: &str) -> String {
+    let output = run(folder, arguments);
+    assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+const SMALL: &str = "--seed 7 --out data --vertices 1000 --identity-modes 6 --triangles 5000";
+
+#[test]
+fn six_cases_by_default_and_one_of_them_alone_is_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = done(folder.path(), SMALL);
+    assert!(said.starts_with("seed 7\n") && said.contains("[6/6]"), "{said}");
+    let data = folder.path().join("data");
+    let (rig, warnings) = Rig::read(&data.join("rig"), &RigReadOptions::default()).unwrap();
+    assert!(warnings.is_empty() && rig.landmarks().unwrap().len() == 68);
+    let vertices = rig.mesh().unwrap().positions.len();
+    for name in ["same_blink", "same_open", "same_smile", "new_asym", "new_neutral", "new_open"] {
+        let case = data.join("cases").join(name);
+        assert_eq!(read_npy_points(&case.join("truth.npy")).unwrap().len(), vertices);
+        assert_eq!(case.join("neutral.npy").exists(), name.starts_with("same"));
+        let observed = read_npy_mask(&case.join("observed.npy"), Some(vertices)).unwrap();
+        let file = json(&case.join("case.json"));
+        assert_eq!(file["observed"].as_u64().unwrap() as usize, observed.iter().filter(|o| **o).count());
+        let scan = read_scan(&case.join("scan.ply")).unwrap().mesh;
+        assert_eq!(file["triangles"].as_u64().unwrap() as usize, scan.triangles.len());
+        assert_eq!(file["rig_identity_modes"], if name.starts_with("same") { 0 } else { 4 });
+    }
+    let open = json(&data.join("cases/same_open/case.json"));
+    assert_eq!(open["expression"]["eyeWide_R"], 0.8);
+    assert!(open["withhold"].as_array().unwrap().iter().any(|n| n == "mouthStretch_L"));
+    assert!(!open["rig_expressions"].as_array().unwrap().iter().any(|n| n == "mouthStretch_L" || n == "jawForward"));
+
+    let alone = SMALL.replace("data", "alone") + " --case new_asym --threads 3";
+    done(folder.path(), &alone);
+    let file = |root: &str, name: &str| {
+        let case = if name.ends_with("deltas.npy") { "rig" } else { "cases/new_asym" };
+        std::fs::read(folder.path().join(root).join(case).join(name)).unwrap()
+    };
+    for name in ["scan.ply", "truth.npy", "case.json", "landmarks.json", "expression_deltas.npy"] {
+        assert!(file("data", name) == file("alone", name), "{name}");
+    }
+}
+
+#[test]
+fn sequences_are_cases_with_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    done(folder.path(), &format!("{SMALL} --frames 3 --fps 5 --preset smile"));
+    let sequence = folder.path().join("data/sequence");
+    let table = std::fs::read_to_string(sequence.join("weights.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), 4);
+    assert!(rows.iter().all(|r| r.len() == rows[0].len()) && rows[0][..2] == ["frame", "time"]);
+    let smile = rows[0].iter().position(|n| *n == "mouthSmile_L").unwrap();
+    let weights: Vec<f64> = rows[1..].iter().map(|r| r[smile].parse().unwrap()).collect();
+    assert!(weights[0] == 0.0 && weights[0] < weights[1] && weights[1] < weights[2] && weights[2] < 1.0, "{weights:?}");
+    let neutral = |frame: &str| std::fs::read(sequence.join(frame).join("neutral.npy")).unwrap();
+    assert_eq!(neutral("frame_0000"), neutral("frame_0002"));
+    let scan = |frame: &str| std::fs::read(sequence.join(frame).join("scan.ply")).unwrap();
+    assert_ne!(scan("frame_0000"), scan("frame_0001"));
+    assert_eq!(json(&sequence.join("frame_0002/case.json"))["expression"]["mouthSmile_L"], weights[2]);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arguments, code, words) in [
+        ("", 1, "--out"),
+        ("--out data --vertices 999", 1, "1000 to 500000"),
+        ("--out data --vertices 500001", 1, "1000 to 500000"),
+        ("--out data --triangles 4999", 1, "5000 to 5000000"),
+        ("--out data --vertices 1000 --expression jawOpne=1", 1, "jawOpen"),
+        ("--out data --vertices 1000 --expression jawOpen", 1, "NAME=WEIGHT"),
+        ("--out data --vertices 1000 --preset grin", 1, "smile"),
+        ("--out data --vertices 1000 --noise -1", 1, "noise"),
+        ("--out data --vertices 1000 --noise=-1", 1, "noise"),
+        ("--out data --vertices 1000 --noise NaN", 1, "noise"),
+        ("--out data --vertices 1000 --camera 0", 1, "azimuth"),
+        ("--out data --vertices 1000 --camera 0,90", 1, "elevation"),
+        ("--out data --vertices 1000 --case ../x", 1, "folder"),
+        ("--out data --vertices 1000 --fps 0 --frames 2", 1, "fps"),
+        ("--out data --frames 2 --case same_open", 1, "cannot be used with"),
+    ] {
+        let output = run(folder.path(), arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments}: {said}");
+        assert!(said.contains(words) && !said.contains("panicked"), "{arguments}: {said}");
+        assert!(!folder.path().join("data").exists(), "{arguments}");
+    }
+    let help = done(folder.path(), "--help");
+    assert!(help.contains("Examples:") && help.contains("Exit codes") && help.contains("--camera"));
+    let behind = run(folder.path(), &format!("{SMALL} --case same_open --camera 180,0"));
+    assert_eq!(behind.status.code(), Some(2), "{}", String::from_utf8_lossy(&behind.stderr));
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let unwritable = run(folder.path(), &SMALL.replace("data", "file/in"));
+    assert_eq!(unwritable.status.code(), Some(3), "{}", String::from_utf8_lossy(&unwritable.stderr));
+}
