@@ -227,6 +227,7 @@ fn folds(sample: &Sample, posed: &[Vec3]) -> (usize, f64, f64) {
     };
     let skin: Vec<bool> = sample.triangles.iter().zip(&outside_eyes).map(|(t, out)| *out && every(t, law)).collect();
     let turned = (0..before.len()).filter(|k| skin[*k] && before[*k].dot(&after[*k]) < 0.0).count();
+    if turned > 0 { for k in 0..before.len() { if skin[k] && before[k].dot(&after[k]) < 0.0 { let s = &sample.sites[sample.triangles[k][0] as usize]; println!("TURNED {:?} {} {} of {}", s.mouth, s.x, s.y, before.len()); } } }
     let shares = (0..before.len()).filter(|k| outside_eyes[*k]).map(|k| after[k].norm() / before[k].norm());
     let bend = |n: &[Vec3], [a, b]: [usize; 2]| n[a].angle(&n[b]).to_degrees();
     let sharpest = sample
