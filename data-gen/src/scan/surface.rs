@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::Pose;
 use super::detail::Detail;
-use super::manner::Manner;
 use super::domain::{Domain, Field, hole};
+use super::manner::Manner;
 use super::net::Net;
 use crate::face::{EYEBALL, FaceModel, MOUTH, Site, flatten};
 use crate::{Eyeball, FaceWeights, Flat};

@@ -106,7 +106,8 @@ fn scan_vertices_say_nothing_about_template_vertices() {
             FaceWeights { expressions: case.expression_weights.clone(), identity: case.identity_weights.clone() };
         let contains = |p: Flat| rig.model.contains(p);
         let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(seed));
-        let surface = Surface::new(&rig.model, &contains, weights, case.pose, detail, false);
+        let manner = Manner::new(options.manner, &mut Stream::Manner.of(seed));
+        let surface = Surface::new(&rig.model, &contains, weights, case.pose, manner, detail, false);
         let controls = surface.skin(&places);
         for ((v, place), control) in inner.iter().zip(&places).zip(&controls) {
             if contains(*place) {
