@@ -50,10 +50,10 @@ impl Subject {
         Self::Same { withheld: weakest.map(|(e, _)| e.0.clone()).into_iter().collect() }
     }
 
-    /// An unknown person, with two thirds of the rig's identity modes: the first 40 of 60.
+    /// An unknown person, with two fifths of the rig's identity modes: the first 40 of 100.
     #[must_use]
     pub fn new(rig: &FaceRig) -> Self {
-        Self::New { identity_modes: rig.identities.len() * 2 / 3 }
+        Self::New { identity_modes: rig.identities.len() * 2 / 5 }
     }
 }
 
@@ -233,7 +233,7 @@ mod tests {
         let (same, new) = (description(&same), description(&new));
         let count = rig.expressions.iter().filter(|e| e.0 != "mouthClose").count();
         assert_eq!(same["rig_expressions"].as_array().unwrap().len(), count - 1);
-        assert_eq!((&same["rig_identity_modes"], &new["rig_identity_modes"]), (&json!(0), &json!(6)));
+        assert_eq!((&same["rig_identity_modes"], &new["rig_identity_modes"]), (&json!(0), &json!(3)));
         assert_eq!(new["rig_expressions"].as_array().unwrap().len(), count);
         assert!(same["start_rmse_mm"].as_f64().unwrap() > 0.5 && same["start_rmse_mm"] == new["start_rmse_mm"]);
         let withheld = same["withhold"][0].as_str().unwrap();

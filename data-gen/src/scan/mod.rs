@@ -36,7 +36,7 @@ pub use person::{PRESETS, Pose, resolve_shapes};
 pub enum ScanError {
     /// An option that makes no sense.
     Option(String),
-    /// No camera sees any of the face.
+    /// The cameras see less than a fiftieth of the face.
     NothingSeen,
 }
 
@@ -44,7 +44,7 @@ impl fmt::Display for ScanError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Option(what) => f.write_str(what),
-            Self::NothingSeen => f.write_str("no camera sees any of the face"),
+            Self::NothingSeen => f.write_str("the cameras see next to nothing of the face"),
         }
     }
 }
@@ -74,6 +74,12 @@ pub struct ScanCase {
 
 /// Points of the trial scan, which tells what is visible and how many points the scan needs.
 const TRIAL: usize = 40_000;
+
+/// Least share of the surface that is worth a scan.
+const LEAST_SEEN: f64 = 0.02;
+/// Points of a scan at most, before what is not seen is dropped: a small part of a face at millions of triangles would be
+/// more than memory holds.
+const MOST_POINTS: f64 = 2e7;
 
 /// What is drawn from a random stream of its own, so that one option does not change what the others draw.
 #[derive(Clone, Copy)]
@@ -105,7 +111,7 @@ impl Stream {
 /// Scans `rig`. Everything random comes from `seed`; equal arguments give equal bits, with any number of threads.
 ///
 /// # Errors
-/// When an option makes no sense or names an expression that the rig does not have, or no camera sees anything.
+/// When an option makes no sense or names an expression that the rig does not have, or the cameras see next to nothing.
 pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<ScanCase, ScanError> {
     options.validate(rig)?;
     let expression_weights = person::expression_weights(rig, options, &mut Stream::Expression.of(seed))?;
@@ -188,13 +194,12 @@ impl Seen {
         let all = self.kept.len() as f64;
         let twice_kept = 2.0 * self.kept.iter().filter(|k| **k).count() as f64;
         let whole = self.whole(shell).len() as f64;
-        if whole == 0.0 {
+        if twice_kept < 2.0 * LEAST_SEEN * all || whole == 0.0 {
             return None;
         }
         let (a, b) = (twice_kept / all, (twice_kept - whole) / all.sqrt());
         let root = (b + (b * b + 4.0 * a * triangles as f64).sqrt()) / (2.0 * a);
-        // A sliver of the face at ten million triangles would be more than memory holds.
-        Some((root * root).min(2e7) as usize)
+        Some((root * root).min(MOST_POINTS) as usize)
     }
 }
 
