@@ -222,12 +222,11 @@ fn folds(sample: &Sample, posed: &[Vec3]) -> (usize, f64, f64) {
     // Where lips meet they face each other; at the corners of a mouth that opens they come to face forwards. In an eye's
     // corner the skin turns about it when the lids close.
     let law = |s: &Site| {
-        let corner = [s.left_eye, s.right_eye].iter().any(|a| a.r < 1.5 && a.eta.sin().abs() < 0.25);
-        s.mouth.r > 3.0 && !corner
+        let corner = |a: &Around, r: f64| a.r < r && a.eta.sin().abs() < 0.25;
+        s.mouth.r > 3.0 && !corner(&s.mouth, 4.0) && !corner(&s.left_eye, 1.5) && !corner(&s.right_eye, 1.5)
     };
     let skin: Vec<bool> = sample.triangles.iter().zip(&outside_eyes).map(|(t, out)| *out && every(t, law)).collect();
     let turned = (0..before.len()).filter(|k| skin[*k] && before[*k].dot(&after[*k]) < 0.0).count();
-    if turned > 0 { for k in 0..before.len() { if skin[k] && before[k].dot(&after[k]) < 0.0 { let s = &sample.sites[sample.triangles[k][0] as usize]; println!("TURNED {:?} {} {} of {}", s.mouth, s.x, s.y, before.len()); } } }
     let shares = (0..before.len()).filter(|k| outside_eyes[*k]).map(|k| after[k].norm() / before[k].norm());
     let bend = |n: &[Vec3], [a, b]: [usize; 2]| n[a].angle(&n[b]).to_degrees();
     let sharpest = sample
