@@ -39,7 +39,7 @@ fn write_scan(path: &Path, scan: &TriangleMesh) {
 fn every_model_keeps_the_templates_topology() {
     let bench = Bench::new();
     let template = read_obj(&bench.path("rig/template.obj")).unwrap();
-    assert!(template.metadata.uvs.len() > template.positions.len() && template.metadata.statements.len() > 4);
+    assert!(template.metadata.uvs.len() >= template.positions.len() && template.metadata.statements.len() > 4);
     for model in ModelKind::ALL {
         let printed = bench.done(&format!("{FIT} {INPUTS} --model {model} --out {model}.obj"));
         assert!(
@@ -204,8 +204,10 @@ fn heat_maps_are_pictures_that_show_the_error() {
     }
     let (none, some) = (picture(&bench.path("none.png")), picture(&bench.path("some.png")));
     assert!(some.width() >= 640 && some.height() >= 320);
-    assert_eq!(none.dimensions(), some.dimensions());
-    let different = none.pixels().zip(some.pixels()).filter(|(a, b)| a != b).count();
+    // Numbers beside the colour bar may make one wider.
+    assert_eq!(none.height(), some.height());
+    let pixels = (0..none.height()).flat_map(|y| (0..none.width().min(some.width())).map(move |x| (x, y)));
+    let different = pixels.filter(|(x, y)| none.get_pixel(*x, *y) != some.get_pixel(*x, *y)).count();
     assert!(different > 5000, "only {different} pixels show the error");
 }
 
@@ -214,15 +216,16 @@ fn rig_info_lists_what_each_layout_holds() {
     let bench = Bench::new();
     let info = json(bench.done("rig info rig --json"));
     let list = info.as_array().unwrap();
-    assert_eq!(list.len(), 20);
-    assert_eq!((&list[0]["name"], &list[0]["family"]), (&"jawOpen".into(), &"expression".into()));
-    assert_eq!(list[12]["family"], "identity");
+    let expressions = bench.rig.expressions.len();
+    assert_eq!(list.len(), expressions + 8);
+    assert_eq!((&list[0]["name"], &list[0]["family"]), (&"browDown_L".into(), &"expression".into()));
+    assert_eq!(list[expressions]["family"], "identity");
     for (entry, (name, delta)) in list.iter().zip(&bench.rig.expressions) {
         let largest = delta.iter().map(|d| d.norm()).fold(0.0, f64::max);
         assert!((entry["max_displacement"].as_f64().unwrap() - largest).abs() < 1e-5, "{name}");
     }
     let text = bench.done("rig info rig");
-    assert!(text.starts_with(&format!("{} vertices, 20 shapes\n", bench.rig.neutral.len())), "{text}");
+    assert!(text.starts_with(&format!("{} vertices, {} shapes\n", bench.rig.neutral.len(), expressions + 8)), "{text}");
     assert!(bench.rig.expressions.iter().all(|e| text.contains(&e.0)));
 
     // The same expressions as one mesh a shape: whole shapes, differences that say so themselves, and by option.
@@ -240,7 +243,7 @@ fn rig_info_lists_what_each_layout_holds() {
     write_obj(&bench.path("full/still.obj"), &bench.rig.mesh).unwrap();
     let run = bench.run("rig info full --json");
     assert!(run.code == 0 && run.stderr.starts_with("warning: ") && run.stderr.contains("\"still\""), "{}", run.stderr);
-    let mut expected = list[..12].to_vec();
+    let mut expected = list[..expressions].to_vec();
     expected.sort_by_key(|e| e["name"].as_str().unwrap().to_owned());
     for (command, found) in [
         ("full", json(run.stdout)),
@@ -248,7 +251,7 @@ fn rig_info_lists_what_each_layout_holds() {
         ("told", json(bench.done("rig info told --shape-kind delta --json"))),
     ] {
         let found = found.as_array().unwrap();
-        assert_eq!(found.len(), 12, "{command}");
+        assert_eq!(found.len(), expressions, "{command}");
         for (a, b) in found.iter().zip(&expected) {
             assert_eq!((&a["name"], &a["family"]), (&b["name"], &"other".into()), "{command}");
             let [far, near] = [a, b].map(|e| e["max_displacement"].as_f64().unwrap());

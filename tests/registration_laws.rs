@@ -120,7 +120,7 @@ fn the_hybrid_recovers_faces_better_than_its_parts() {
         let mut subject = rig.clone();
         subject.neutral = rig.pose(&[], &case.identity_weights);
         subject.mesh.positions.clone_from(&subject.neutral);
-        subject.expressions.retain(|e| e.0 != withheld.0);
+        subject.expressions.retain(|e| !e.0.starts_with(withheld.0));
         let task = Task::new(&subject, &case, 0);
         let rmse = models.map(|model| {
             let result = task.fit(model);

@@ -17,6 +17,9 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{PlyOptions, write_atomically, write_npy, write_obj, write_ply};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use serde_json::{Map, Value, json};
 
 use crate::scan::CORRECTIVES;
@@ -83,6 +86,20 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
     write_json(&folder.join("eyeballs.json"), &json!({ "left": left, "right": right }))
 }
 
+/// Writes `people` random neutral faces, `person_0000.obj` and so on, drawn from N(0, 1) per identity mode.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_population(folder: &Path, rig: &FaceRig, people: usize, seed: u64) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    for k in 0..people {
+        let weights: Vec<f64> = rig.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
+        write_obj(&folder.join(format!("person_{k:04}.obj")), &rig.mesh.with_positions(rig.pose(&[], &weights)))?;
+    }
+    Ok(())
+}
+
 /// Writes a case; makes the folder if it is not there. `seed` is what the scan was simulated from.
 ///
 /// # Errors
@@ -137,22 +154,20 @@ fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
     (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 
-/// Shape by shape, so that a large rig is not in memory twice.
+/// Deltas and names of a family; without shapes no files, nor those of an earlier rig.
 fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<()> {
-    let vertices = deltas.first().map_or(0, |d| d.len());
-    let shape = format!("({}, {vertices}, 3)", names.len());
-    // NPY 1.0; the data begin at a multiple of 64 bytes.
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
-    let length = (10 + header.len() + 1).next_multiple_of(64) - 10;
-    write_atomically(&folder.join(format!("{family}_deltas.npy")), |file| {
-        file.write_all(b"\x93NUMPY\x01\x00")?;
-        file.write_all(&(length as u16).to_le_bytes())?;
-        writeln!(file, "{header:<0$}", length - 1)?;
-        let items = deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z]));
-        items.map(|x| (x as f32).to_le_bytes()).try_for_each(|bytes| file.write_all(&bytes))
-    })?;
+    let [deltas_path, names_path] = ["deltas.npy", "names.json"].map(|end| folder.join(format!("{family}_{end}")));
+    let Some(vertices) = deltas.first().map(|d| d.len()) else {
+        for path in [deltas_path, names_path].iter().filter(|p| p.exists()) {
+            fs::remove_file(path).with_context(|| path.display().to_string())?;
+        }
+        return Ok(());
+    };
+    let items: Vec<f32> =
+        deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();
+    write_npy(&deltas_path, &[names.len(), vertices, 3], &items)?;
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
-    write_json(&folder.join(format!("{family}_names.json")), &names.into())
+    write_json(&names_path, &names.into())
 }
 
 fn write_points(path: &Path, points: &[Vec3]) -> Result<()> {

@@ -7,8 +7,8 @@ use std::time::Instant;
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use data_gen::{
-    Camera, FaceOptions, FaceRig, Motion, PRESETS, ScanCase, ScanError, ScanOptions, Subject, WrinkleMix,
-    contact_sheet, resolve_shapes, simulate_scan, write_case, write_rig, write_weights,
+    Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
+    WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
 use nonrigid::render::save_png;
 
@@ -18,6 +18,7 @@ Examples:
   data-gen --seed 7 --out data --case same_open --triangles 1000000
   data-gen --seed 7 --out data --case my_smile --expression mouthSmile=0.8 --expression jawOpen=0.3
   data-gen --seed 7 --out data --cases 20              20 cases of random people and expressions
+  data-gen --seed 7 --out data --population 200        and 200 neutral faces for `nonrigid rig pca`
   data-gen --seed 7 --out data --frames 60 --fps 30    a sequence of two seconds
   data-gen --seed 7 --out data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8
 
@@ -57,6 +58,9 @@ struct Arguments {
     /// A sequence of N frames of one person, DIR/sequence/frame_0000 and so on with weights.csv, instead of cases.
     #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases", conflicts_with_all = ["names", "cases"])]
     frames: Option<usize>,
+    /// Also N random people's neutral faces as OBJ, DIR/population, as `nonrigid rig pca` reads them.
+    #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases")]
+    population: Option<usize>,
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases")]
     fps: f64,
@@ -136,18 +140,6 @@ struct Arguments {
     landmark_noise: f64,
 }
 
-/// A standard case: name, preset, and what is withheld of a known person; `None`: an unknown one.
-type Standard = (&'static str, &'static str, Option<[&'static str; 3]>);
-
-const STANDARD: [Standard; 6] = [
-    ("same_open", "open", Some(["mouthStretch", "eyeWide", "jawForward"])),
-    ("same_smile", "smile", Some(["cheekSquint", "mouthDimple", "mouthStretch"])),
-    ("same_blink", "blink", Some(["browDown", "mouthFunnel", "noseSneer"])),
-    ("new_neutral", "neutral", None),
-    ("new_open", "shout", None),
-    ("new_asym", "asym", None),
-];
-
 /// Why nothing or not everything was made.
 enum Failure {
     Arguments(String),
@@ -207,6 +199,11 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         folder.display(),
         start.elapsed().as_secs_f64()
     );
+    if let Some(people) = arguments.population {
+        let folder = arguments.out.join("population");
+        write_population(&folder, &rig, people, seed).map_err(Failure::Writing)?;
+        println!("{}: {people} people", folder.display());
+    }
     let mut shown = Vec::new();
     let mut weights = Vec::new();
     let count = plans.len();
@@ -243,7 +240,6 @@ struct Plan {
 }
 
 fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
-    let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
     let options = arguments.scan_options();
     let seed = |k: usize| arguments.seed.wrapping_add(k as u64);
     if let Some(frames) = arguments.frames {
@@ -267,26 +263,22 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
         };
         return Ok((0..cases).map(case).collect());
     }
-    let standard = STANDARD.iter().map(|s| s.0.to_owned());
+    let standard = STANDARD_CASES.iter().map(|s| s.name.to_owned());
     let wanted: Vec<String> = if arguments.names.is_empty() { standard.collect() } else { arguments.names.clone() };
     let mut plans = Vec::new();
     for name in wanted {
-        let at = STANDARD.iter().position(|s| s.0 == name);
+        let at = STANDARD_CASES.iter().position(|s| s.name == name);
         let mut options = options.clone();
         let mut subject = if name.starts_with("new") { unknown() } else { None };
         if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
             return Err(Failure::Arguments(format!("--case {name:?} is no name for a folder")));
         }
-        if let Some((_, preset, withheld)) = at.map(|at| STANDARD[at]) {
-            options.expressions = options.expressions.or_else(|| Some(preset_weights(preset)));
-            if let Some(withheld) = withheld {
-                let full: Result<Vec<Vec<&str>>, ScanError> =
-                    withheld.iter().map(|name| resolve_shapes(&names, name)).collect();
-                subject = Some(Subject::Same { withheld: full?.concat().into_iter().map(str::to_owned).collect() });
-            }
+        if let Some(standard) = at.map(|at| STANDARD_CASES[at]) {
+            options.expressions = options.expressions.or_else(|| Some(standard.expressions()));
+            subject = Some(standard.subject(rig)?);
         }
         // A standard case is the same whether it is made alone or with the others.
-        let number = at.unwrap_or(STANDARD.len() + plans.len());
+        let number = at.unwrap_or(STANDARD_CASES.len() + plans.len());
         plans.push(Plan { name: format!("cases/{name}"), options, subject, seed: seed(number), time: 0.0 });
     }
     Ok(plans)
@@ -308,11 +300,6 @@ fn scan(rig: &FaceRig, plan: &Plan, out: &Path, progress: &str) -> Result<ScanCa
         start.elapsed().as_secs_f64() - simulated
     );
     Ok(case)
-}
-
-fn preset_weights(name: &str) -> Vec<(String, f64)> {
-    let parts = PRESETS.iter().find(|p| p.0 == name).map_or(&[][..], |p| p.1);
-    parts.iter().map(|(shape, weight)| ((*shape).to_owned(), *weight)).collect()
 }
 
 impl Arguments {

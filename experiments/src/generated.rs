@@ -3,23 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use data_gen::{FaceOptions, FaceRig, STANDARD_CASES, ScanOptions, simulate_scan, write_case, write_rig};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::Pose;
-
-/// A mouth wide open under raised brows. Names that the rig does not have are left out.
-const EXTREME: [(&str, f64); 7] = [
-    ("jawOpen", 1.0),
-    ("mouthStretch_L", 0.6),
-    ("mouthStretch_R", 0.6),
-    ("browOuterUp_L", 0.7),
-    ("browOuterUp_R", 0.7),
-    ("eyeWide_L", 0.8),
-    ("eyeWide_R", 0.8),
-];
-
-/// Expressions that no fit may use, so that no blendshape alone explains the scan.
-const WITHHELD: [&str; 5] = ["mouthStretch_L", "mouthStretch_R", "eyeWide_L", "eyeWide_R", "jawForward"];
 
 /// Where the data is, and what the files do not say.
 pub struct Generated {
@@ -35,22 +21,21 @@ pub struct Generated {
     pub identity_modes: usize,
 }
 
-/// Makes a rig of about `vertices` vertices and a scan of an extreme expression of a person whose neutral is known, and
-/// writes them to `folder`/rig and `folder`/cases/same_open.
+/// Makes a rig of about `vertices` vertices and the first standard case, a mouth wide open under raised brows of a person whose
+/// neutral is known, and writes them to `folder`/rig and `folder`/cases/same_open.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Generated> {
     let rig = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-    let known = |name: &str| rig.expressions.iter().any(|e| e.0 == name);
-    let shown = EXTREME.iter().filter(|e| known(e.0)).map(|(name, weight)| ((*name).to_owned(), *weight)).collect();
-    let withheld = WITHHELD.iter().filter(|name| known(name)).map(ToString::to_string).collect();
-    let scan = simulate_scan(&rig, &ScanOptions { expressions: Some(shown), ..ScanOptions::default() }, seed)?;
+    let [standard, ..] = STANDARD_CASES;
+    let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
+    let scan = simulate_scan(&rig, &options, seed)?;
 
-    let (rig_folder, case_folder) = (folder.join("rig"), folder.join("cases/same_open"));
+    let (rig_folder, case_folder) = (folder.join("rig"), folder.join("cases").join(standard.name));
     let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
     write_rig(&rig_folder, &rig).map_err(unwritten)?;
-    write_case(&case_folder, &rig, &scan, &Subject::Same { withheld }, seed).map_err(unwritten)?;
+    write_case(&case_folder, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
     let [x, y, z] = scan.pose.rotation;
     let rotation = nalgebra::Matrix3::from_rows(&[x.into(), y.into(), z.into()]);
     let pose = Pose { rotation, translation: scan.pose.translation.into(), ..Pose::identity() };

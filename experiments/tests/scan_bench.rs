@@ -21,7 +21,9 @@ fn cases(folder: &Path) -> Vec<BenchCase> {
     let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
     write_rig(&folder.join("rig"), &rig).unwrap();
     for seed in [7, 8] {
-        let case = simulate_scan(&rig, &ScanOptions::default(), seed).unwrap();
+        // A manner far from the rig's: no model but the hybrid reaches it.
+        let options = ScanOptions { manner: 0.5, triangles: 20_000, ..ScanOptions::default() };
+        let case = simulate_scan(&rig, &options, seed).unwrap();
         let (name, subject) =
             if seed == 7 { ("same", Subject::same(&rig, &case)) } else { ("new", Subject::new(&rig)) };
         write_case(&folder.join("cases").join(name), &rig, &case, &subject, seed).unwrap();

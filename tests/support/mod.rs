@@ -25,8 +25,8 @@ pub struct Run {
 impl Bench {
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let rig = FaceRig::generate(&FaceOptions { vertices: 600, ..FaceOptions::default() });
-        let case = simulate_scan(&rig, &ScanOptions::default(), 7).unwrap();
+        let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
+        let case = simulate_scan(&rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, 7).unwrap();
         write_rig(&folder.path().join("rig"), &rig).unwrap();
         write_case(&folder.path().join("case"), &rig, &case, &Subject::same(&rig, &case), 7).unwrap();
         Self { folder, rig, case }
