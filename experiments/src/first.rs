@@ -26,10 +26,10 @@ const MODELS: [ModelKind; 3] = [ModelKind::Hybrid, ModelKind::Graph, ModelKind::
 /// The steps, with seconds for 5,000 vertices on two cores.
 const PLAN: [(&str, f64); 5] = [
     ("make a rig and a scan", 1.0),
-    ("register: hybrid", 2.0),
-    ("register: graph", 2.0),
-    ("register: blendshape", 1.0),
-    ("measure and draw", 1.0),
+    ("register: hybrid", 1.2),
+    ("register: graph", 1.0),
+    ("register: blendshape", 0.5),
+    ("measure and draw", 0.4),
 ];
 
 /// What to run.
