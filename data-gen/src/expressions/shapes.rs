@@ -95,7 +95,7 @@ pub(super) const SHAPES: [Shape; 31] = [
     left_right("jaw", |s| Vec3::new(8.0, -2.5, 0.0) * slides_with_jaw(s)),
     // Depressors of the jaw; the corners of the mouth come nearer to each other.
     one("jawOpen", |s| {
-        open_jaw(s, 27.0, Vec3::new(0.0, -3.0, 10.0)) + pull_both(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0])
+        open_jaw(s, 27.5, Vec3::new(0.0, -3.0, 10.0)) + pull_both(s, CORNER, [9.0, 12.0], [-3.5, 0.0, 0.0])
     }),
     // Buccinator draws the corner back.
     pair("mouthDimple", |s| {

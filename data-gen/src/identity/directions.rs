@@ -2,10 +2,8 @@
 
 use nonrigid::mesh::Vec3;
 
-use crate::face::Site;
+use crate::face::{EYEBALL, Site};
 
-/// Centre of the left eyeball in the neutral face.
-pub(super) const EYEBALL: [f64; 3] = [30.6, 0.0, -25.5];
 /// Centre of the left eye's opening, in the chart and in space.
 const EYE: ([f64; 2], [f64; 3]) = ([31.5, 0.0], [31.5, 0.0, -13.0]);
 /// How much of a field's change across an eye's opening is kept: eyes differ less than what is round them.
@@ -63,7 +61,7 @@ impl<'a> At<'a> {
 
     /// Motion of the left eye's lids, along the eyeball: only the part of (`dx`, `dy`, 0) that stays on the sphere.
     fn slide(&self, dx: f64, dy: f64) -> Vec3 {
-        let (normal, motion) = ((self.site.neutral - Vec3::from(EYEBALL)).normalize(), Vec3::new(dx, dy, 0.0));
+        let (normal, motion) = ((self.site.neutral - Vec3::from(EYEBALL.0)).normalize(), Vec3::new(dx, dy, 0.0));
         (motion - normal * normal.dot(&motion)) * self.lids()
     }
 

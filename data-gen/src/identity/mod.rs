@@ -386,7 +386,7 @@ mod tests {
     fn closed_lips_stay_closed_and_lids_stay_near_the_eyeballs() {
         let model = FaceModel::new(ALL);
         let neutral = model.eyeballs(&FaceWeights::default())[0];
-        assert!((neutral.centre - Vec3::from(directions::EYEBALL)).norm() < 1e-9);
+        assert!((neutral.centre - Vec3::from(crate::face::EYEBALL.0)).norm() < 1e-9);
         let lip = |eta: f64, up: f64| [25.5 * eta.cos(), -68.0 + up * 4.2 * eta.sin()];
         let etas: Vec<f64> = (0..=60).map(|k| f64::from(k) / 60.0 * std::f64::consts::PI).collect();
         let [upper, lower] = [1.0, -1.0].map(|up| etas.iter().map(|eta| lip(*eta, up)).collect::<Vec<_>>());
