@@ -10,7 +10,8 @@ use crate::face::{Eyeball, FaceModel, FaceWeights, Flat, LANDMARKS, Layout, REGI
 /// How the face is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaceOptions {
-    /// Number of vertices aimed at, 1,000 to 500,000; default 5,000. The layout comes as close as it can.
+    /// Number of vertices aimed at, 1,000 to 500,000 (others count as the nearest of these); default 5,000. The layout comes
+    /// as close as it can, within a few per cent.
     pub vertices: usize,
     /// Number of identity modes; default 100.
     pub identity_modes: usize,
