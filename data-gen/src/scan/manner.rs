@@ -37,3 +37,34 @@ impl Manner {
         Vec3::from_fn(|axis, _| 1.0 + strength * self.waves[axis].iter().map(sine).sum::<f64>() / WAVES as f64)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::face::{Around, FaceModel, eye_point, flatten, site};
+
+    #[test]
+    fn factors_vary_within_their_range_leave_the_lids_alone_and_do_not_part_lips() {
+        let (model, amount) = (FaceModel::new(0), 0.3);
+        let manner = Manner::new(amount, &mut ChaCha8Rng::seed_from_u64(3));
+        let places =
+            (0..60).flat_map(|i| (0..60).map(move |j| [f64::from(i) * 3.2 - 95.0, f64::from(j) * 3.6 - 135.0]));
+        let factors: Vec<Vec3> = places.filter(|p| model.contains(*p)).map(|p| manner.at(&site(p))).collect();
+        assert!(factors.len() > 1000);
+        for axis in 0..3 {
+            let along = || factors.iter().map(|f| f[axis]);
+            let (low, high) = (along().fold(f64::MAX, f64::min), along().fold(f64::MIN, f64::max));
+            assert!(low >= 1.0 - amount && high <= 1.0 + amount && high - low > 0.5 * amount, "{low} {high}");
+        }
+        for k in 0..40 {
+            let eta = 0.155 * f64::from(k) - 3.1;
+            let [x, y] = eye_point(Around { r: 0.0, eta });
+            assert_eq!(manner.at(&site(flatten([x, y]))), Vec3::repeat(1.0));
+            let lip = |eta: f64| [25.5 * eta.cos(), -68.0 + 4.2 * eta.sin()];
+            let [upper, lower] = [lip(eta), lip(-eta)].map(|place| manner.at(&site(place)));
+            assert!((upper - lower).norm() < 1e-6, "{upper} {lower}");
+        }
+    }
+}
