@@ -22,7 +22,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde_json::{Map, Value, json};
 
-use crate::scan::CORRECTIVES;
 use crate::{FaceRig, ScanCase};
 
 /// The template's materials.
@@ -128,7 +127,7 @@ pub fn write_case(folder: &Path, rig: &FaceRig, case: &ScanCase, subject: &Subje
         .filter(|(_, w)| **w != 0.0)
         .map(|(name, w)| (name.clone(), (*w).into()))
         .collect();
-    let offered = names.filter(|name| !withheld.contains(name) && !CORRECTIVES.contains(&name.as_str()));
+    let offered = names.filter(|name| !withheld.contains(name));
     let description = json!({
         "seed": seed,
         "same_subject": same,
@@ -150,7 +149,7 @@ pub fn write_case(folder: &Path, rig: &FaceRig, case: &ScanCase, subject: &Subje
 /// What a perfect rigid registration of the subject's own neutral leaves, over the observed vertices.
 fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
     let observed = case.truth.iter().zip(neutral).zip(&case.observed).filter(|(_, o)| **o);
-    let errors: Vec<f64> = observed.map(|((t, n), _)| (t - case.pose.apply(n)).norm_squared()).collect();
+    let errors: Vec<f64> = observed.map(|((t, n), _)| (t - case.pose.apply(*n)).norm_squared()).collect();
     (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 

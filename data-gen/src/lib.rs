@@ -21,6 +21,6 @@ pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
 pub use files::{Subject, write_case, write_population, write_rig};
 pub use rig::{FaceOptions, FaceRig, Landmark};
-pub use scan::{Camera, PRESETS, Pose, ScanCase, ScanError, ScanOptions, WrinkleMix, resolve_shapes, simulate_scan};
+pub use scan::{Camera, PRESETS, ScanCase, ScanError, ScanOptions, WrinkleMix, resolve_shapes, simulate_scan};
 pub use sequence::{Motion, write_weights};
 pub use standard::{STANDARD_CASES, StandardCase, preset_weights};

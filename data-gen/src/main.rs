@@ -10,6 +10,7 @@ use data_gen::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
     WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
+use nonrigid::cli::{Failure, Stage};
 use nonrigid::render::save_png;
 
 const EXAMPLES: &str = "\
@@ -140,20 +141,17 @@ struct Arguments {
     landmark_noise: f64,
 }
 
-/// Why nothing or not everything was made.
-enum Failure {
-    Arguments(String),
-    Computation(String),
-    Writing(anyhow::Error),
+/// Why a scan could not be simulated, by stage.
+fn unsimulated(error: ScanError) -> Failure {
+    let stage = match error {
+        ScanError::Option(_) => Stage::Arguments,
+        ScanError::NothingSeen => Stage::Computation,
+    };
+    Failure::new(stage, error.to_string())
 }
 
-impl From<ScanError> for Failure {
-    fn from(error: ScanError) -> Self {
-        match error {
-            ScanError::Option(what) => Self::Arguments(what),
-            ScanError::NothingSeen => Self::Computation(error.to_string()),
-        }
-    }
+fn unwritten(error: anyhow::Error) -> Failure {
+    Failure::writing(format!("{error:#}"))
 }
 
 fn main() -> ExitCode {
@@ -164,23 +162,22 @@ fn main() -> ExitCode {
             return ExitCode::from(u8::from(error.use_stderr()));
         }
     };
-    let (code, message) = match run(&arguments) {
-        Ok(()) => return ExitCode::SUCCESS,
-        Err(Failure::Arguments(message)) => (1, message),
-        Err(Failure::Computation(message)) => (2, message),
-        Err(Failure::Writing(error)) => (3, format!("{error:#}")),
-    };
-    eprintln!("error: {message}");
-    ExitCode::from(code)
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit_code()
+        }
+    }
 }
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(threads) = arguments.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
-        pool.map_err(|e| Failure::Computation(format!("threads: {e}")))?;
+        pool.map_err(|e| Failure::computation(format!("threads: {e}")))?;
     }
     if !(1e-3..=1e4).contains(&arguments.fps) {
-        return Err(Failure::Arguments(format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
+        return Err(Failure::new(Stage::Arguments, format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
     }
     let Arguments { seed, vertices, identity_modes, .. } = *arguments;
     println!("seed {seed}");
@@ -189,10 +186,10 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plans = plan(&rig, arguments)?;
     // Whatever is wrong with the options shows before anything is written.
     for plan in &plans {
-        plan.options.validate(&rig)?;
+        plan.options.validate(&rig).map_err(unsimulated)?;
     }
     let folder = arguments.out.join("rig");
-    write_rig(&folder, &rig).map_err(Failure::Writing)?;
+    write_rig(&folder, &rig).map_err(unwritten)?;
     let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
     println!(
         "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {:.1} s",
@@ -201,7 +198,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     );
     if let Some(people) = arguments.population {
         let folder = arguments.out.join("population");
-        write_population(&folder, &rig, people, seed).map_err(Failure::Writing)?;
+        write_population(&folder, &rig, people, seed).map_err(unwritten)?;
         println!("{}: {people} people", folder.display());
     }
     let mut shown = Vec::new();
@@ -216,12 +213,12 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.frames.is_some() {
         let path = arguments.out.join("sequence/weights.csv");
-        write_weights(&path, &rig, &weights).map_err(Failure::Writing)?;
+        write_weights(&path, &rig, &weights).map_err(unwritten)?;
         println!("{}", path.display());
     }
     if arguments.contact_sheet {
         let path = arguments.out.join("contact_sheet.png");
-        save_png(&contact_sheet(&rig, &shown, seed).render(), &path).map_err(|e| Failure::Writing(e.into()))?;
+        save_png(&contact_sheet(&rig, &shown, seed).render(), &path).map_err(Failure::writing)?;
         println!("{}", path.display());
     }
     Ok(())
@@ -244,8 +241,8 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
     let seed = |k: usize| arguments.seed.wrapping_add(k as u64);
     if let Some(frames) = arguments.frames {
         let time = |frame: usize| frame as f64 / arguments.fps;
-        options.validate(rig)?;
-        let motion = Motion::new(rig, &options, time(frames), arguments.seed)?;
+        options.validate(rig).map_err(unsimulated)?;
+        let motion = Motion::new(rig, &options, time(frames), arguments.seed).map_err(unsimulated)?;
         let frame = |k| Plan {
             name: format!("sequence/frame_{k:04}"),
             options: motion.options(time(k)),
@@ -271,11 +268,11 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
         let mut options = options.clone();
         let mut subject = if name.starts_with("new") { unknown() } else { None };
         if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
-            return Err(Failure::Arguments(format!("--case {name:?} is no name for a folder")));
+            return Err(Failure::new(Stage::Arguments, format!("--case {name:?} is no name for a folder")));
         }
         if let Some(standard) = at.map(|at| STANDARD_CASES[at]) {
             options.expressions = options.expressions.or_else(|| Some(standard.expressions()));
-            subject = Some(standard.subject(rig)?);
+            subject = Some(standard.subject(rig).map_err(unsimulated)?);
         }
         // A standard case is the same whether it is made alone or with the others.
         let number = at.unwrap_or(STANDARD_CASES.len() + plans.len());
@@ -287,11 +284,11 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
 /// Simulates and writes one case.
 fn scan(rig: &FaceRig, plan: &Plan, out: &Path, progress: &str) -> Result<ScanCase, Failure> {
     let start = Instant::now();
-    let case = simulate_scan(rig, &plan.options, plan.seed)?;
+    let case = simulate_scan(rig, &plan.options, plan.seed).map_err(unsimulated)?;
     let simulated = start.elapsed().as_secs_f64();
     let folder = out.join(&plan.name);
     let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, &case));
-    write_case(&folder, rig, &case, &subject, plan.seed).map_err(Failure::Writing)?;
+    write_case(&folder, rig, &case, &subject, plan.seed).map_err(unwritten)?;
     let seen = case.observed.iter().filter(|o| **o).count();
     let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
     println!(

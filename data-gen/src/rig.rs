@@ -13,7 +13,7 @@ pub struct FaceOptions {
     /// Number of vertices aimed at, 1,000 to 500,000 (others count as the nearest of these); default 5,000. The layout comes
     /// as close as it can, within a few per cent.
     pub vertices: usize,
-    /// Number of identity modes; default 100.
+    /// Number of identity modes; default 100. There are 268: more than that count as all of them.
     pub identity_modes: usize,
 }
 

@@ -5,14 +5,13 @@ use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Result;
-use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::write_atomically;
-use rand::seq::SliceRandom;
+use nonrigid::mesh::{Pose, Vec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::scan::CORRECTIVES;
-use crate::{FaceRig, Pose, ScanOptions};
+use crate::scan::{random_weights, weights_by_name};
+use crate::{FaceRig, ScanOptions};
 
 /// Seconds from one key expression to the next, and of the slowest turn of the head.
 const KEY: f64 = 0.6;
@@ -40,25 +39,16 @@ impl Motion {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(STREAM);
         let names: Vec<String> = rig.expressions.iter().map(|e| e.0.clone()).collect();
-        let known: Vec<&str> = names.iter().map(String::as_str).collect();
-        let usable: Vec<usize> = (0..names.len()).filter(|k| !CORRECTIVES.contains(&known[*k])).collect();
         let count = (seconds.clamp(0.0, 1e5) / KEY).ceil() as usize + 2;
-        let mut keys = vec![vec![0.0; names.len()]; count];
-        for (at, key) in keys.iter_mut().enumerate().skip(1) {
-            if let Some(wanted) = &options.expressions {
+        let peak = options.expressions.as_deref().map(|wanted| weights_by_name(rig, wanted)).transpose()?;
+        let mut keys = vec![vec![0.0; names.len()]];
+        for at in 1..count {
+            keys.push(if let Some(peak) = &peak {
                 let strength = if at % 2 == 1 { 1.0 } else { rng.random_range(0.0..0.3) };
-                for (name, weight) in wanted {
-                    for full in crate::resolve_shapes(&known, name)? {
-                        known.iter().zip(&mut *key).filter(|n| *n.0 == full).for_each(|n| *n.1 = weight * strength);
-                    }
-                }
+                peak.iter().map(|weight| weight * strength).collect()
             } else {
-                let mut order = usable.clone();
-                order.shuffle(&mut rng);
-                for k in order.into_iter().take(3) {
-                    key[k] = rng.random_range(0.3..1.0);
-                }
-            }
+                random_weights(names.len(), 0.3, &mut rng)
+            });
         }
         let mut identity_rng = ChaCha8Rng::seed_from_u64(seed);
         identity_rng.set_stream(STREAM + 1);
@@ -103,10 +93,8 @@ impl Motion {
             let wave = (frequency * seconds + phase).sin();
             sum.iter_mut().zip(amplitudes).for_each(|(s, a)| *s += a * wave);
         }
-        let turn = Vec3::new(sum[0], sum[1], sum[2]);
-        let angle = turn.norm();
-        let axis = turn.try_normalize(1e-12).unwrap_or_else(Vec3::y);
-        Pose::new(axis, angle.to_radians(), Vec3::new(sum[3], sum[4], sum[5]))
+        let turn = Vec3::new(sum[0], sum[1], sum[2]).map(f64::to_radians);
+        Pose::rigid(turn, Vec3::new(sum[3], sum[4], sum[5]))
     }
 
     /// What is scanned after `seconds`: the same person, the same cameras and faults.
@@ -155,10 +143,10 @@ mod tests {
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 0.027));
             let (a, b) = (motion.pose(t), motion.pose(later));
             let p = Vec3::new(0.0, 0.0, 100.0);
-            assert!((a.apply(&p) - b.apply(&p)).norm() < 2.0);
-            assert!(Vec3::from(a.translation).amax() <= options.translation);
-            assert!((a.rotate(&p).normalize().z).acos() <= options.rotation.to_radians());
-            moved = moved.max((a.apply(&p) - motion.pose(0.0).apply(&p)).norm());
+            assert!((a.apply(p) - b.apply(p)).norm() < 2.0);
+            assert!(a.translation.amax() <= options.translation);
+            assert!(((a.rotation * p).normalize().z).acos() <= options.rotation.to_radians());
+            moved = moved.max((a.apply(p) - motion.pose(0.0).apply(p)).norm());
         }
         assert!(moved > 1.0, "{moved}");
         assert!(motion.weights(0.6).iter().filter(|w| **w > 0.0).count() == 3);

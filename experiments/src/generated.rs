@@ -36,9 +36,6 @@ pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Genera
     let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
     write_rig(&rig_folder, &rig).map_err(unwritten)?;
     write_case(&case_folder, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
-    let [x, y, z] = scan.pose.rotation;
-    let rotation = nalgebra::Matrix3::from_rows(&[x.into(), y.into(), z.into()]);
-    let pose = Pose { rotation, translation: scan.pose.translation.into(), ..Pose::identity() };
     let mouth = rig.landmarks.iter().skip(48).map(|l| l.vertex).collect(); // 48 to 67 of the 68 are the mouth
-    Ok(Generated { rig: rig_folder, case: case_folder, pose, mouth, identity_modes: rig.identities.len() })
+    Ok(Generated { rig: rig_folder, case: case_folder, pose: scan.pose, mouth, identity_modes: rig.identities.len() })
 }

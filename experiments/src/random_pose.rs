@@ -1,8 +1,6 @@
 //! Random rigid motions from a seed.
 
-use nonrigid::mesh::Pose;
-use nonrigid::mesh::Vec3;
-use nonrigid::nlls::so3;
+use nonrigid::mesh::{Pose, Vec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -12,13 +10,8 @@ use rand_chacha::ChaCha8Rng;
 pub fn random_pose(degrees: f64, millimetres: f64, seed: u64, stream: u64) -> Pose {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(stream);
-    let omega = direction(&mut rng) * degrees.to_radians();
-    let rotation = so3::exp(omega.into());
-    Pose {
-        rotation: nalgebra::Matrix3::from_fn(|r, c| rotation[r][c]),
-        translation: direction(&mut rng) * millimetres,
-        ..Pose::identity()
-    }
+    let turn = direction(&mut rng) * degrees.to_radians();
+    Pose::rigid(turn, direction(&mut rng) * millimetres)
 }
 
 /// Uniform on the unit sphere.

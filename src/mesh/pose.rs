@@ -1,6 +1,6 @@
 //! Rigid motions and similarities, and the one that best maps points to points.
 
-use nalgebra::{Matrix3, SVD};
+use nalgebra::{Matrix3, Rotation3, SVD};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -33,6 +33,12 @@ impl Pose {
     #[must_use]
     pub fn identity() -> Self {
         Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vec3::zeros() }
+    }
+
+    /// A rigid motion: a turn by the length of `turn`, in radians, about its direction, and a translation.
+    #[must_use]
+    pub fn rigid(turn: Vec3, translation: Vec3) -> Self {
+        Self { scale: 1.0, rotation: Rotation3::new(turn).into_inner(), translation }
     }
 
     /// `s R p + t`.
@@ -113,7 +119,6 @@ pub(crate) fn weighted_closest_pose(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Rotation3;
 
     fn points() -> Vec<Vec3> {
         vec![
@@ -153,5 +158,12 @@ mod tests {
         let line: Vec<_> = (0..4).map(|i| (Vec3::x() * i as f64, Vec3::y() * i as f64)).collect();
         assert_eq!(closest_pose(&line, PoseKind::Rigid), Err(PoseError::Collinear(4)));
         assert_eq!(closest_pose(&line[..2], PoseKind::Rigid), Err(PoseError::TooFew(2)));
+    }
+
+    #[test]
+    fn a_rigid_motion_turns_about_its_vector() {
+        let turned = Pose::rigid(Vec3::z() * std::f64::consts::FRAC_PI_2, Vec3::new(5.0, 0.0, 0.0)).apply(Vec3::x());
+        approx::assert_abs_diff_eq!(turned, Vec3::new(5.0, 1.0, 0.0), epsilon = 1e-15);
+        assert_eq!(Pose::rigid(Vec3::zeros(), Vec3::zeros()), Pose::identity());
     }
 }

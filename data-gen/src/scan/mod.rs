@@ -15,7 +15,7 @@ mod view;
 use std::fmt;
 
 use nonrigid::mesh::normals::{NormalWeighting::Area, vertex_normals};
-use nonrigid::mesh::{TriangleMesh, Vec3};
+use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -28,8 +28,8 @@ use surface::{Shell, Surface};
 use view::{Occluder, View};
 
 pub use options::{Camera, ScanOptions, WrinkleMix};
-pub(crate) use person::CORRECTIVES;
-pub use person::{PRESETS, Pose, resolve_shapes};
+pub use person::{PRESETS, resolve_shapes};
+pub(crate) use person::{random_weights, weights_by_name};
 
 /// Why there is no scan.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -114,9 +114,12 @@ impl Stream {
 /// When an option makes no sense or names an expression that the rig does not have, or the cameras see next to nothing.
 pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<ScanCase, ScanError> {
     options.validate(rig)?;
-    let expression_weights = person::expression_weights(rig, options, &mut Stream::Expression.of(seed))?;
+    let expression_weights = match &options.expressions {
+        Some(wanted) => weights_by_name(rig, wanted)?,
+        None => random_weights(rig.expressions.len(), 0.4, &mut Stream::Expression.of(seed)),
+    };
     let identity_weights = person::identity_weights(rig, options, &mut Stream::Identity.of(seed));
-    let pose = options.pose.unwrap_or_else(|| Pose::random(options, &mut Stream::Pose.of(seed)));
+    let pose = options.pose.unwrap_or_else(|| person::random_pose(options, &mut Stream::Pose.of(seed)));
     let detail_seed = options.detail_seed.unwrap_or(seed);
     let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(detail_seed));
     let manner = Manner::new(options.manner, &mut Stream::Manner.of(detail_seed));

@@ -1,9 +1,9 @@
 //! What is scanned, by which cameras, and how badly.
 
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{Pose, Vec3};
 use serde::Serialize;
 
-use super::{Pose, ScanError, resolve_shapes};
+use super::{ScanError, weights_by_name};
 use crate::FaceRig;
 
 /// What is scanned and how badly. Lengths in millimetres, angles in degrees.
@@ -171,8 +171,7 @@ impl ScanOptions {
     /// # Errors
     /// When a number is out of its range, or the rig does not have an expression.
     pub fn validate(&self, rig: &FaceRig) -> Result<(), ScanError> {
-        let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
-        self.expressions.iter().flatten().try_for_each(|(name, _)| resolve_shapes(&names, name).map(|_| ()))?;
+        weights_by_name(rig, self.expressions.as_deref().unwrap_or_default())?;
         self.check()
     }
 

@@ -1,11 +1,10 @@
 //! Who is scanned, doing what, and where: weights by name or drawn, and the pose.
 
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{Pose, Vec3};
 use rand::Rng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use serde::Serialize;
 
 use super::{ScanError, ScanOptions};
 use crate::FaceRig;
@@ -25,9 +24,6 @@ pub const PRESETS: [(&str, &[(&str, f64)]); 8] = [
     ("surprise", &[("jawOpen", 0.5), ("eyeWide", 1.0), ("browInnerUp", 0.8), ("browOuterUp", 0.8)]),
 ];
 
-/// Correctives, which mean nothing alone: never drawn at random, never among the shapes that a fit gets.
-pub(crate) const CORRECTIVES: [&str; 1] = ["mouthClose"];
-
 /// The full names that `name` stands for among `known` ones: itself, or both its sides.
 ///
 /// # Errors
@@ -43,27 +39,27 @@ pub fn resolve_shapes<'a>(known: &[&'a str], name: &str) -> Result<Vec<&'a str>,
     Ok(found)
 }
 
-pub(super) fn expression_weights(
-    rig: &FaceRig,
-    options: &ScanOptions,
-    rng: &mut ChaCha8Rng,
-) -> Result<Vec<f64>, ScanError> {
+/// The weight of each of the rig's expressions, given some by name; of two equal names the later counts.
+pub(crate) fn weights_by_name(rig: &FaceRig, wanted: &[(String, f64)]) -> Result<Vec<f64>, ScanError> {
     let names: Vec<&str> = rig.expressions.iter().map(|e| &*e.0).collect();
     let mut weights = vec![0.0; names.len()];
-    if let Some(wanted) = &options.expressions {
-        for (name, weight) in wanted {
-            for full in resolve_shapes(&names, name)? {
-                names.iter().zip(&mut weights).filter(|n| *n.0 == full).for_each(|n| *n.1 = *weight);
-            }
-        }
-    } else {
-        let mut order: Vec<usize> = (0..names.len()).filter(|k| !CORRECTIVES.contains(&names[*k])).collect();
-        order.shuffle(rng);
-        for k in order.into_iter().take(3) {
-            weights[k] = rng.random_range(0.4..1.0);
+    for (name, weight) in wanted {
+        for full in resolve_shapes(&names, name)? {
+            names.iter().zip(&mut weights).filter(|n| *n.0 == full).for_each(|n| *n.1 = *weight);
         }
     }
     Ok(weights)
+}
+
+/// Three of `count` weights, at random from `least` to 1; the others 0.
+pub(crate) fn random_weights(count: usize, least: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..count).collect();
+    order.shuffle(rng);
+    let mut weights = vec![0.0; count];
+    for k in order.into_iter().take(3) {
+        weights[k] = rng.random_range(least..1.0);
+    }
+    weights
 }
 
 pub(super) fn identity_weights(rig: &FaceRig, options: &ScanOptions, rng: &mut ChaCha8Rng) -> Vec<f64> {
@@ -78,42 +74,8 @@ pub(super) fn identity_weights(rig: &FaceRig, options: &ScanOptions, rng: &mut C
     }
 }
 
-/// A rigid motion from rig to scan coordinates, scan = `rotation` x rig + `translation`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Pose {
-    /// Rows of the rotation matrix.
-    pub rotation: [[f64; 3]; 3],
-    /// Millimetres.
-    pub translation: [f64; 3],
-}
-
-impl Pose {
-    /// By an angle in radians about an axis of unit length.
-    #[must_use]
-    pub fn new(axis: Vec3, angle: f64, translation: Vec3) -> Self {
-        // Rodrigues' formula, column by column.
-        let (sin, cos) = angle.sin_cos();
-        let turn = |p: Vec3| p * cos + axis.cross(&p) * sin + axis * (axis.dot(&p) * (1.0 - cos));
-        let columns = [turn(Vec3::x()), turn(Vec3::y()), turn(Vec3::z())];
-        let rotation = [0, 1, 2].map(|row| columns.map(|c| c[row]));
-        Self { rotation, translation: [translation.x, translation.y, translation.z] }
-    }
-
-    /// The point in scan coordinates.
-    #[must_use]
-    pub fn apply(&self, p: &Vec3) -> Vec3 {
-        self.rotate(p) + Vec3::from(self.translation)
-    }
-
-    /// The direction in scan coordinates.
-    #[must_use]
-    pub fn rotate(&self, p: &Vec3) -> Vec3 {
-        Vec3::from(self.rotation.map(|row| Vec3::from(row).dot(p)))
-    }
-
-    pub(super) fn random(options: &ScanOptions, rng: &mut ChaCha8Rng) -> Self {
-        let axis = Vec3::from_fn(|_, _| StandardNormal.sample(rng)).try_normalize(1e-9).unwrap_or_else(Vec3::y);
-        let angle = rng.random_range(-1.0..1.0) * options.rotation.to_radians();
-        Self::new(axis, angle, Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0)) * options.translation)
-    }
+pub(super) fn random_pose(options: &ScanOptions, rng: &mut ChaCha8Rng) -> Pose {
+    let axis = Vec3::from_fn(|_, _| StandardNormal.sample(rng)).try_normalize(1e-9).unwrap_or_else(Vec3::y);
+    let angle = rng.random_range(-1.0..1.0) * options.rotation.to_radians();
+    Pose::rigid(axis * angle, Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0)) * options.translation)
 }

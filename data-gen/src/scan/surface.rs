@@ -1,10 +1,9 @@
 //! The surface before the scanner: the posed face with its detail, a function of the flat place, and the eyeballs.
 
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{Pose, Vec3};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::Pose;
 use super::detail::Detail;
 use super::domain::{Domain, Field, hole};
 use super::manner::Manner;
@@ -70,7 +69,7 @@ impl<'a> Surface<'a> {
     pub fn skin(&self, places: &[Flat]) -> Vec<Vec3> {
         let mut points = self.model.positions_in_manner(places, &self.weights, &|site| self.manner.at(site));
         points.par_iter_mut().zip(places).for_each(|(p, place)| {
-            *p = self.pose.apply(&(*p + self.relief.at(*place) * self.detail.height(*place)));
+            *p = self.pose.apply(*p + self.relief.at(*place) * self.detail.height(*place));
         });
         points
     }
@@ -92,7 +91,7 @@ impl<'a> Surface<'a> {
             let place = |[u, v]: &Flat| {
                 let squared = (u * u + v * v) / radius.powi(2);
                 let c = (1.0 - 0.25 * squared).max(0.0).sqrt();
-                self.pose.apply(&(eye.centre + Vec3::new(u * c, v * c, radius * (1.0 - 0.5 * squared))))
+                self.pose.apply(eye.centre + Vec3::new(u * c, v * c, radius * (1.0 - 0.5 * squared)))
             };
             let around = |k: usize| (std::f64::consts::TAU * k as f64 / 256.0).sin_cos();
             let border = (0..256).map(|k| [rim * around(k).1, rim * around(k).0]).collect();

@@ -254,7 +254,7 @@ fn faults_are_as_large_as_asked_for() {
     let rig = rig();
     let base = ScanOptions {
         cameras: vec![Camera::Position([0.0, 0.0, 800.0])],
-        pose: Some(Pose::new(Vec3::y(), 0.0, Vec3::zeros())),
+        pose: Some(Pose::identity()),
         triangles: 20_000,
         ..faultless(20_000)
     };
