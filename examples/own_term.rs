@@ -16,7 +16,6 @@ use nonrigid::registration::{
     Correspondences, Level, ModelFactory, ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TermFactory,
     TermInput, TermKind, register_with,
 };
-use nonrigid::rig::ShapeBasis;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -93,15 +92,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let case = simulate_scan(&rig, &ScanOptions::default(), 4)?;
     let mark = |(v, p): &(u32, Vec3)| Landmark { name: v.to_string(), template: TemplatePoint::Vertex(*v), target: *p };
     let landmarks: Vec<Landmark> = case.landmarks.iter().map(mark).collect();
-    let shapes = ShapeBasis::none();
-    let input = RegistrationInput {
-        template: &rig.mesh,
-        neutral: None,
-        shapes: &shapes,
-        scan: &case.scan,
-        scan_normals: None,
-        landmarks: &landmarks,
-    };
+    let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
 
     // Every 20th vertex that the scan shows is a freckle, seen from 700 mm to within 0.3 mm.
     let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -53,12 +53,9 @@ impl Task {
 
     fn input(&self) -> RegistrationInput<'_> {
         RegistrationInput {
-            template: &self.template,
-            neutral: None,
             shapes: &self.shapes,
-            scan: &self.scan,
-            scan_normals: None,
             landmarks: &self.landmarks,
+            ..RegistrationInput::new(&self.template, &self.scan)
         }
     }
 

@@ -210,12 +210,11 @@ pub fn run_case(
 ) -> Result<(BenchRow, RegistrationResult)> {
     let (landmarks, schedule) = landmarks.apply(case, schedule);
     let input = RegistrationInput {
-        template: &case.template,
         neutral: case.neutral.as_deref(),
         shapes: &case.shapes,
-        scan: &case.scan.mesh,
         scan_normals: case.scan.normals.as_deref(),
         landmarks: &landmarks,
+        ..RegistrationInput::new(&case.template, &case.scan.mesh)
     };
     let clock = Instant::now();
     let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))

@@ -56,12 +56,10 @@ fn every_model_gets_a_row_for_every_case() {
         assert_eq!((&row.errors, row.iterations), (&errors, result.history.len()));
         // And the result is what a registration of the same input gives.
         let input = RegistrationInput {
-            template: &case.template,
             neutral: case.neutral.as_deref(),
             shapes: &case.shapes,
-            scan: &case.scan.mesh,
-            scan_normals: None,
             landmarks: &case.landmarks,
+            ..RegistrationInput::new(&case.template, &case.scan.mesh)
         };
         let model: ModelKind = row.model.parse().map_err(anyhow::Error::msg)?;
         let again = register(&input, &model, &model.schedule()?, &mut |_: &StepRecord| ControlFlow::Continue(()))?;

@@ -87,12 +87,11 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         warn("no rig given: without blendshapes the hybrid model is the graph model");
     }
     let input = RegistrationInput {
-        template: &template,
         neutral: neutral.as_deref(),
         shapes: &shapes,
-        scan: &scan.mesh,
         scan_normals: scan.normals.as_deref(),
         landmarks: &landmarks,
+        ..RegistrationInput::new(&template, &scan.mesh)
     };
     let reading = clock.elapsed().as_secs_f64();
 

@@ -249,24 +249,10 @@ mod tests {
     use super::*;
     use crate::mesh::Pose;
     use crate::mesh::testing::{noise, sheet};
-    use crate::nlls::Kernel;
     use nalgebra::Rotation3;
 
     fn level() -> Level {
-        Level {
-            steps: 1,
-            lambda_graph: 0.0,
-            lambda_blend: 0.0,
-            point_to_plane: 1.0,
-            point_to_point: 1.0,
-            point_kernel: None,
-            landmarks: 0.0,
-            prediction: 0.0,
-            seam: 0.0,
-            kernel: Kernel::None,
-            distance_cap: 2.0,
-            normal_angle: 40.0,
-        }
+        Level { point_to_point: 1.0, distance_cap: 2.0, normal_angle: 40.0, ..Level::default() }
     }
 
     fn scan_of(mesh: TriangleMesh, reject_boundary: bool) -> ScanSurface {

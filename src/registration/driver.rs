@@ -32,7 +32,16 @@ pub struct RegistrationInput<'a> {
     pub landmarks: &'a [Landmark],
 }
 
-impl RegistrationInput<'_> {
+impl<'a> RegistrationInput<'a> {
+    /// A template and a scan, nothing else: no neutral, no shapes, no landmarks.
+    ///
+    /// Add the rest with `RegistrationInput { shapes: &shapes, ..RegistrationInput::new(&template, &scan) }`.
+    #[must_use]
+    pub fn new(template: &'a PolygonMesh, scan: &'a TriangleMesh) -> Self {
+        static NO_SHAPES: std::sync::LazyLock<ShapeBasis> = std::sync::LazyLock::new(ShapeBasis::none);
+        Self { template, neutral: None, shapes: &NO_SHAPES, scan, scan_normals: None, landmarks: &[] }
+    }
+
     /// The positions that the registration deforms: `neutral`, or else the template's.
     #[must_use]
     pub fn rest_positions(&self) -> &[Vec3] {

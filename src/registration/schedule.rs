@@ -166,9 +166,21 @@ pub struct Level {
     /// `lambda_blend` of (5), per shape.
     #[serde(default)]
     pub lambda_blend: f64,
+    /// `lambda_smooth` of the models with one regulariser: free vertices, ARAP, per-vertex affine.
+    #[serde(default)]
+    pub lambda_smooth: f64,
+    /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph`.
+    #[serde(default)]
+    pub lambda_rotation: f64,
     /// Weight of point-to-plane (3) per accepted vertex.
     #[serde(default = "one")]
     pub point_to_plane: f64,
+    /// Weight of symmetric point-to-plane (Rusinkiewicz 2019) per accepted vertex.
+    #[serde(default)]
+    pub symmetric: f64,
+    /// Weight of scan points towards the template, for as many of them as the template has vertices.
+    #[serde(default)]
+    pub scan_to_template: f64,
     /// Weight of point-to-point (2), towards the nearest scan vertex, per accepted vertex.
     #[serde(default)]
     pub point_to_point: f64,
@@ -190,6 +202,30 @@ pub struct Level {
     pub distance_cap: f64,
     /// Largest angle between the normals of a correspondence, degrees.
     pub normal_angle: f64,
+}
+
+/// One step of point-to-plane without a kernel, up to 5 mm and 60 degrees, and no regulariser.
+impl Default for Level {
+    fn default() -> Self {
+        Self {
+            steps: 1,
+            lambda_graph: 0.0,
+            lambda_blend: 0.0,
+            lambda_smooth: 0.0,
+            lambda_rotation: 0.0,
+            point_to_plane: 1.0,
+            symmetric: 0.0,
+            scan_to_template: 0.0,
+            point_to_point: 0.0,
+            point_kernel: None,
+            landmarks: 0.0,
+            prediction: 0.0,
+            seam: 0.0,
+            kernel: Kernel::None,
+            distance_cap: 5.0,
+            normal_angle: 60.0,
+        }
+    }
 }
 
 impl Level {
@@ -285,7 +321,11 @@ impl Schedule {
             positive(name("steps"), level.steps as f64)?;
             not_negative(name("lambda_graph"), level.lambda_graph)?;
             not_negative(name("lambda_blend"), level.lambda_blend)?;
+            not_negative(name("lambda_smooth"), level.lambda_smooth)?;
+            not_negative(name("lambda_rotation"), level.lambda_rotation)?;
             not_negative(name("point_to_plane"), level.point_to_plane)?;
+            not_negative(name("symmetric"), level.symmetric)?;
+            not_negative(name("scan_to_template"), level.scan_to_template)?;
             not_negative(name("point_to_point"), level.point_to_point)?;
             not_negative(name("landmarks"), level.landmarks)?;
             not_negative(name("prediction"), level.prediction)?;
