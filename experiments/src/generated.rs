@@ -27,7 +27,7 @@ pub struct Generated {
 /// # Errors
 /// When a file cannot be written.
 pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Generated> {
-    let rig = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
+    let rig = face_rig(vertices);
     let [standard, ..] = STANDARD_CASES;
     let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
     let scan = simulate_scan(&rig, &options, seed)?;
@@ -38,4 +38,25 @@ pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Genera
     write_case(&case_folder, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
     let mouth = rig.landmarks.iter().skip(48).map(|l| l.vertex).collect(); // 48 to 67 of the 68 are the mouth
     Ok(Generated { rig: rig_folder, case: case_folder, pose: scan.pose, mouth, identity_modes: rig.identities.len() })
+}
+
+/// Writes a rig of about `vertices` vertices and all standard cases to `folder`/rig and `folder`/cases; returns both folders.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn standard_cases(folder: &Path, vertices: usize, seed: u64) -> Result<(PathBuf, PathBuf)> {
+    let rig = face_rig(vertices);
+    let (rig_folder, cases) = (folder.join("rig"), folder.join("cases"));
+    let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
+    write_rig(&rig_folder, &rig).map_err(unwritten)?;
+    for (standard, seed) in STANDARD_CASES.iter().zip(seed..) {
+        let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
+        let scan = simulate_scan(&rig, &options, seed)?;
+        write_case(&cases.join(standard.name), &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
+    }
+    Ok((rig_folder, cases))
+}
+
+fn face_rig(vertices: usize) -> FaceRig {
+    FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() })
 }

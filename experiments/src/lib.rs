@@ -3,6 +3,8 @@
 pub mod first;
 mod generated;
 pub mod random_pose;
+pub mod remesh;
 pub mod rig_statistics;
 pub mod scan_bench;
+pub mod schedule_search;
 pub mod tables;

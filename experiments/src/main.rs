@@ -12,6 +12,7 @@ use experiments::first;
 use experiments::random_pose::random_pose;
 use experiments::rig_statistics::RigStatistics;
 use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
+use experiments::schedule_search;
 use experiments::tables::write_tables;
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::mesh::io::write_polygon_mesh;
@@ -37,6 +38,8 @@ struct Cli {
 enum Command {
     /// Register every case below DIR with every model and compare with the ground truth
     ScanBench(ScanBench),
+    /// Search the default schedules: the same search for every model
+    SearchSchedules(schedule_search::Options),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs {
         /// Rig folders
@@ -74,6 +77,9 @@ struct ScanBench {
     /// Move every scan by this many millimetres in a random direction
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     shift: f64,
+    /// Use each scan's dual mesh: the same surface without its vertices, which may be the template's own, displaced
+    #[arg(long)]
+    remesh: bool,
     /// Seed of the random poses
     #[arg(long, default_value_t = 7)]
     seed: u64,
@@ -93,6 +99,7 @@ fn main() -> ExitCode {
     let outcome = match &cli.command {
         None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
         Some(Command::ScanBench(arguments)) => on_threads(arguments.threads).and_then(|()| run_scan_bench(arguments)),
+        Some(Command::SearchSchedules(options)) => schedule_search::run(options),
         Some(Command::CompareRigs { rigs, json }) => compare_rigs(rigs, *json),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
@@ -140,6 +147,9 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
+    if a.remesh {
+        cases = cases.into_iter().map(BenchCase::remeshed).collect();
+    }
     if a.turn != 0.0 || a.shift != 0.0 {
         println!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed);
         let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));

@@ -99,6 +99,13 @@ impl BenchCase {
         folders.iter().map(|f| Self::read(f, rig)).collect()
     }
 
+    /// The same case on the [`dual`](crate::remesh::dual) of the scan, whose normals follow from its triangles.
+    #[must_use]
+    pub fn remeshed(mut self) -> Self {
+        self.scan = Scan { mesh: crate::remesh::dual(&self.scan.mesh), normals: None, colors: None };
+        self
+    }
+
     /// The same case with scan, truth and landmarks moved by `pose`, which must not scale: what a fit has to undo.
     #[must_use]
     pub fn moved(mut self, pose: &Pose) -> Self {

@@ -1,0 +1,344 @@
+//! `search-schedules`: where the default schedules come from. One search for all models, so that comparing models is not
+//! comparing how long somebody has tuned each of them.
+//!
+//! Held for all models: the ladder of levels in [`LADDER`]. Varied: what the model has, see [`axes`]: stiffness and landmark
+//! weights at the first level and at the last, shortest distance cap, rim, prediction, number of nodes. Measured: the mean
+//! over the cases of the rmse over observed vertices. The cases are the six standard ones of data-gen at a seed of their own,
+//! on which nothing else is reported.
+//!
+//! The search is a coordinate descent on a grid: axis by axis, one grid point up and on while that gains, else one down and on
+//! while that gains; again from the first axis until a sweep changes nothing or the budget of evaluations is spent. Half a per
+//! cent less counts as a gain. Every evaluation is a row of `search.csv`.
+
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::Result;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::io::write_atomically;
+use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
+use rayon::prelude::*;
+
+use crate::generated::standard_cases;
+use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case};
+
+/// What all models share, level by level.
+pub const LADDER: [Rung; 8] = [
+    Rung { huber: 3.0, distance_cap: 25.0, pull: None },
+    Rung { huber: 2.0, distance_cap: 12.0, pull: None },
+    Rung { huber: 1.0, distance_cap: 12.0, pull: None },
+    Rung { huber: 0.5, distance_cap: 5.0, pull: Some((0.5, 1.0)) },
+    Rung { huber: 0.4, distance_cap: 5.0, pull: Some((1.0, 0.6)) },
+    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((1.0, 0.4)) },
+    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((2.0, 0.3)) },
+    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((2.0, 0.3)) },
+];
+
+/// The shared part of a level, millimetres.
+#[derive(Debug, Clone, Copy)]
+pub struct Rung {
+    /// Scale of the Huber kernel on the data.
+    pub huber: f64,
+    /// Longest correspondence, unless the axis `cap` allows longer ones.
+    pub distance_cap: f64,
+    /// Weight and Geman-McClure scale of point-to-point, where the scan's vertices coincide with the template's.
+    pub pull: Option<(f64, f64)>,
+}
+
+/// Stiffness and landmark weights run geometrically over this many levels and stay for the rest.
+const RAMP: usize = 6;
+
+/// Steps of each level.
+const STEPS: usize = 5;
+
+/// Below this share of the best so far an objective counts as a gain.
+const GAIN: f64 = 0.995;
+
+/// One thing that the search may change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Axis {
+    /// Name in the log.
+    pub name: &'static str,
+    /// Values, ascending.
+    pub grid: &'static [f64],
+    /// Index of the value that the search starts from.
+    pub start: usize,
+}
+
+const STIFF: &[f64] = &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+const SOFT: &[f64] = &[0.003, 0.007, 0.015, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3.0, 7.0];
+const LANDMARKS_FIRST: &[f64] = &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
+const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
+
+/// What may be varied of a model, in the order of the search.
+#[must_use]
+pub fn axes(model: ModelKind) -> Vec<Axis> {
+    let axis = |name, grid, start| Axis { name, grid, start };
+    let graph = |start| axis("lambda_graph last", SOFT, start);
+    let mut axes = match model {
+        ModelKind::Rigid | ModelKind::Similarity => Vec::new(),
+        ModelKind::Blendshape => vec![axis("lambda_blend last", SOFT, 7), axis("lambda_blend first", STIFF, 4)],
+        ModelKind::Hybrid => vec![
+            graph(4),
+            axis("lambda_graph first", STIFF, 3),
+            axis("lambda_blend last", SOFT, 7),
+            axis("lambda_blend first", STIFF, 4),
+            axis("prediction", &[0.0, 0.003, 0.01, 0.03, 0.1], 2),
+        ],
+        ModelKind::Graph => vec![graph(4), axis("lambda_graph first", STIFF, 3)],
+    };
+    axes.push(axis("landmarks last", LANDMARKS_LAST, 3));
+    axes.push(axis("landmarks first", LANDMARKS_FIRST, 3));
+    axes.push(axis("cap", &[5.0, 8.0, 12.0, 25.0], 0));
+    axes.push(axis("rim", &[0.0, 1.0, 2.0, 3.0], 3));
+    if matches!(model, ModelKind::Hybrid | ModelKind::Graph) {
+        axes.push(axis("nodes", &[200.0, 300.0, 400.0, 600.0, 800.0], 2));
+    }
+    axes
+}
+
+/// A schedule of the family as TOML, `at` giving the value of each of the model's axes by name.
+#[must_use]
+pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> String {
+    let mut text = format!(
+        "# Default schedule of the model '{model}', as `experiments search-schedules` found it: the same ladder, cases and\n\
+         # budget for every model (experiments/src/schedule_search.rs). The point-to-point pull towards scan vertices takes part\n\
+         # only where a test finds that they coincide with the template's (`VertexCoincidence`).\n\
+         #\n\
+         # Lengths are millimetres on a template of `reference_size` and scale with the template; weights are per vertex on a\n\
+         # template of `reference_vertices` and scale with theirs. Every key is described at `registration::Schedule`.\n\n\
+         start = \"rigid\"\nreference_size = 67.0\nreference_vertices = 6706\n\n\
+         [scan]\ntemplate_rim = {:?}\n",
+        at["rim"]
+    );
+    if let Some(nodes) = at.get("nodes") {
+        let _ = writeln!(text, "\n[graph]\nnodes = {nodes}\ninfluences = 4\ndistance = \"surface\"");
+    }
+    for (level, rung) in LADDER.iter().enumerate() {
+        text += &level_text(level, rung, at);
+    }
+    text
+}
+
+fn level_text(level: usize, rung: &Rung, at: &HashMap<&'static str, f64>) -> String {
+    let mut text = format!("\n[[level]]\nsteps = {STEPS}\n");
+    let mut line = |key: &str, value: f64| {
+        let _ = writeln!(text, "{key} = {value:?}");
+    };
+    for key in ["lambda_graph", "lambda_smooth", "lambda_blend", "landmarks"] {
+        let ends = ["first", "last"].map(|end| at.iter().find(|a| *a.0 == format!("{key} {end}")).map(|a| *a.1));
+        if let [Some(first), Some(last)] = ends {
+            line(key, ramp(first, last, level));
+        }
+    }
+    if let Some(&weight) = at.get("prediction").filter(|w| **w > 0.0) {
+        line("prediction", weight);
+        line("seam", 0.3);
+    }
+    line("distance_cap", rung.distance_cap.max(at["cap"]));
+    line("normal_angle", 60.0);
+    let _ = writeln!(text, "kernel = {{ huber = {{ delta = {:?} }} }}", rung.huber);
+    if let Some((weight, scale)) = rung.pull {
+        let _ =
+            writeln!(text, "point_to_point = {weight:?}\npoint_kernel = {{ geman_mcclure = {{ delta = {scale:?} }} }}");
+    }
+    text
+}
+
+/// Geometric over the first levels, then constant; two digits.
+fn ramp(first: f64, last: f64, level: usize) -> f64 {
+    let t = level.min(RAMP - 1) as f64 / (RAMP - 1) as f64;
+    let value = first * (last / first).powf(t);
+    let digit = 10f64.powf(value.log10().floor() - 1.0);
+    let rounded = (value / digit).round() * digit;
+    format!("{rounded:.6}").parse().unwrap_or(rounded)
+}
+
+/// What a search found.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The model.
+    pub model: ModelKind,
+    /// The best schedule as TOML.
+    pub schedule: String,
+    /// Mean over the cases of its rmse over observed vertices, millimetres.
+    pub objective: f64,
+    /// Evaluations spent.
+    pub evaluations: usize,
+}
+
+/// Reads the cases of the search, or makes them below `folder` first.
+///
+/// # Errors
+/// When a file cannot be written or read back.
+pub fn search_cases(folder: &Path, vertices: usize, seed: u64) -> Result<Vec<BenchCase>> {
+    let (rig, cases) = standard_cases(folder, vertices, seed)?;
+    BenchCase::read_all(&cases, &BenchRig::read(&rig)?)
+}
+
+/// Searches the schedule of one model; `log` sees every evaluation: its values by axis and its objective.
+///
+/// # Errors
+/// When a schedule cannot be used.
+pub fn search(
+    model: ModelKind,
+    cases: &[BenchCase],
+    budget: usize,
+    mut log: impl FnMut(&[(&'static str, f64)], f64),
+) -> Result<Found> {
+    let axes = axes(model);
+    let named = |values: &[f64]| axes.iter().map(|a| a.name).zip(values.iter().copied()).collect::<Vec<_>>();
+    let (values, objective, evaluations) = descend(&axes, budget, |values| {
+        let values = named(values);
+        let text = schedule_text(model, &values.iter().copied().collect());
+        let objective = objective(model, &Schedule::from_toml(&text)?, cases);
+        log(&values, objective);
+        Ok(objective)
+    })?;
+    let schedule = schedule_text(model, &named(&values).into_iter().collect());
+    Ok(Found { model, schedule, objective, evaluations })
+}
+
+/// Coordinate descent on the grid, at most `budget` evaluations: the best values, their objective, and the evaluations spent.
+fn descend(
+    axes: &[Axis],
+    budget: usize,
+    mut objective: impl FnMut(&[f64]) -> Result<f64>,
+) -> Result<(Vec<f64>, f64, usize)> {
+    let values = |at: &[usize]| axes.iter().zip(at).map(|(a, &i)| a.grid[i]).collect::<Vec<f64>>();
+    let mut at: Vec<usize> = axes.iter().map(|a| a.start).collect();
+    let mut best = objective(&values(&at))?;
+    let mut known = HashMap::from([(at.clone(), best)]);
+    loop {
+        let before = at.clone();
+        for k in 0..axes.len() {
+            for step in [1, -1] {
+                let start = at[k];
+                while let Some(i) = at[k].checked_add_signed(step).filter(|i| *i < axes[k].grid.len()) {
+                    let trial = [&at[..k], &[i], &at[k + 1..]].concat();
+                    let value = match known.get(&trial) {
+                        Some(&value) => value,
+                        None if known.len() >= budget => return Ok((values(&at), best, known.len())),
+                        None => objective(&values(&trial))?,
+                    };
+                    known.insert(trial.clone(), value);
+                    if value >= GAIN * best {
+                        break;
+                    }
+                    (best, at) = (value, trial);
+                }
+                if at[k] != start {
+                    break;
+                }
+            }
+        }
+        if at == before {
+            return Ok((values(&at), best, known.len()));
+        }
+    }
+}
+
+/// Mean rmse over the cases; infinite where a registration fails.
+fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 {
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    let run = |case: &BenchCase| {
+        run_case(&model, &terms, schedule, case, LandmarkUse::All).map_or(f64::INFINITY, |(row, _)| row.errors.rmse)
+    };
+    let errors: Vec<f64> = cases.par_iter().map(run).collect();
+    errors.iter().sum::<f64>() / errors.len() as f64
+}
+
+/// What to search.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Options {
+    /// Models to search
+    #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
+    models: Vec<ModelKind>,
+    /// Seed of the cases
+    #[arg(long, default_value_t = 101)]
+    seed: u64,
+    /// Vertices of the template, about
+    #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
+    vertices: u32,
+    /// Evaluations for each model
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
+    budget: u32,
+    /// Where cases, log and schedules go
+    #[arg(long, value_name = "DIR", default_value = "out/schedule-search")]
+    out: std::path::PathBuf,
+}
+
+/// Searches and writes `MODEL.toml` for each model and `search.csv`.
+///
+/// # Errors
+/// A [`Failure`] when something cannot be written; anything else is a failed computation.
+pub fn run(options: &Options) -> Result<()> {
+    let Options { models, seed, vertices, budget, out } = options;
+    println!("{} models, six cases of seed {seed}, {vertices} vertices, {budget} evaluations each", models.len());
+    let cases = search_cases(&out.join("data"), *vertices as usize, *seed)?;
+    let mut rows = "model,evaluation,axes,mean_rmse\n".to_owned();
+    for &model in models {
+        let mut count = 0;
+        let found = search(model, &cases, *budget as usize, |values, objective| {
+            count += 1;
+            let values: Vec<String> = values.iter().map(|(name, v)| format!("{name} {v}")).collect();
+            eprintln!("{model:12} {count:3}  {objective:.4} mm  {}", values.join(", "));
+            let _ = writeln!(rows, "{model},{count},{},{objective:.6}", values.join("; "));
+        })?;
+        println!("{model}: {:.4} mm after {} evaluations", found.objective, found.evaluations);
+        let written = |name: String, text: &str| {
+            write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
+                .map_err(Failure::writing)
+        };
+        written(format!("{model}.toml"), &found.schedule)?;
+        written("search.csv".to_owned(), &rows)?;
+    }
+    println!("schedules and search.csv are in {}", out.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_corner_of_every_models_grid_is_a_schedule() {
+        for model in ModelKind::ALL {
+            for end in [|a: &Axis| a.grid[0], |a: &Axis| a.grid[a.start], |a: &Axis| a.grid[a.grid.len() - 1]] {
+                let at = axes(model).iter().map(|a| (a.name, end(a))).collect();
+                let schedule =
+                    Schedule::from_toml(&schedule_text(model, &at)).unwrap_or_else(|e| panic!("{model}: {e}"));
+                assert_eq!(schedule.levels.len(), LADDER.len());
+                let landmarks: Vec<f64> = schedule.levels.iter().map(|l| l.landmarks).collect();
+                assert_eq!(
+                    (landmarks[0], landmarks[5], landmarks[7]),
+                    (at["landmarks first"], at["landmarks last"], landmarks[5])
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn axes_ascend_and_start_inside() {
+        for axis in ModelKind::ALL.into_iter().flat_map(axes) {
+            assert!(axis.grid.is_sorted() && axis.start < axis.grid.len(), "{axis:?}");
+        }
+    }
+
+    #[test]
+    fn descent_finds_the_minimum_of_a_bowl_and_keeps_to_its_budget() {
+        const GRID: &[f64] = &[-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0];
+        let axes = ["x", "y"].map(|name| Axis { name, grid: GRID, start: 0 });
+        let mut count = 0;
+        let mut bowl = |v: &[f64]| {
+            count += 1;
+            Ok(1.0 + (v[0] - 1.0).powi(2) + (v[1] + 1.0).powi(2) + 0.2 * v[0] * v[1])
+        };
+        let (values, best, evaluations) = descend(&axes, 100, &mut bowl).unwrap();
+        assert_eq!((values, best), (vec![1.0, -1.0], 0.8));
+        let (_, partial, spent) = descend(&axes, 4, &mut bowl).unwrap();
+        assert!(spent == 4 && partial > best);
+        assert_eq!(count, evaluations + spent);
+    }
+}
