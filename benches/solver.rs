@@ -88,7 +88,7 @@ fn face(shapes: usize) -> Deformation<Hybrid, Pointwise<PointToPlane, Kernel, 1>
     let normals = vertex_normals(&targets, &mesh.triangles, NormalWeighting::Area);
     let residuals = PointToPlane { weights: vec![1.0; targets.len()], targets, normals, scale: 1.0 };
     let samples = Samples::vertices(mesh.positions.len());
-    let model = hybrid(mesh.positions, nodes, basis, Stiffness { graph: 1.0, blend: 1.0 });
+    let model = hybrid(mesh.positions, nodes, basis, Stiffness { graph: 1.0, blend: 1.0, ..Stiffness::default() });
     let mut problem = Deformation::new(model, samples);
     problem.terms.push(Pointwise::new("point to plane", residuals, Kernel::Huber { delta: 1.0 }));
     problem

@@ -237,6 +237,35 @@ fn broken() -> Bench {
         };
         bench.write(&format!("{name}.toml"), text);
     }
+    let level = SCHEDULE[SCHEDULE.find("[[level]]").unwrap()..].replace("[[level]]", "[[then.level]]");
+    let then = format!("[then]\nmodel = \"graph\"\n[then.graph]\nnodes = 60\n{level}{level}");
+    bench.write("two_stages.toml", format!("{SCHEDULE}{then}"));
+    let last = then.rfind("[[then.level]]").unwrap();
+    let in_last = |from: &str, to: &str| format!("{}{}", &then[..last], then[last..].replace(from, to));
+    for (name, then) in [
+        ("then_negative", in_last("lambda_graph = 1.0", "lambda_graph = -1.0")),
+        ("then_kernel", in_last("delta = 3.0", "delta = -3.0")),
+        ("then_unknown_key", in_last("steps = 2", "stepps = 2")),
+        ("then_no_levels", "[then]\nmodel = \"graph\"\nlevel = []\n".to_owned()),
+        ("then_no_model", then.replace("model = \"graph\"\n", "")),
+        ("then_unknown_model", then.replace("\"graph\"", "\"grahp\"")),
+        ("then_shapes", then.replace("\"graph\"", "\"hybrid\"")),
+        ("then_no_nodes", then.replace("nodes = 60", "nodes = 0")),
+        ("then_start", then.replace("[then.graph]", "start = \"rigid\"\n[then.graph]")),
+        (
+            "then_then_no_steps",
+            then.clone()
+                + &then
+                    .replace("[then", "[then.then")
+                    .replace("[[then", "[[then.then")
+                    .replace("steps = 2", "steps = 0"),
+        ),
+        ("unknown_node", String::new()),
+    ] {
+        let first =
+            if name == "unknown_node" { SCHEDULE.replace("nodes = 60", "node = \"round\"") } else { SCHEDULE.into() };
+        bench.write(&format!("{name}.toml"), first + &then);
+    }
     bench
 }
 
@@ -318,6 +347,19 @@ const ROWS: &[Row] = &[
     ("register", "--config unknown_kernel.toml", LOADING, &["unknown_kernel.toml", "hubert"]),
     ("register", "--config text_for_number.toml", LOADING, &["text_for_number.toml", "two"]),
     ("register", "--config no_levels.toml", LOADING, &["no_levels.toml", "level"]),
+    ("register", "--config then_negative.toml", LOADING, &["then_negative.toml", "then.level 2: lambda_graph", "-1"]),
+    ("register", "--config then_kernel.toml", LOADING, &["then_kernel.toml", "then.level 2: ", "-3"]),
+    ("register", "--config then_unknown_key.toml", LOADING, &["then_unknown_key.toml", "stepps"]),
+    ("register", "--config then_no_levels.toml", LOADING, &["then_no_levels.toml", "[[then.level]]"]),
+    ("register", "--config then_no_model.toml", LOADING, &["then_no_model.toml", "model"]),
+    ("register", "--config then_unknown_model.toml", LOADING, &["then_unknown_model.toml", "grahp", "graph"]),
+    ("register", "--config then_shapes.toml", LOADING, &["then_shapes.toml", "then.model", "hybrid", "blendshapes"]),
+    ("register", "--config then_no_nodes.toml", LOADING, &["then_no_nodes.toml", "then.graph.nodes"]),
+    ("register", "--config then_start.toml", LOADING, &["then_start.toml", "start"]),
+    ("register", "--config then_then_no_steps.toml", LOADING, &["then_then_no_steps.toml", "then.then.level 1: steps"]),
+    ("register", "--config unknown_node.toml", LOADING, &["unknown_node.toml", "round", "affine"]),
+    ("register", "--model sequential", LOADING, &["sequential", "[then]"]),
+    ("register", "--config two_stages.toml --model sequential --rig -", LOADING, &["sequential", "blendshapes"]),
     // outputs and options
     ("register", "--out OUT/r.stl", ARGUMENTS, &["r.stl", ".obj"]),
     ("register", "--out OUT/r", ARGUMENTS, &["/r: cannot write", ".obj"]),

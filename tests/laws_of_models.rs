@@ -1,12 +1,14 @@
 //! Laws that every deformation model on the common assembly obeys.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
+use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{Linearisation, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
-use nonrigid::model::{blendshape, graph, hybrid, rigid, similarity};
-use nonrigid::nlls::{GradientCheck, Kernel, NormalEquations, Problem, check_gradient};
+use nonrigid::model::{Sumner, affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
+use nonrigid::nlls::{GradientCheck, Kernel, Minimizer, NormalEquations, Options, Problem, check_gradient};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
 use rand::{Rng, SeedableRng};
@@ -89,17 +91,28 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Box<dyn Fn() -> Box<dyn Tes
     let rest = rest(&mut rng);
     let graph_of = nodes(&mut rng, &rest);
     let basis = shapes(&mut rng);
-    let stiffness = Stiffness { graph: 0.7, blend: 0.3 };
+    let stiffness = Stiffness { graph: 0.7, rotation: 0.4, blend: 0.3 };
     let (r, g, b) = (rest.clone(), graph_of.clone(), basis.clone());
     visit(&mut rng, Box::new(move || Box::new(hybrid(r.clone(), g.clone(), b.clone(), stiffness))), rest.clone());
-    let (r, g) = (rest.clone(), graph_of);
+    let (r, g) = (rest.clone(), graph_of.clone());
     visit(&mut rng, Box::new(move || Box::new(graph(r.clone(), g.clone(), 0.7))), rest.clone());
-    let (r, b) = (rest.clone(), basis);
+    let (r, b) = (rest.clone(), basis.clone());
     visit(&mut rng, Box::new(move || Box::new(blendshape(r.clone(), b.clone(), 0.3))), rest.clone());
     let r = rest.clone();
     visit(&mut rng, Box::new(move || Box::new(rigid(r.clone()))), rest.clone());
     let r = rest.clone();
     visit(&mut rng, Box::new(move || Box::new(similarity(r.clone()))), rest.clone());
+    let (r, g, b) = (rest.clone(), graph_of.clone(), basis);
+    visit(
+        &mut rng,
+        Box::new(move || Box::new(affine_hybrid(r.clone(), g.clone(), b.clone(), stiffness))),
+        rest.clone(),
+    );
+    let (r, g) = (rest.clone(), graph_of);
+    visit(&mut rng, Box::new(move || Box::new(sumner(r.clone(), g.clone(), 0.7, 0.4))), rest.clone());
+    let r = rest.clone();
+    let single = NodeGraph::single(Vec3::new(3.0, -2.0, 1.0), VERTICES);
+    visit(&mut rng, Box::new(move || Box::new(sumner(r.clone(), single.clone(), 0.7, 0.4))), rest.clone());
 }
 
 trait TestModel: DeformationModel {
@@ -154,36 +167,153 @@ fn gradients_pass_the_derivative_checker_for_every_model_and_kernel() {
     });
 }
 
+/// Parameters of nodes at `centres` that all move as `p -> rotation p + shift`.
+fn moved_nodes(rest: &[f64], centres: &[Vec3], rotation: &Rotation3<f64>, shift: Vec3) -> Vec<f64> {
+    let mut x = rest.to_vec();
+    for (node, centre) in x.chunks_exact_mut(12).zip(centres) {
+        node[..9].copy_from_slice(rotation.matrix().transpose().as_slice());
+        node[9..].copy_from_slice((rotation * centre + shift - centre).as_slice());
+    }
+    x
+}
+
 #[test]
 fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let rest = rest(&mut rng);
     let nodes = nodes(&mut rng, &rest);
     let centres = nodes.nodes().to_vec();
-    let mut model = hybrid(rest.clone(), nodes, shapes(&mut rng), Stiffness { graph: 5.0, blend: 5.0 });
-    let rotation = nalgebra::Rotation3::from_euler_angles(0.4, -2.0, 1.1);
+    let basis = shapes(&mut rng);
+    let stiffness = Stiffness { graph: 5.0, rotation: 5.0, blend: 5.0 };
     let shift = Vec3::new(30.0, -80.0, 12.0);
-    let mut x = model.rest_parameters();
-    for (j, &centre) in centres.iter().enumerate() {
-        let node = &mut x[12 * j..12 * (j + 1)];
-        for a in 0..3 {
-            for b in 0..3 {
-                node[3 * a + b] = rotation.matrix()[(a, b)];
+    let half_turn = Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(Vec3::new(0.3, -1.0, 0.6)), PI);
+    let parts = ["graph smoothness (7)", "node rotation (Sumner)", "blendshape prior (5)"];
+    let models: [(Box<dyn DeformationModel>, &[&str]); 3] = [
+        (Box::new(hybrid(rest.clone(), nodes.clone(), basis.clone(), stiffness)), &[parts[0], parts[2]]),
+        (Box::new(affine_hybrid(rest.clone(), nodes.clone(), basis, stiffness)), &parts),
+        (Box::new(sumner(rest.clone(), nodes, 5.0, 5.0)), &parts[..2]),
+    ];
+    for (model, parts) in models {
+        let mut problem: Deformation<_, Box<dyn DataTerm>> = Deformation::new(model, samples());
+        for rotation in [Rotation3::from_euler_angles(0.4, -2.0, 1.1), half_turn] {
+            let x = moved_nodes(&problem.model.rest_parameters(), &centres, &rotation, shift);
+            let energies = problem.energies(&x);
+            assert_eq!(energies.iter().map(|e| e.0.as_str()).collect::<Vec<_>>(), parts);
+            // Squares of rounding errors, E_rot's times 5 * 5 * reach^2.
+            assert!(energies.iter().all(|e| e.1 < 1e-21), "{energies:?}");
+            let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+            problem.linearize(&x, &mut equations);
+            let scale = equations.to_dense().amax();
+            assert!(equations.gradient.iter().all(|g| g.abs() < 1e-12 * scale), "{:?}", equations.gradient);
+            for (v, n) in problem.vertices(&x).iter().zip(&rest) {
+                approx::assert_abs_diff_eq!(*v, rotation * n + shift, epsilon = 1e-11);
             }
         }
-        let t = rotation * centre + shift - centre;
-        node[9..].copy_from_slice(t.as_slice());
     }
+}
+
+#[test]
+fn the_rotation_energy_of_an_affine_map_is_sumners() {
+    // One node on two vertices one millimetre away: reach 1. Columns (1, 2, 0), (0, 1, 0), (0, 0, 3):
+    // (c1.c2)^2 = 4, (c1.c1 - 1)^2 = 16, (c3.c3 - 1)^2 = 64.
+    let rest = vec![Vec3::x(), -Vec3::y()];
+    let mut model = sumner(rest, NodeGraph::single(Vec3::zeros(), 2), 0.5, 3.0);
     let mut energies = Vec::new();
-    model.regulariser_energy(&x, &mut energies);
-    for (name, energy) in energies {
-        assert!(energy < 1e-22, "{name}: {energy}");
+    model.regulariser_energy(&[1.0, 0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 3.0, 7.0, 8.0, 9.0], &mut energies);
+    assert_eq!(energies, [("node rotation (Sumner)", 0.5 * 3.0 * (4.0 + 16.0 + 64.0))]);
+}
+
+/// A sheet of 9 x 9 vertices at spacing `unit`.
+fn sheet(unit: f64) -> TriangleMesh {
+    let positions = (0..81).map(|i| Vec3::new((i % 9) as f64, (i / 9) as f64, 0.1 * (i % 4) as f64) * unit).collect();
+    let corners = |i: u32| [[i, i + 1, i + 10], [i, i + 10, i + 9]];
+    let triangles = (0..72).filter(|i| i % 9 < 8).flat_map(corners).collect();
+    TriangleMesh { positions, triangles }
+}
+
+/// The graph with affine nodes, all turned by `start`, pulled towards `targets`, until nothing changes.
+fn pulled(
+    mesh: &TriangleMesh,
+    nodes: NodeGraph,
+    targets: Vec<Vec3>,
+    rotation: f64,
+    start: &Rotation3<f64>,
+) -> (Sumner, Vec<f64>) {
+    let count = mesh.positions.len();
+    let mut problem = Deformation::new(sumner(mesh.positions.clone(), nodes, 0.5, rotation), Samples::vertices(count));
+    let residuals = PointToPoint { targets, weights: vec![1.0; count], scale: 1.0 };
+    problem.terms.push(Pointwise::new("point", residuals, Kernel::None));
+    let centres = problem.model.graph().nodes().to_vec();
+    let mut x = moved_nodes(&problem.model.rest_parameters(), &centres, start, Vec3::zeros());
+    let options = Options::levenberg_marquardt().with_max_iterations(200).with_damping_floor(1e-9);
+    let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+    assert!(summary.final_energy.is_finite() && summary.final_energy <= summary.initial_energy, "{summary}");
+    (problem.model, x)
+}
+
+/// Largest `|A'A - I|` of any node.
+fn farthest_from_rotation(x: &[f64]) -> f64 {
+    let of = |node: &[f64]| {
+        let a = Matrix3::from_row_slice(&node[..9]);
+        (a.transpose() * a - Matrix3::identity()).amax()
+    };
+    x.chunks_exact(12).map(of).fold(0.0, f64::max)
+}
+
+#[test]
+fn affine_nodes_prefer_rotations_the_more_the_weightier_and_in_any_unit() {
+    let stretch = |p: &Vec3| Vec3::new(1.3 * p.x + 0.2 * p.y, p.y, p.z);
+    let mut found: Vec<[f64; 2]> = Vec::new();
+    for rotation in [0.0, 0.1, 1.0, 100.0] {
+        let distance = |unit: f64| {
+            let mesh = sheet(unit);
+            let nodes = NodeGraph::along_surface(&mesh, 12, 3).unwrap();
+            let targets = mesh.positions.iter().map(stretch).collect();
+            farthest_from_rotation(&pulled(&mesh, nodes, targets, rotation, &Rotation3::identity()).1)
+        };
+        found.push([1.0, 1.0 / 1024.0].map(distance));
     }
+    println!("{found:?}");
+    for pair in found.windows(2) {
+        assert!(pair[1][0] < pair[0][0], "{found:?}");
+    }
+    // Without the energy the stretch is followed; with most of it, hardly.
+    assert!(found[0][0] > 0.6 && found[3][0] < 0.05, "{found:?}");
+    assert!(found.iter().all(|[large, small]| (large - small).abs() < 1e-6), "{found:?}");
+}
+
+#[test]
+fn affine_nodes_stand_alone_coincide_and_turn_by_pi() {
+    let mesh = sheet(1.0);
+    let half_turn = Rotation3::from_axis_angle(&Vec3::y_axis(), PI);
+    let further = Rotation3::from_euler_angles(0.3, -0.2, 0.4);
+    let place = |p: &Vec3| further * half_turn * p + Vec3::new(1.0, 2.0, 3.0);
+    let targets: Vec<Vec3> = mesh.positions.iter().map(place).collect();
+    let coincident = {
+        let nodes = vec![mesh.positions[40]; 3];
+        let influences =
+            (0..81).map(|i| (0..3).map(|j| (j, [0.2, 0.3, 0.5][(i + j as usize) % 3])).collect::<Vec<_>>());
+        NodeGraph::from_influences(nodes, influences)
+    };
+    let graphs =
+        [NodeGraph::along_surface(&mesh, 1, 4).unwrap(), coincident, NodeGraph::along_surface(&mesh, 12, 3).unwrap()];
+    for graph in graphs {
+        let nodes = graph.nodes().len();
+        let (mut model, x) = pulled(&mesh, graph, targets.clone(), 0.1, &half_turn);
+        let mut moved = Vec::new();
+        model.positions(&x, &mut moved);
+        let distance = moved.iter().zip(&targets).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        println!("{nodes} nodes: {distance} {}", farthest_from_rotation(&x));
+        assert!(distance < 1e-6, "{nodes} nodes: {distance}");
+        assert!(farthest_from_rotation(&x) < 1e-6, "{nodes} nodes: {x:?}");
+    }
+    // All vertices in one point: nothing to be weighed by, and nothing breaks.
+    let point = TriangleMesh { positions: vec![Vec3::x(); 81], ..mesh };
+    let graph = NodeGraph::along_surface(&point, 4, 3).unwrap();
+    let (mut model, x) = pulled(&point, graph, vec![Vec3::y(); 81], 1.0, &Rotation3::identity());
     let mut moved = Vec::new();
     model.positions(&x, &mut moved);
-    for (v, n) in moved.iter().zip(&rest) {
-        approx::assert_abs_diff_eq!(*v, rotation * n + shift, epsilon = 1e-11);
-    }
+    assert!(moved.iter().all(|p| (p - Vec3::y()).norm() < 1e-6), "{moved:?}");
 }
 
 #[test]

@@ -302,7 +302,7 @@ fn no_step_raises_the_energy_at_fixed_correspondences() {
     let surface = task.template.triangulate();
     let rest = surface.positions.clone();
     let nodes = NodeGraph::along_surface(&surface, 60, 4).unwrap();
-    let stiffness = Stiffness { graph: 0.5, blend: 0.8 };
+    let stiffness = Stiffness { graph: 0.5, blend: 0.8, ..Stiffness::default() };
     let models: Vec<Box<dyn Fn() -> Box<dyn DeformationModel>>> = vec![
         Box::new(|| Box::new(hybrid(rest.clone(), nodes.clone(), task.shapes.clone(), stiffness))),
         Box::new(|| Box::new(graph(rest.clone(), nodes.clone(), 0.5))),

@@ -1,4 +1,5 @@
 //! The embedded deformation graph of Sumner et al. 2007 with rigid nodes, eqs. (6) and (7) of Klimov 2020.
+//! With the paper's own affine nodes: [`sumner`](super::sumner()).
 
 use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
 use crate::mesh::Vec3;

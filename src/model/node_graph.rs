@@ -113,6 +113,19 @@ impl NodeGraph {
         &self.edges
     }
 
+    /// Mean squared distance between a vertex and the nodes that move it, `sum_ij omega_ij |n_i - x_j|^2 / N`, for the rest
+    /// positions `n_i`; in their unit, squared. Zero without vertices.
+    #[must_use]
+    pub fn squared_reach(&self, rest: &[Vec3]) -> f64 {
+        let mut sum = 0.0;
+        for (i, n) in rest.iter().enumerate() {
+            for &(j, omega) in self.influences(i) {
+                sum += omega * (n - self.nodes[j as usize]).norm_squared();
+            }
+        }
+        sum / rest.len().max(1) as f64
+    }
+
     /// Number of vertices the graph moves.
     #[must_use]
     pub fn vertex_count(&self) -> usize {

@@ -1,6 +1,6 @@
 //! The motions a node can make, each stated once for any dual number.
 
-use crate::nlls::{Manifold, Scalar, Se3, Sim3};
+use crate::nlls::{Euclidean, Manifold, Scalar, Se3, Sim3};
 
 /// An affine map `q -> A q + t` with entries of any number type.
 #[derive(Debug, Clone, Copy)]
@@ -33,6 +33,13 @@ pub trait NodeTransform<const W: usize>: Clone + Send + Sync + 'static {
 
     /// The map of a point of the manifold.
     fn map<D: Scalar>(point: &[D]) -> AffineMap<D>;
+
+    /// How far a map's `A` is from a rotation, `E_rot` being the sum of squares: for motions that are free to leave the
+    /// rotations; `None` for those that cannot or should not be held near them.
+    #[inline(always)]
+    fn rotation_residuals<D: Scalar>(_map: &AffineMap<D>) -> Option<[D; 6]> {
+        None
+    }
 }
 
 /// Rotation and translation, `R q + t`.
@@ -65,5 +72,27 @@ impl NodeTransform<10> for SimilarityMotion {
         let rigid = RigidMotion::map(p);
         let scale = p[12].exp();
         AffineMap { linear: rigid.linear.map(|row| row.map(|e| e * scale)), ..rigid }
+    }
+}
+
+/// Any affine map, `A q + t` (Sumner et al. 2007); `E_rot` keeps `A` near the rotations.
+#[derive(Debug, Clone, Copy)]
+pub struct AffineMotion;
+
+impl NodeTransform<15> for AffineMotion {
+    type Parameters = Euclidean<12>;
+    const IDENTITY: &'static [f64] = &Se3::IDENTITY;
+
+    #[inline(always)]
+    fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
+        RigidMotion::map(p)
+    }
+
+    /// `c_1.c_2, c_1.c_3, c_2.c_3, c_1.c_1 - 1, c_2.c_2 - 1, c_3.c_3 - 1` of the columns of `A`: Sumner et al. 2007, `Rot(A)`.
+    #[inline(always)]
+    fn rotation_residuals<D: Scalar>(map: &AffineMap<D>) -> Option<[D; 6]> {
+        let a = &map.linear;
+        let dot = |i: usize, j: usize| a[0][i] * a[0][j] + a[1][i] * a[1][j] + a[2][i] * a[2][j];
+        Some([dot(0, 1), dot(0, 2), dot(1, 2), dot(0, 0) - 1.0, dot(1, 1) - 1.0, dot(2, 2) - 1.0])
     }
 }

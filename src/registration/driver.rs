@@ -52,7 +52,7 @@ impl<'a> RegistrationInput<'a> {
 /// What happened in one step, as an observer sees it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StepRecord {
-    /// Level, from 0.
+    /// Level, from 0; counts on over the stages of the schedule.
     pub level: usize,
     /// Step within the level, from 0.
     pub step: usize,
@@ -100,7 +100,7 @@ pub struct RegistrationResult {
     pub positions: Vec<Vec3>,
     /// Where the registration started.
     pub start: Pose,
-    /// Blendshape weights by name.
+    /// Blendshape weights by name; those of the first stage, for later ones have none.
     pub weights: Vec<(String, f64)>,
     /// Which vertices had an accepted correspondence at the end.
     pub accepted: Vec<bool>,
@@ -135,7 +135,7 @@ pub fn register_with(
 ) -> Result<RegistrationResult, RegistrationError> {
     schedule.validate()?;
     check_input(input, model)?;
-    let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
+    let mut template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
     let start = start_pose(input, &template, schedule)?;
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
     let scan_in_rest = TriangleMesh {
@@ -159,8 +159,7 @@ pub fn register_with(
     }
     let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
     let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
-    let mut problem: Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>> =
-        Deformation::new(model, samples);
+    let mut problem: RegistrationProblem = Deformation::new(model, samples);
     let frame = Pose { translation: start.apply(template.centre), ..start };
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
 
@@ -173,29 +172,38 @@ pub fn register_with(
         workspace: Workspace::new(),
         history: Vec::new(),
         vertices: problem.vertices(&x).to_vec(),
+        level_names: schedule.levels_by_name().map(|l| l.0).collect(),
+        first_level: 0,
     };
-    observer.on_start(schedule.levels.len(), schedule.levels.iter().map(|l| l.steps).sum());
-    let mut stop = RegistrationStop::Finished;
-    for level in 0..schedule.levels.len() {
-        if run.level(level, schedule, &template, &scan, &mut problem, &mut x, observer)?.is_break() {
-            stop = RegistrationStop::StoppedByObserver;
-            break;
-        }
+    observer.on_start(run.level_names.len(), schedule.levels_by_name().map(|l| l.1.steps).sum());
+    let mut flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
+    let weights = problem.model.named_weights(&x);
+    let mut next = schedule.next_stage();
+    while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
+        template.mesh.positions.copy_from_slice(&run.vertices);
+        let model = model.build(&ModelInput { rest: &template.mesh, shapes: &ShapeBasis::none(), schedule })?;
+        let terms = std::mem::take(&mut problem.terms);
+        problem = Deformation::new(model, problem.samples().clone());
+        problem.terms = terms;
+        x = problem.model.rest_parameters();
+        run.workspace = Workspace::new();
+        flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
+        next = schedule.next_stage();
     }
     let positions = run.vertices.iter().map(|&v| start.apply(v + template.centre)).collect();
     Ok(RegistrationResult {
         positions,
         start,
-        weights: problem.model.named_weights(&x),
+        weights,
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
         weak_directions: run.workspace.summary().weak_directions(),
         history: run.history,
-        stop,
+        stop: if flow.is_break() { RegistrationStop::StoppedByObserver } else { RegistrationStop::Finished },
         schedule: schedule.clone(),
     })
 }
 
-/// The rest shape, centred, and how the schedule's units translate to it.
+/// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 struct Rest {
     mesh: TriangleMesh,
     /// Vertices that take no correspondence.
@@ -279,9 +287,33 @@ struct Run {
     history: Vec<StepRecord>,
     /// Current vertex positions, model frame.
     vertices: Vec<Vec3>,
+    /// Names of all stages' levels, and how many of them lie in earlier stages.
+    level_names: Vec<String>,
+    first_level: usize,
 }
 
+type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>;
+
 impl Run {
+    /// All levels of one stage; `schedule` is as if that stage were the first.
+    fn stage(
+        &mut self,
+        schedule: &Schedule,
+        rest: &Rest,
+        scan: &ScanSurface,
+        problem: &mut RegistrationProblem,
+        x: &mut [f64],
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<ControlFlow<()>, RegistrationError> {
+        for level in 0..schedule.levels.len() {
+            if self.level(level, schedule, rest, scan, problem, x, observer)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        self.first_level += schedule.levels.len();
+        Ok(ControlFlow::Continue(()))
+    }
+
     #[allow(clippy::too_many_arguments)]
     fn level(
         &mut self,
@@ -289,10 +321,11 @@ impl Run {
         schedule: &Schedule,
         rest: &Rest,
         scan: &ScanSurface,
-        problem: &mut Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>,
+        problem: &mut RegistrationProblem,
         x: &mut [f64],
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
+        let number = self.first_level + index;
         let mut level = schedule.levels[index].scaled(rest.unit);
         problem.model.set_level(&level);
         let mut coincidence = None;
@@ -311,7 +344,7 @@ impl Run {
             self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
             if !self.correspondences.any() {
                 return Err(RegistrationError::NoOverlap {
-                    level: index + 1,
+                    level: self.level_names[number].clone(),
                     cap: schedule.levels[index].distance_cap,
                 });
             }
@@ -326,16 +359,25 @@ impl Run {
             match summary.stop {
                 StopReason::LinearSolverFailed(reason) => {
                     let reason = reason.to_string();
-                    return Err(RegistrationError::Solver { level: index + 1, step: step + 1, reason });
+                    return Err(RegistrationError::Solver {
+                        level: self.level_names[number].clone(),
+                        step: step + 1,
+                        reason,
+                    });
                 }
-                StopReason::NonFinite => return Err(RegistrationError::Diverged { level: index + 1, step: step + 1 }),
+                StopReason::NonFinite => {
+                    return Err(RegistrationError::Diverged {
+                        level: self.level_names[number].clone(),
+                        step: step + 1,
+                    });
+                }
                 _ => {}
             }
             let moved = problem.vertices(x);
             let motion = moved.iter().zip(&self.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
             self.vertices.copy_from_slice(moved);
             let record = StepRecord {
-                level: index,
+                level: number,
                 step,
                 energy: final_energy,
                 energies: problem.energies(x),

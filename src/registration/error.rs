@@ -56,30 +56,30 @@ pub enum RegistrationError {
     },
     /// No vertex found a correspondence.
     #[error(
-        "level {level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
+        "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
          check that template and scan are in the same unit, and that the scan is not turned inside out"
     )]
     NoOverlap {
-        /// Level, from 1.
-        level: usize,
+        /// Level, as schedules' messages name it: `level 1`, `then.level 2`.
+        level: String,
         /// Distance cap, millimetres.
         cap: f64,
     },
     /// No step could be computed.
-    #[error("level {level}, step {step}: {reason}")]
+    #[error("{level}, step {step}: {reason}")]
     Solver {
-        /// Level, from 1.
-        level: usize,
+        /// Level, as schedules' messages name it.
+        level: String,
         /// Step, from 1.
         step: usize,
         /// What the linear solver said.
         reason: String,
     },
     /// The energy became infinite or NaN.
-    #[error("level {level}, step {step}: the energy is no longer finite")]
+    #[error("{level}, step {step}: the energy is no longer finite")]
     Diverged {
-        /// Level, from 1.
-        level: usize,
+        /// Level, as schedules' messages name it.
+        level: String,
         /// Step, from 1.
         step: usize,
     },

@@ -4,10 +4,11 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
+use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError};
 use crate::energy::DeformationModel;
 use crate::mesh::{TriangleMesh, Vec3};
-use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness};
+use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
@@ -64,8 +65,12 @@ pub trait ModelFactory: Send + Sync {
 pub enum ModelKind {
     /// Blendshapes inside a deformation graph (Klimov 2020).
     Hybrid,
-    /// Deformation graph (Sumner et al. 2007).
+    /// Deformation graph, rigid nodes unless the schedule says otherwise.
     Graph,
+    /// Deformation graph with affine nodes (Sumner et al. 2007), whatever node the schedule names.
+    Sumner,
+    /// Blendshapes, then what the schedule's `[then]` names, from the shape that they have found (Bhat et al. 2013).
+    Sequential,
     /// Blendshapes under one rigid motion.
     Blendshape,
     /// Rigid motion.
@@ -76,7 +81,14 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Hybrid, Self::Graph, Self::Blendshape, Self::Rigid, Self::Similarity];
+    pub const ALL: [Self; 7] =
+        [Self::Hybrid, Self::Sequential, Self::Graph, Self::Sumner, Self::Blendshape, Self::Rigid, Self::Similarity];
+
+    /// Whether blendshapes are part of the model.
+    #[must_use]
+    pub fn uses_shapes(self) -> bool {
+        matches!(self, Self::Hybrid | Self::Sequential | Self::Blendshape)
+    }
 }
 
 impl std::fmt::Display for ModelKind {
@@ -101,6 +113,8 @@ impl ModelFactory for ModelKind {
         match self {
             Self::Hybrid => "hybrid",
             Self::Graph => "graph",
+            Self::Sumner => "sumner",
+            Self::Sequential => "sequential",
             Self::Blendshape => "blendshape",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
@@ -108,16 +122,25 @@ impl ModelFactory for ModelKind {
     }
 
     fn needs_shapes(&self) -> bool {
-        *self == Self::Blendshape
+        matches!(self, Self::Blendshape | Self::Sequential)
     }
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
         let rest = input.rest.positions.clone();
-        let stiffness = Stiffness { graph: 1.0, blend: 1.0 };
+        let affine = input.schedule.graph.node == NodeKind::Affine;
+        // Levels set it before the first step.
+        let stiffness = Stiffness::default();
         Ok(match self {
+            Self::Hybrid if affine => {
+                Box::new(affine_hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness))
+            }
             Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
-            Self::Graph => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
-            Self::Blendshape => Box::new(blendshape(rest, input.shapes.clone(), stiffness.blend)),
+            Self::Graph if !affine => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
+            Self::Graph | Self::Sumner => {
+                Box::new(sumner(rest, node_graph(input)?, stiffness.graph, stiffness.rotation))
+            }
+            Self::Sequential if input.schedule.then.is_none() => return Err(ScheduleError::NoSecondStage.into()),
+            Self::Sequential | Self::Blendshape => Box::new(blendshape(rest, input.shapes.clone(), stiffness.blend)),
             Self::Rigid => Box::new(rigid(rest)),
             Self::Similarity => Box::new(similarity(rest)),
         })
@@ -135,7 +158,8 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {
     fn set_level(&mut self, level: &Level) {
-        self.stiffness = Stiffness { graph: level.lambda_graph, blend: level.lambda_blend };
+        self.stiffness =
+            Stiffness { graph: level.lambda_graph, rotation: level.lambda_rotation, blend: level.lambda_blend };
     }
 
     fn prediction(&mut self, x: &[f64], _rest: &[Vec3], out: &mut Vec<Vec3>) {

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::ModelKind;
 use crate::mesh::PoseKind;
 use crate::nlls::Kernel;
 use crate::rig::Family;
@@ -41,6 +42,27 @@ pub struct Schedule {
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
+    /// What comes after the last level.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub then: Option<Box<Stage>>,
+}
+
+/// A further stage: another model deforms the shape that the stage before has found, with levels of its own. Everything
+/// else is as the schedule says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// The model; one without blendshapes, for these have had their turn.
+    pub model: ModelKind,
+    /// The deformation graph; only models with one read it.
+    #[serde(default)]
+    pub graph: GraphOptions,
+    /// The levels, stiff to soft.
+    #[serde(rename = "level")]
+    pub levels: Vec<Level>,
+    /// What comes after the last level.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub then: Option<Box<Stage>>,
 }
 
 /// How the deformation graph is made.
@@ -53,11 +75,13 @@ pub struct GraphOptions {
     pub influences: usize,
     /// How distances are measured.
     pub distance: GraphDistance,
+    /// How a node moves.
+    pub node: NodeKind,
 }
 
 impl Default for GraphOptions {
     fn default() -> Self {
-        Self { nodes: 400, influences: 4, distance: GraphDistance::Surface }
+        Self { nodes: 400, influences: 4, distance: GraphDistance::Surface, node: NodeKind::Rigid }
     }
 }
 
@@ -69,6 +93,16 @@ pub enum GraphDistance {
     Surface,
     /// Through space.
     Euclidean,
+}
+
+/// The motion of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeKind {
+    /// Rotation and translation (Klimov 2020).
+    Rigid,
+    /// Any affine map, kept near the rotations by `lambda_rotation` (Sumner et al. 2007).
+    Affine,
 }
 
 /// What of the scan is believed.
@@ -169,7 +203,9 @@ pub struct Level {
     /// `lambda_smooth` of the models with one regulariser: free vertices, ARAP, per-vertex affine.
     #[serde(default)]
     pub lambda_smooth: f64,
-    /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph`.
+    /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph` and the square of a node's reach
+    /// ([`NodeGraph::squared_reach`](crate::model::NodeGraph::squared_reach)): dimensionless, and a ratio to (7), so that
+    /// softening `lambda_graph` softens both.
     #[serde(default)]
     pub lambda_rotation: f64,
     /// Weight of point-to-plane (3) per accepted vertex.
@@ -264,16 +300,32 @@ pub enum ScheduleError {
         bound: &'static str,
     },
     /// A kernel's scale out of bounds.
-    #[error("level {level}: {reason}")]
+    #[error("{level}: {reason}")]
     Kernel {
-        /// Level, from 1.
-        level: usize,
+        /// Where, as in the file: `level 1`, `then.level 2`.
+        level: String,
         /// Field, value and bound.
         reason: String,
     },
     /// No levels.
-    #[error("the schedule has no [[level]]")]
-    NoLevels,
+    #[error("the schedule has no [[{0}]]")]
+    NoLevels(String),
+    /// A later stage cannot have blendshapes.
+    #[error(
+        "{field} = \"{model}\", but a later stage deforms the shape that the one before has found and has no blendshapes; \
+         name a model without, such as \"graph\""
+    )]
+    StageModel {
+        /// Where, as in the file.
+        field: String,
+        /// What was given.
+        model: ModelKind,
+    },
+    /// A sequence of one.
+    #[error(
+        "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
+    )]
+    NoSecondStage,
     /// No default for this model.
     #[error("no default schedule for model '{0}'; known: {known}", known = super::DEFAULT_SCHEDULES.iter().map(|s| s.0).collect::<Vec<_>>().join(", "))]
     UnknownModel(String),
@@ -299,16 +351,18 @@ impl Schedule {
 
     /// Checks every number against its bounds.
     pub fn validate(&self) -> Result<(), ScheduleError> {
-        if self.levels.is_empty() {
-            return Err(ScheduleError::NoLevels);
-        }
         let positive = |field: String, value: f64| check(field, value, value > 0.0, "positive and finite");
         let not_negative =
             |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
         positive("reference_size".into(), self.reference_size)?;
         positive("reference_vertices".into(), self.reference_vertices)?;
-        positive("graph.nodes".into(), self.graph.nodes as f64)?;
-        positive("graph.influences".into(), self.graph.influences as f64)?;
+        for (prefix, graph, levels) in self.stages() {
+            if levels.is_empty() {
+                return Err(ScheduleError::NoLevels(format!("{prefix}level")));
+            }
+            positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
+            positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
+        }
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;
@@ -316,8 +370,8 @@ impl Schedule {
         not_negative("stop.motion".into(), self.stop.motion)?;
         positive("sigma.expression".into(), self.sigma.expression)?;
         positive("sigma.identity".into(), self.sigma.identity)?;
-        for (i, level) in self.levels.iter().enumerate() {
-            let name = |field: &str| format!("level {}: {field}", i + 1);
+        for (place, level) in self.levels_by_name() {
+            let name = |field: &str| format!("{place}: {field}");
             positive(name("steps"), level.steps as f64)?;
             not_negative(name("lambda_graph"), level.lambda_graph)?;
             not_negative(name("lambda_blend"), level.lambda_blend)?;
@@ -331,7 +385,7 @@ impl Schedule {
             not_negative(name("prediction"), level.prediction)?;
             not_negative(name("seam"), level.seam)?;
             for kernel in [Some(level.kernel), level.point_kernel].into_iter().flatten() {
-                kernel.validate().map_err(|e| ScheduleError::Kernel { level: i + 1, reason: e.to_string() })?;
+                kernel.validate().map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
             }
             positive(name("distance_cap"), level.distance_cap)?;
             check(
@@ -341,7 +395,37 @@ impl Schedule {
                 "above 0 and at most 180 degrees",
             )?;
         }
+        for (k, stage) in self.later_stages().enumerate() {
+            if stage.model.uses_shapes() {
+                return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model: stage.model });
+            }
+        }
         Ok(())
+    }
+
+    /// The next stage's model, and the schedule as if that stage were the first.
+    #[must_use]
+    pub fn next_stage(&self) -> Option<(ModelKind, Self)> {
+        let Stage { model, graph, levels, then } = self.then.as_deref()?.clone();
+        Some((model, Self { graph, levels, then, ..self.clone() }))
+    }
+
+    /// Levels of all stages, with the names that messages give them: `level 1`, `then.level 2`.
+    pub fn levels_by_name(&self) -> impl Iterator<Item = (String, &Level)> {
+        self.stages().flat_map(|(prefix, _, levels)| {
+            levels.iter().enumerate().map(move |(i, level)| (format!("{prefix}level {}", i + 1), level))
+        })
+    }
+
+    /// Graph options and levels of each stage, with where they stand in the file: nowhere, `then.`, `then.then.`.
+    fn stages(&self) -> impl Iterator<Item = (String, &GraphOptions, &[Level])> {
+        let first = std::iter::once((&self.graph, &self.levels));
+        let all = first.chain(self.later_stages().map(|stage| (&stage.graph, &stage.levels)));
+        all.enumerate().map(|(k, (graph, levels))| ("then.".repeat(k), graph, levels.as_slice()))
+    }
+
+    fn later_stages(&self) -> impl Iterator<Item = &Stage> {
+        std::iter::successors(self.then.as_deref(), |stage| stage.then.as_deref())
     }
 }
 

@@ -1,0 +1,338 @@
+//! The one assembly behind rigid, similarity, graph, Sumner's graph, blendshape and hybrid: blendshapes inside a deformation
+//! graph.
+//!
+//! ```text
+//!     b_i(w) = n_i + sum_k w_k delta_ik                                       (4)
+//!     v_i    = sum_j omega_ij ( T_j(b_i - x_j) + x_j )                        (6), (8)   T_j(q) = A_j q + t_j
+//!     E_smooth = lambda_graph sum_(i,j) |T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2          (7)
+//!              + lambda_graph lambda_rotation d^2 sum_j E_rot(A_j)                               affine nodes only
+//!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5)
+//! ```
+//!
+//! (Klimov 2020; `E_rot`: Sumner et al. 2007, [`NodeTransform::rotation_residuals`].) `A_j` is a rotation, a scaled rotation or
+//! any 3 x 3. Rigid and similarity have one node and no shapes, blendshape one node, graph no shapes. `d`, the reach of a node,
+//! makes `lambda_rotation` free of units: `d^2` is [`NodeGraph::squared_reach`].
+//!
+//! Derivatives are forward-mode, but no dual number ever carries a blendshape weight: a node's contribution to a vertex is
+//! a function of the node's tangent parameters and of `b_i`, nine duals for a rigid node, fifteen for an affine one, and `b_i`
+//! is linear in `w`:
+//!
+//! ```text
+//!     dv_i/dw = Rbar_i B_i,   Rbar_i = sum_j omega_ij dT_j/dq,   B_i the constant 3 x nb slab of vertex i
+//! ```
+//!
+//! With `A_s` the (at most three) rows of sample `s`' quadric, `Y_sj = A_s dv_s/dT_j` and `U_s = A_s dv_s/dw`:
+//!
+//! ```text
+//!     H_jk = sum_s Y_sj' Y_sk        H_jw = sum_s Y_sj' U_s        H_ww = sum_s U_s' U_s
+//! ```
+
+mod reference;
+mod regulariser;
+mod samples;
+
+use num_dual::DualSVec64;
+use rayon::prelude::*;
+
+use self::regulariser::GraphRegulariser;
+use self::samples::{Blended, CHUNK, NodeSample, SampleChunk, chunks_of, fill_row, samples_of_nodes};
+use super::NodeGraph;
+use super::transform::{AffineMap, NodeTransform};
+use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
+use crate::mesh::Vec3;
+use crate::nlls::dense_kernels::{rank_update_lower, vectorized};
+use crate::nlls::{BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
+use crate::rig::ShapeBasis;
+
+/// How stiff the model is; changed from level to level of a registration.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stiffness {
+    /// `lambda_graph` of (7), per directed edge.
+    pub graph: f64,
+    /// `lambda_rotation`: weight of `E_rot` per affine node against (7), dimensionless.
+    pub rotation: f64,
+    /// `lambda_blend` of (5), per shape.
+    pub blend: f64,
+}
+
+/// How derivatives are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Linearisation {
+    /// Duals of static width per node contribution; blendshapes enter as constant slabs.
+    #[default]
+    Structured,
+    /// The paper's way: every sample differentiated by all of its node and shape parameters, in strides of 16 duals.
+    /// Slower the more shapes there are; agrees with `Structured` to rounding.
+    Reference,
+}
+
+/// Blendshapes inside a deformation graph, with node motions of type `T`; `W` is `T`'s tangent dimension plus three.
+pub struct NodeAssembly<T, const W: usize> {
+    name: &'static str,
+    rest: Vec<Vec3>,
+    graph: NodeGraph,
+    pub(super) shapes: ShapeBasis,
+    /// Regulariser weights.
+    pub stiffness: Stiffness,
+    /// How [`pull_back`](DeformationModel::pull_back) differentiates.
+    pub linearisation: Linearisation,
+    placed: Placement,
+    chunks: Vec<SampleChunk<W>>,
+    node_samples: Vec<Vec<NodeSample>>,
+    border_partials: Vec<f64>,
+    regulariser: GraphRegulariser<W>,
+    /// Node maps with their tangents seeded, at the last linearisation.
+    seeded: Vec<AffineMap<DualSVec64<W>>>,
+    transform: std::marker::PhantomData<T>,
+}
+
+/// Everything that follows from `x` alone, kept until `x` changes.
+#[derive(Default)]
+struct Placement {
+    x: Vec<f64>,
+    maps: Vec<AffineMap<f64>>,
+    blend: Vec<Vec3>,
+}
+
+impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
+    /// Shapes and graph on the rest positions `n_i` (millimetres).
+    ///
+    /// # Panics
+    /// If graph, shapes and rest positions do not have the same number of vertices.
+    #[must_use]
+    pub fn new(
+        name: &'static str,
+        rest: Vec<Vec3>,
+        graph: NodeGraph,
+        shapes: ShapeBasis,
+        stiffness: Stiffness,
+    ) -> Self {
+        assert_eq!(graph.vertex_count(), rest.len(), "graph and rest positions must have as many vertices");
+        assert!(
+            shapes.is_empty() || shapes.vertex_count() == rest.len(),
+            "shapes and rest positions must have as many vertices"
+        );
+        Self {
+            name,
+            regulariser: GraphRegulariser::new(&graph, &rest),
+            rest,
+            graph,
+            shapes,
+            stiffness,
+            linearisation: Linearisation::default(),
+            placed: Placement::default(),
+            chunks: Vec::new(),
+            node_samples: Vec::new(),
+            border_partials: Vec::new(),
+            seeded: Vec::new(),
+            transform: std::marker::PhantomData,
+        }
+    }
+
+    /// The deformation graph.
+    #[must_use]
+    pub fn graph(&self) -> &NodeGraph {
+        &self.graph
+    }
+
+    /// The blendshapes.
+    #[must_use]
+    pub fn shapes(&self) -> &ShapeBasis {
+        &self.shapes
+    }
+
+    /// The rest positions `n_i`.
+    #[must_use]
+    pub fn rest(&self) -> &[Vec3] {
+        &self.rest
+    }
+
+    /// The blendshape weights `w` in `x`.
+    #[must_use]
+    pub fn weights<'a>(&self, x: &'a [f64]) -> &'a [f64] {
+        &x[self.node_count() * T::Parameters::AMBIENT..]
+    }
+
+    /// `b_i(w)`, eq. (4), at `x`: the shape before the graph moves it.
+    pub fn blended(&mut self, x: &[f64]) -> &[Vec3] {
+        self.place(x);
+        &self.placed.blend
+    }
+
+    fn node_count(&self) -> usize {
+        self.graph.nodes().len()
+    }
+
+    fn place(&mut self, x: &[f64]) {
+        if self.placed.x == x && !self.placed.maps.is_empty() {
+            return;
+        }
+        self.placed.x.clear();
+        self.placed.x.extend_from_slice(x);
+        self.placed.maps.clear();
+        self.placed.maps.extend((0..self.node_count()).map(|j| T::map(&x[node_range::<T, W>(j)])));
+        let (rest, shapes, w) = (&self.rest, &self.shapes, &x[self.graph.nodes().len() * T::Parameters::AMBIENT..]);
+        self.placed.blend.resize(rest.len(), Vec3::zeros());
+        self.placed.blend.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            vectorized(
+                #[inline(always)]
+                || {
+                    for (k, b) in chunk.iter_mut().enumerate() {
+                        let i = c * CHUNK + k;
+                        *b = shapes.blend(i, rest[i], w);
+                    }
+                },
+            );
+        });
+    }
+
+    /// Seeds every node's map at `x`.
+    fn seed_nodes(&mut self, x: &[f64]) {
+        self.seeded.clear();
+        self.seeded.extend((0..self.node_count()).map(|j| {
+            let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
+            moved_map::<T, W, _>(x, j, &tangent[..W - 3])
+        }));
+    }
+}
+
+/// Where the parameters of node `j` lie in `x`.
+#[inline(always)]
+fn node_range<T: NodeTransform<W>, const W: usize>(j: usize) -> std::ops::Range<usize> {
+    j * T::Parameters::AMBIENT..(j + 1) * T::Parameters::AMBIENT
+}
+
+/// The map of node `j` at `x`, moved by `tangent`.
+#[inline(always)]
+fn moved_map<T: NodeTransform<W>, const W: usize, D: Scalar>(x: &[f64], j: usize, tangent: &[D]) -> AffineMap<D> {
+    let mut point = <T::Parameters as Manifold>::Point::<D>::filled(D::from(0.0));
+    T::Parameters::plus(&x[node_range::<T, W>(j)], tangent, point.as_mut());
+    T::map(point.as_ref())
+}
+
+#[inline(always)]
+fn derivatives<const W: usize>(d: &DualSVec64<W>) -> [f64; W] {
+    d.eps.0.map_or([0.0; W], |e| std::array::from_fn(|k| e[k]))
+}
+
+impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W> {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.node_count() * T::Parameters::AMBIENT + self.shapes.len()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        let mut x = vec![0.0; self.parameter_len()];
+        for j in 0..self.node_count() {
+            x[node_range::<T, W>(j)].copy_from_slice(T::IDENTITY);
+        }
+        x
+    }
+
+    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+        assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        let mut pairs: Vec<(usize, usize)> = self.graph.edges().iter().map(|e| (e.0 as usize, e.1 as usize)).collect();
+        self.chunks = chunks_of(samples, &self.graph, &mut pairs);
+        pairs.sort_unstable();
+        pairs.dedup();
+        let structure = BlockStructure::new(&vec![W - 3; self.node_count()], pairs, self.shapes.len())
+            .expect("proven: all pairs are nodes of the graph");
+        let position = |row: u32, col: u32| {
+            let k = structure.row(row as usize).binary_search(&(col as usize)).expect("proven: the pair was added");
+            (k * (W - 3) * (W - 3)) as u32
+        };
+        self.node_samples = samples_of_nodes(&mut self.chunks, self.graph.nodes().len(), position);
+        self.regulariser.attach(&self.graph, position);
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        self.place(x);
+        let (graph, placed) = (&self.graph, &self.placed);
+        out.resize(self.rest.len(), Vec3::zeros());
+        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, v) in chunk.iter_mut().enumerate() {
+                let i = c * CHUNK + k;
+                let b = placed.blend[i];
+                *v = Vec3::zeros();
+                for &(j, omega) in graph.influences(i) {
+                    let x_j = graph.nodes()[j as usize];
+                    *v += (Vec3::from(placed.maps[j as usize].apply((b - x_j).into())) + x_j) * omega;
+                }
+            }
+        });
+    }
+
+    fn pull_back(&mut self, x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        self.place(x);
+        self.seed_nodes(x);
+        let nb = self.shapes.len();
+        let blended = Blended { graph: &self.graph, shapes: &self.shapes, vertices: &self.placed.blend };
+        let seeded = &self.seeded;
+        self.border_partials.resize(self.chunks.len() * nb * nb, 0.0);
+        let partials = self.border_partials.par_chunks_mut((nb * nb).max(1));
+        let chunks = self.chunks.par_iter_mut().zip(field.quadrics().par_chunks(CHUNK));
+        let linearisation = self.linearisation;
+        let fill = |chunk: &mut SampleChunk<W>, quadrics: &[Quadric]| match linearisation {
+            Linearisation::Structured => chunk.linearize(seeded, quadrics, blended),
+            Linearisation::Reference => chunk.linearize_reference::<T>(x, quadrics, blended),
+        };
+        if nb == 0 {
+            chunks.for_each(|(chunk, quadrics)| fill(chunk, quadrics));
+        } else {
+            chunks.zip(partials).for_each(|((chunk, quadrics), partial)| {
+                fill(chunk, quadrics);
+                rank_update_lower(&chunk.u, chunk.u.len() / nb, nb, partial);
+            });
+        }
+
+        let border_start = equations.structure().sparse_dimension();
+        for (c, chunk) in self.chunks.iter().enumerate() {
+            let partial = &self.border_partials[c * nb * nb..(c + 1) * nb * nb];
+            equations.border.iter_mut().zip(partial).for_each(|(h, p)| *h += p);
+            equations.gradient[border_start..].iter_mut().zip(&chunk.g_shapes).for_each(|(g, p)| *g += p);
+        }
+        let (chunks, node_samples) = (&self.chunks, &self.node_samples);
+        equations.for_each_block_row(&|j, row| fill_row(chunks, &node_samples[j], row, nb));
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.place(x);
+        self.regulariser.energy::<T>(&self.graph, &self.placed.maps, &self.stiffness, out);
+        if !self.shapes.is_empty() {
+            let sum: f64 = self.weights(x).iter().zip(self.shapes.sigmas()).map(|(w, s)| (w / s) * (w / s)).sum();
+            out.push(("blendshape prior (5)", self.stiffness.blend * sum));
+        }
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.seed_nodes(x);
+        self.regulariser.add_to::<T>(&self.graph, &self.seeded, &self.stiffness, equations);
+        let (nb, lambda) = (self.shapes.len(), self.stiffness.blend);
+        let start = equations.structure().sparse_dimension();
+        for (k, (w, sigma)) in self.weights(x).iter().zip(self.shapes.sigmas()).enumerate() {
+            let weight = lambda / (sigma * sigma);
+            equations.border[k * nb + k] += weight;
+            equations.gradient[start + k] += weight * w;
+        }
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        let n = self.node_count();
+        for j in 0..n {
+            let range = node_range::<T, W>(j);
+            T::Parameters::plus(&x[range.clone()], &step[j * (W - 3)..(j + 1) * (W - 3)], &mut out[range.clone()]);
+            T::Parameters::normalize(&mut out[range]);
+        }
+        for k in 0..self.shapes.len() {
+            out[n * T::Parameters::AMBIENT + k] = x[n * T::Parameters::AMBIENT + k] + step[n * (W - 3) + k];
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! The paper's way to differentiate, as the baseline of the structured one: each sample's position by the tangents of all
+//! of its nodes and by all shape weights at once, in strides of [`STRIDE`] duals.
+
+use num_dual::DualSVec64;
+
+use super::samples::{Blended, SampleChunk, SampleJacobian};
+use super::{NodeTransform, derivatives, moved_map};
+use crate::energy::Quadric;
+use crate::nlls::Manifold;
+
+/// Duals at a time, as a Ceres user's stride would be.
+const STRIDE: usize = 16;
+type Dual = DualSVec64<STRIDE>;
+
+impl<const W: usize> SampleChunk<W> {
+    /// [`linearize`](Self::linearize) at `x`, the paper's way.
+    pub fn linearize_reference<T: NodeTransform<W>>(&mut self, x: &[f64], quadrics: &[Quadric], blended: Blended<'_>) {
+        self.fill(quadrics, blended.shapes.len(), |sample, quadric| strided::<T, W>(sample, quadric, x, blended));
+    }
+}
+
+fn strided<T: NodeTransform<W>, const W: usize>(
+    sample: SampleJacobian<'_, W>,
+    quadric: &Quadric,
+    x: &[f64],
+    Blended { graph, shapes, vertices }: Blended<'_>,
+) {
+    let (nb, tangent) = (shapes.len(), W - 3);
+    let w = &x[graph.nodes().len() * T::Parameters::AMBIENT..];
+    let of_nodes = sample.y.len() * tangent;
+    for first in (0..of_nodes + nb).step_by(STRIDE) {
+        let seed = |k: usize, value: f64| {
+            let d = Dual::from_re(value);
+            if (first..first + STRIDE).contains(&k) { d.derivative(k - first) } else { d }
+        };
+        let mut v = [Dual::from_re(0.0); 3];
+        for corner in sample.corners {
+            let i = corner.vertex as usize;
+            let slab = shapes.vertex(i);
+            let mut b: [Dual; 3] = std::array::from_fn(|a| Dual::from_re(vertices[i][a]));
+            for k in 0..nb {
+                let w_k = seed(of_nodes + k, w[k]) - w[k];
+                for a in 0..3 {
+                    b[a] += w_k * slab[a * nb + k];
+                }
+            }
+            for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
+                let seeds: [Dual; W] = std::array::from_fn(|t| {
+                    if t < tangent { seed(slot as usize * tangent + t, 0.0) } else { Dual::from_re(0.0) }
+                });
+                let map = moved_map::<T, W, _>(x, j as usize, &seeds[..tangent]);
+                let x_j = graph.nodes()[j as usize];
+                let moved = map.apply(std::array::from_fn(|a| b[a] - x_j[a]));
+                for a in 0..3 {
+                    v[a] += (moved[a] + x_j[a]) * (omega * corner.weight);
+                }
+            }
+        }
+        let jacobian = v.map(|v| derivatives(&v));
+        for k in first..(first + STRIDE).min(of_nodes + nb) {
+            let column = [jacobian[0][k - first], jacobian[1][k - first], jacobian[2][k - first]];
+            let along = |row: &[f64; 3]| row[0] * column[0] + row[1] * column[1] + row[2] * column[2];
+            if k < of_nodes {
+                let (slot, t) = (k / tangent, k % tangent);
+                for (r, row) in quadric.rows().iter().enumerate() {
+                    sample.y[slot][r][t] = along(row);
+                }
+                sample.g[slot][t] = along(&quadric.gradient);
+            } else {
+                for (r, row) in quadric.rows().iter().enumerate() {
+                    sample.u[r * nb + k - of_nodes] = along(row);
+                }
+                sample.g_shapes[k - of_nodes] += along(&quadric.gradient);
+            }
+        }
+    }
+}
