@@ -401,6 +401,10 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         });
     }
 
+    fn border_bounds(&self) -> Option<(&[f64], &[f64])> {
+        self.shapes.bounds()
+    }
+
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
         self.place(x);
         if !self.graph.edges().is_empty() {
