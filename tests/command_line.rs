@@ -126,6 +126,42 @@ fn the_report_says_what_was_read_done_and_reached() {
 }
 
 #[test]
+fn bounds_hold_weights_and_the_report_says_which() {
+    let bench = Bench::new();
+    let fit = |options: &str| {
+        let printed = bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 {options} --out r.obj --report r.json"));
+        (printed, json(bench.read("r.json")))
+    };
+    let weights = |report: &Value| report["weights"].as_array().unwrap().clone();
+    let (printed, report) = fit("");
+    assert!(!printed.contains("bound"), "{printed}");
+    for weight in weights(&report) {
+        assert!(weight["deviation"].as_f64().unwrap() > 0.0 && weight["at_bound"] == false, "{weight}");
+    }
+    for options in [
+        "--expression-bounds 0,0.25 --identity-bounds=-0.5,0.5",
+        "--identity-bounds -0.5,0.5 --expression-bounds 0,0.25",
+    ] {
+        let (printed, report) = fit(options);
+        assert_eq!(report["schedule"]["bounds"]["identity"], serde_json::json!([-0.5, 0.5]));
+        let mut held = 0;
+        for weight in weights(&report) {
+            let identity = weight["name"].as_str().unwrap().starts_with("identity");
+            let [lower, upper] = if identity { [-0.5, 0.5] } else { [0.0, 0.25] };
+            let value = weight["value"].as_f64().unwrap();
+            assert!((lower..=upper).contains(&value), "{weight}");
+            assert_eq!(weight["at_bound"], value == lower || value == upper, "{weight}");
+            assert_eq!(weight["deviation"].is_null(), value == lower || value == upper, "{weight}");
+            held += usize::from(value == lower || value == upper);
+        }
+        assert!(
+            held > 0 && printed.contains(&format!("{held} of {} weights are at a bound", weights(&report).len())),
+            "{printed}"
+        );
+    }
+}
+
+#[test]
 fn a_schedule_file_steers_the_run_and_is_reported() {
     let bench = Bench::new();
     let text = "reference_size = 67.0\nreference_vertices = 6706\n[graph]\nnodes = 40\n[stop]\nenergy = 0.0\nmotion = 0.0\n\

@@ -5,8 +5,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use nonrigid::nlls::{
-    Euclidean, Family, Kernel, LinearSolverKind, Minimizer, Options, Residual, ResidualProblem, Scalar, Se3, Silent,
-    Workspace,
+    Bounded, Euclidean, Family, Kernel, LinearSolverKind, Minimizer, Options, Problem, Residual, ResidualProblem,
+    Scalar, Se3, Silent, Workspace,
 };
 
 thread_local! {
@@ -59,20 +59,27 @@ fn single_steps_do_not_allocate_after_the_first() {
     }
     builder.add_family(Family::new(residuals, &blocks).with_kernel(Kernel::Huber { delta: 0.3 }));
     let mut problem = builder.build().unwrap();
+    let x = problem.initial();
+    check(&mut problem, &x);
+    // Bounds that some steps run into and others do not, free and held weights.
+    let (lower, upper) = (vec![-9.0, 0.19, 0.0], vec![0.12, 0.25, 9.0]);
+    check(&mut Bounded { problem, first: 30 * 12, lower, upper }, &x);
+}
 
+fn check(problem: &mut impl Problem, start: &[f64]) {
     for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
         for kind in [LinearSolverKind::Dense, LinearSolverKind::Sparse, LinearSolverKind::Bordered] {
             let options = options.with_linear_solver(kind).with_max_iterations(1).with_damping_floor(1e-9);
             let minimizer = Minimizer::new(options).unwrap();
             let mut workspace = Workspace::new();
-            let mut x = problem.initial();
+            let mut x = start.to_vec();
             // One thread: what is counted is what this thread does.
             let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
             pool.install(|| {
-                let first = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent).final_energy;
+                let first = minimizer.minimize_with(problem, &mut x, &mut workspace, &mut Silent).final_energy;
                 let before = COUNT.get();
                 for _ in 0..3 {
-                    minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent);
+                    minimizer.minimize_with(problem, &mut x, &mut workspace, &mut Silent);
                 }
                 assert_eq!(COUNT.get() - before, 0, "{kind:?}, {}", workspace.summary());
                 assert!(workspace.summary().final_energy < first, "{}", workspace.summary());

@@ -204,7 +204,9 @@ fn lengths_scale_with_the_model() {
         let distance = farthest(&back, &large.positions);
         assert!(distance < 1e-9, "{model}: {distance}");
         for (a, b) in large.weights.iter().zip(&small.weights) {
-            assert!((a.1 - b.1).abs() < 1e-9, "{model} {}: {} {}", a.0, a.1, b.1);
+            assert!((a.value - b.value).abs() < 1e-9, "{model} {}: {} {}", a.name, a.value, b.value);
+            let (a, b) = (a.deviation.unwrap(), b.deviation.unwrap());
+            assert!((a - b).abs() < 1e-6 * a, "{model}: {a} {b}");
         }
     }
 }

@@ -48,6 +48,12 @@ pub struct Arguments {
     /// Schedule (.toml) [default: the model's own]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Bounds of expression weights, such as 0,1 [default: the schedule's, or none]
+    #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
+    expression_bounds: Option<[f64; 2]>,
+    /// Bounds of identity weights, such as -3,3 [default: the schedule's, or none]
+    #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
+    identity_bounds: Option<[f64; 2]>,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -141,10 +147,32 @@ struct Timing {
     threads: usize,
 }
 
+/// The schedule, with the bounds that are given besides.
 fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
-    let Some(path) = &a.config else { return a.model.schedule().map_err(Failure::loading) };
-    let text = std::fs::read_to_string(path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?;
-    Schedule::from_toml(&text).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
+    let mut schedule = match &a.config {
+        None => a.model.schedule().map_err(Failure::loading)?,
+        Some(path) => {
+            let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
+            let text = std::fs::read_to_string(path).map_err(|e| failed(&e))?;
+            Schedule::from_toml(&text).map_err(|e| failed(&e))?
+        }
+    };
+    schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
+    schedule.bounds.identity = a.identity_bounds.or(schedule.bounds.identity);
+    Ok(schedule)
+}
+
+/// Two numbers between which a weight may lie.
+fn bounds(text: &str) -> Result<[f64; 2], String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some([a.trim().parse().ok()?, b.trim().parse().ok()?]));
+    let Some([lower, upper]) = pair else {
+        return Err("give two numbers with a comma between them, such as 0,1".to_owned());
+    };
+    // Written so that NaN fails.
+    if lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY {
+        return Ok([lower, upper]);
+    }
+    Err(format!("no weight lies between {lower} and {upper}"))
 }
 
 /// Outputs that could not be written are refused before the work is done.
@@ -209,6 +237,10 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         quality.median_within,
         quality.flipped
     );
+    let held = result.weights.iter().filter(|w| w.at_bound).count();
+    if held > 0 {
+        println!("{held} of {} weights are at a bound", result.weights.len());
+    }
     println!("wrote {}", a.out.display());
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{DataTerm, DeformationModel, NamedEnergy, QuadricField, Samples};
 use crate::mesh::Vec3;
-use crate::nlls::{BlockStructure, NormalEquations, Problem};
+use crate::nlls::{BlockStructure, BorderBounds, NormalEquations, Problem};
 
 /// `E(x) = sum of terms (v(x)) + regulariser (x)`: terms turn positions into quadrics, the model pulls them back.
 pub struct Deformation<M, T> {
@@ -59,6 +59,19 @@ impl<M: DeformationModel, T: DataTerm> Deformation<M, T> {
         all
     }
 
+    /// Variance of a data residual of weight one at `x`, from the residuals there: `sum alpha rho' |r|^2 / sum rho'` over the
+    /// scalar residuals of all terms that [tell](DataTerm::residual_variance) theirs. `None` if none does or nothing has weight.
+    ///
+    /// A residual of weight `alpha` then has variance `sigma^2 / alpha`; what a kernel has switched off counts neither above nor
+    /// below. The parameters are not subtracted from the number of residuals (a regularised fit has fewer than it has
+    /// coordinates): with `n` effective parameters for `m` residuals the estimate is low by a share of `n / m`.
+    pub fn residual_variance(&mut self, x: &[f64]) -> Option<f64> {
+        self.place(x);
+        let parts = self.terms.iter().filter_map(|t| t.residual_variance(&self.positions));
+        let [squares, count] = parts.fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
+        (count > 0.0).then(|| squares / count)
+    }
+
     fn place(&mut self, x: &[f64]) {
         self.model.positions(x, &mut self.vertices);
         self.samples.positions(&self.vertices, &mut self.positions);
@@ -98,5 +111,10 @@ impl<M: DeformationModel, T: DataTerm> Problem for Deformation<M, T> {
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
         self.model.retract(x, step, out);
+    }
+
+    fn border_bounds(&self) -> Option<BorderBounds<'_>> {
+        let first = self.parameter_len() - self.structure.border();
+        self.model.border_bounds().map(|(lower, upper)| BorderBounds { first, lower, upper })
     }
 }

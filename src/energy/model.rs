@@ -41,6 +41,12 @@ pub trait DeformationModel: Send {
 
     /// Writes `x` moved by the tangent `step` to `out`.
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]);
+
+    /// Lower and upper bounds of the dense border's coordinates, one each, if they have any. The border must then be the last
+    /// parameters of `x` as they are: numbers to which a step adds.
+    fn border_bounds(&self) -> Option<(&[f64], &[f64])> {
+        None
+    }
 }
 
 impl<M: DeformationModel + ?Sized> DeformationModel for Box<M> {
@@ -82,5 +88,9 @@ impl<M: DeformationModel + ?Sized> DeformationModel for Box<M> {
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
         (**self).retract(x, step, out);
+    }
+
+    fn border_bounds(&self) -> Option<(&[f64], &[f64])> {
+        (**self).border_bounds()
     }
 }

@@ -16,6 +16,12 @@ pub trait DataTerm: Send + Sync {
 
     /// Adds the term's Gauss-Newton quadrics to `field` and returns its energy.
     fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64;
+
+    /// What the term's residuals say of the noise of the data: `[sum alpha rho' |r|^2, sum rho']` at the given positions, the
+    /// second over scalar residuals. `None` from terms that do not say, or whose residuals are not measurements.
+    fn residual_variance(&self, _positions: &[Vec3]) -> Option<[f64; 2]> {
+        None
+    }
 }
 
 impl<T: DataTerm + ?Sized> DataTerm for Box<T> {
@@ -29,6 +35,10 @@ impl<T: DataTerm + ?Sized> DataTerm for Box<T> {
 
     fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
         (**self).linearize(positions, field)
+    }
+
+    fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
+        (**self).residual_variance(positions)
     }
 }
 
@@ -126,5 +136,21 @@ impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> DataTe
             }
         }
         energy
+    }
+
+    fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
+        let mut sums = [0.0; 2];
+        for m in 0..self.residuals.len() {
+            let weight = self.residuals.weight(m);
+            if weight == 0.0 {
+                continue;
+            }
+            let r = self.residuals.residual(m, positions[self.residuals.sample(m)].into());
+            let square = r.iter().map(|r| r * r).sum();
+            let robust = self.kernel.weight(square);
+            sums[0] += weight * robust * square;
+            sums[1] += robust * R as f64;
+        }
+        Some(sums)
     }
 }

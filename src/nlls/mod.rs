@@ -12,6 +12,8 @@
 //! | minimise | [`Minimizer`], [`Options`], [`Workspace`], [`Summary`] |
 //! | watch and stop | [`Observer`] |
 //! | resist outliers | [`Kernel`], [`RobustKernel`], [`mad_scale`] |
+//! | hold parameters between bounds | [`Problem::border_bounds`], [`Bounded`] |
+//! | ask how well parameters are known | [`border_covariance`] |
 //! | move on a manifold | [`Manifold`], [`So3`], [`UnitQuaternion`], [`Se3`], [`Sim3`] |
 //! | solve linear equations | [`linear`], [`LinearSolver`] |
 //! | distrust what you wrote | [`check_gradient`], [`check_hessian`], [`check_manifold`], [`check_kernel`] |
@@ -25,7 +27,9 @@
 //! Results are the same bits at any number of threads, and after its first iteration a [`Workspace`] allocates nothing.
 //! This module may import nothing from the rest of the crate.
 
+mod bounds;
 mod check;
+mod covariance;
 pub mod dense_kernels;
 mod error;
 mod kernel;
@@ -39,7 +43,9 @@ mod residual;
 mod scalar;
 mod structure;
 
+pub use bounds::{BorderBounds, Bounded, BoundsError};
 pub use check::{GradientCheck, GradientEntry, GradientReport, HessianReport, check_gradient, check_hessian};
+pub use covariance::border_covariance;
 pub use error::OptionError;
 pub use kernel::{Kernel, RobustKernel, Scaled, check_kernel, mad_scale};
 pub use linear::{LinearError, LinearSolver, LinearSolverKind};

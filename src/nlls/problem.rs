@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{BlockStructure, NormalEquations};
+use super::{BlockStructure, BorderBounds, NormalEquations};
 
 /// A nonlinear least-squares problem `min E(x)`, `E(x) = sum_m alpha_m rho(|r_m(x)|^2)` (no factor 1/2).
 ///
@@ -26,4 +26,9 @@ pub trait Problem {
 
     /// Writes `x` moved by the tangent `step` to `out`.
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]);
+
+    /// Bounds of the border's coordinates, if they are plain numbers and have any; fixed while a minimisation runs.
+    fn border_bounds(&self) -> Option<BorderBounds<'_>> {
+        None
+    }
 }

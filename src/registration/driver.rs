@@ -12,7 +12,7 @@ use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
 use crate::mesh::{MeshError, PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
-use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
+use crate::nlls::{Minimizer, Options, Problem as _, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 
 /// What is registered to what.
@@ -93,6 +93,24 @@ pub enum RegistrationStop {
     StoppedByObserver,
 }
 
+/// A blendshape weight of a result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NamedWeight {
+    /// The shape.
+    pub name: String,
+    /// `w_k`.
+    pub value: f64,
+    /// Its standard deviation `sigma sqrt((S^-1)_kk)`: see [`border_covariance`](crate::nlls::border_covariance), and
+    /// [`Deformation::residual_variance`] for sigma.
+    ///
+    /// It takes the correspondences of the last step as they are, the model as right, and the residuals as independent;
+    /// neighbouring errors of a scan are alike, so read it as a lower bound and for comparing weights. `None` at a bound, where
+    /// the curvature says nothing; and where neither data nor regulariser determine the weights.
+    pub deviation: Option<f64>,
+    /// Whether a bound of the schedule holds it.
+    pub at_bound: bool,
+}
+
 /// A registered template.
 #[derive(Debug, Clone)]
 pub struct RegistrationResult {
@@ -100,8 +118,8 @@ pub struct RegistrationResult {
     pub positions: Vec<Vec3>,
     /// Where the registration started.
     pub start: Pose,
-    /// Blendshape weights by name; those of the first stage, for later ones have none.
-    pub weights: Vec<(String, f64)>,
+    /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
+    pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.
     pub accepted: Vec<bool>,
     /// Directions that nothing observed and damping held still, in the last step.
@@ -158,16 +176,21 @@ pub fn register_with(
         landmarks.push((sample, to_rest(landmark.target)));
     }
     let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
+    let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
     let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
     let mut problem: RegistrationProblem = Deformation::new(model, samples);
     let frame = Pose { translation: start.apply(template.centre), ..start };
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
 
     let mut x = problem.model.rest_parameters();
+    if let Some(bounds) = problem.border_bounds() {
+        bounds.validate(problem.structure().border(), x.len())?;
+        bounds.project(&mut x);
+    }
     let mut run = Run {
         vertices_coincide: false,
         correspondences: Correspondences::default(),
-        minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9))
+        minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(DAMPING_FLOOR))
             .expect("proven: the defaults and these two values are in bounds"),
         workspace: Workspace::new(),
         history: Vec::new(),
@@ -177,7 +200,7 @@ pub fn register_with(
     };
     observer.on_start(run.level_names.len(), schedule.levels_by_name().map(|l| l.1.steps).sum());
     let mut flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
-    let weights = problem.model.named_weights(&x);
+    let weights = weights(&mut problem, &x, &mut run.workspace);
     let mut next = schedule.next_stage();
     while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
         template.mesh.positions.copy_from_slice(&run.vertices);
@@ -201,6 +224,27 @@ pub fn register_with(
         stop: if flow.is_break() { RegistrationStop::StoppedByObserver } else { RegistrationStop::Finished },
         schedule: schedule.clone(),
     })
+}
+
+/// Damping of what nothing observes: see [`Options::damping_floor`].
+const DAMPING_FLOOR: f64 = 1e-9;
+
+/// The blendshape weights at the end, and how well the last correspondences determine them.
+fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspace) -> Vec<NamedWeight> {
+    let named = problem.model.named_weights(x);
+    if named.is_empty() {
+        return Vec::new();
+    }
+    let variance = problem.residual_variance(x);
+    let covariance = workspace.border_covariance(problem, x, DAMPING_FLOOR).ok();
+    let covariance = covariance.filter(|c| c.nrows() == named.len()).zip(variance);
+    let bounds = problem.border_bounds().filter(|b| b.lower.len() == named.len());
+    let weight = |(k, (name, value))| {
+        let at_bound = bounds.is_some_and(|b| b.at_bound(x, k));
+        let deviation = covariance.as_ref().filter(|_| !at_bound).map(|(c, variance)| (variance * c[(k, k)]).sqrt());
+        NamedWeight { name, value, deviation, at_bound }
+    };
+    named.into_iter().enumerate().map(weight).collect()
 }
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.

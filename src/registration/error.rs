@@ -5,6 +5,7 @@ use thiserror::Error;
 use super::ScheduleError;
 use crate::energy::SampleError;
 use crate::mesh::PoseError;
+use crate::nlls::BoundsError;
 
 /// Why a registration could not be run or did not succeed.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -12,6 +13,9 @@ pub enum RegistrationError {
     /// The schedule is not usable.
     #[error("schedule: {0}")]
     Schedule(#[from] ScheduleError),
+    /// The model's bounds cannot be held.
+    #[error("bounds: {0}")]
+    Bounds(#[from] BoundsError),
     /// The landmarks do not give a start.
     #[error("start: {0}")]
     Start(#[from] PoseError),

@@ -11,14 +11,15 @@ mod terms;
 
 pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
 pub use driver::{
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register, register_with,
+    NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register,
+    register_with,
 };
 pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
-    GraphDistance, GraphOptions, Level, NodeKind, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions,
-    Stage, StopOptions,
+    BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, ScanOptions, Schedule, ScheduleError, SeamOptions,
+    SigmaOptions, Stage, StopOptions,
 };
 pub use seam::Seams;
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};

@@ -23,7 +23,7 @@ pub trait RegistrationModel: DeformationModel {
         out.extend_from_slice(rest);
     }
 
-    /// Names and values of the blendshape weights in `x`, if the model has any.
+    /// Names and values of the blendshape weights in `x`, if the model has any; in the order of the border's coordinates.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
         Vec::new()
     }

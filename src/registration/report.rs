@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
+use super::{NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
 use crate::evaluation::{DistanceSummary, EdgeStretch, EvaluationError, flipped_triangles};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
@@ -108,8 +108,8 @@ pub struct Report {
     pub weak_directions: usize,
     /// How well the result fits.
     pub quality: Quality,
-    /// Blendshape weights by name.
-    pub weights: Vec<(String, f64)>,
+    /// Blendshape weights by name, with their standard deviations.
+    pub weights: Vec<NamedWeight>,
     /// Every step.
     pub history: Vec<StepRecord>,
 }

@@ -39,6 +39,9 @@ pub struct Schedule {
     /// Prior standard deviation of each family of shapes.
     #[serde(default)]
     pub sigma: SigmaOptions,
+    /// Bounds of the weights of each family of shapes.
+    #[serde(default)]
+    pub bounds: BoundsOptions,
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
@@ -188,6 +191,40 @@ impl SigmaOptions {
     }
 }
 
+/// Bounds `[l, u]` of the weights by family of shapes, held exactly; free without.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BoundsOptions {
+    /// Expression blendshapes; `[0, 1]` for weights as an animator sets them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expression: Option<[f64; 2]>,
+    /// Identity modes, in standard deviations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub identity: Option<[f64; 2]>,
+}
+
+impl BoundsOptions {
+    /// Bounds of a shape of the given family; shapes of unknown family count as expressions.
+    #[must_use]
+    pub fn of(&self, family: Family) -> [f64; 2] {
+        let bounds = match family {
+            Family::Identity => self.identity,
+            Family::Expression | Family::Other => self.expression,
+        };
+        bounds.unwrap_or([f64::NEG_INFINITY, f64::INFINITY])
+    }
+
+    /// Checks one pair.
+    fn validate(field: &str, bounds: Option<[f64; 2]>) -> Result<(), ScheduleError> {
+        let Some([lower, upper]) = bounds else { return Ok(()) };
+        // Written so that NaN fails.
+        if lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY {
+            return Ok(());
+        }
+        Err(ScheduleError::Bounds { field: field.to_owned(), lower, upper })
+    }
+}
+
 /// One level: a stiffness, a kernel scale, and what counts as a correspondence.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -299,6 +336,16 @@ pub enum ScheduleError {
         /// What would do.
         bound: &'static str,
     },
+    /// Bounds that leave no value.
+    #[error("{field} = [{lower}, {upper}], but no weight lies between the two")]
+    Bounds {
+        /// Where, as in the file.
+        field: String,
+        /// The lower bound.
+        lower: f64,
+        /// The upper bound.
+        upper: f64,
+    },
     /// A kernel's scale out of bounds.
     #[error("{level}: {reason}")]
     Kernel {
@@ -370,6 +417,8 @@ impl Schedule {
         not_negative("stop.motion".into(), self.stop.motion)?;
         positive("sigma.expression".into(), self.sigma.expression)?;
         positive("sigma.identity".into(), self.sigma.identity)?;
+        BoundsOptions::validate("bounds.expression", self.bounds.expression)?;
+        BoundsOptions::validate("bounds.identity", self.bounds.identity)?;
         for (place, level) in self.levels_by_name() {
             let name = |field: &str| format!("{place}: {field}");
             positive(name("steps"), level.steps as f64)?;

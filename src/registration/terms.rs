@@ -118,6 +118,14 @@ impl DataTerm for Pull {
     fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
         self.term.linearize(positions, field)
     }
+
+    fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
+        match self.towards {
+            Towards::NearestVertex => self.term.residual_variance(positions),
+            // Guesses, not measurements.
+            Towards::Prediction | Towards::Seam => None,
+        }
+    }
 }
 
 impl RegistrationTerm for Pull {

@@ -6,11 +6,13 @@ use super::Shape;
 use crate::mesh::Vec3;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
-/// `sigma_k` on each weight, eq. (5). Cloning shares the slab.
+/// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the slab.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapeBasis {
     shapes: Vec<Shape>,
     sigmas: Vec<f64>,
+    /// Of the weights, lower and upper; both empty for none.
+    bounds: [Vec<f64>; 2],
     slab: Arc<Vec<f64>>,
 }
 
@@ -29,13 +31,23 @@ impl ShapeBasis {
     #[must_use]
     pub fn new(shapes: Vec<Shape>, slab: Vec<f64>) -> Self {
         assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
-        Self { sigmas: vec![1.0; shapes.len()], shapes, slab: Arc::new(slab) }
+        Self { sigmas: vec![1.0; shapes.len()], bounds: Default::default(), shapes, slab: Arc::new(slab) }
     }
 
     /// The same shapes with `sigma_k = sigma(shape k)`.
     #[must_use]
     pub fn with_sigmas(mut self, sigma: impl Fn(&Shape) -> f64) -> Self {
         self.sigmas = self.shapes.iter().map(sigma).collect();
+        self
+    }
+
+    /// The same shapes with `l_k <= w_k <= u_k`, `[l_k, u_k] = bounds(shape k)`; infinite where there is no bound. Without any, the
+    /// weights are free.
+    #[must_use]
+    pub fn with_bounds(mut self, bounds: impl Fn(&Shape) -> [f64; 2]) -> Self {
+        let pairs: Vec<[f64; 2]> = self.shapes.iter().map(bounds).collect();
+        let free = pairs.iter().all(|b| *b == [f64::NEG_INFINITY, f64::INFINITY]);
+        self.bounds = [0, 1].map(|side| pairs.iter().filter(|_| !free).map(|b| b[side]).collect());
         self
     }
 
@@ -67,6 +79,13 @@ impl ShapeBasis {
     #[must_use]
     pub fn sigmas(&self) -> &[f64] {
         &self.sigmas
+    }
+
+    /// Bounds `l` and `u` of the weights, if there are any.
+    #[must_use]
+    pub fn bounds(&self) -> Option<(&[f64], &[f64])> {
+        let [lower, upper] = &self.bounds;
+        (!lower.is_empty()).then_some((lower, upper))
     }
 
     /// `B_i`, the three rows of vertex `i`: `3 x len`, row-major.

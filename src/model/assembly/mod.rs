@@ -236,6 +236,10 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         x
     }
 
+    fn border_bounds(&self) -> Option<(&[f64], &[f64])> {
+        self.shapes.bounds()
+    }
+
     fn attach(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
         let mut pairs: Vec<(usize, usize)> = self.graph.edges().iter().map(|e| (e.0 as usize, e.1 as usize)).collect();

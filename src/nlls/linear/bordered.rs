@@ -179,7 +179,13 @@ impl BorderedCholesky {
                 self.schur[c * m + r] = self.schur[r * m + c];
             }
         }
-        Ok(ReducedSystem { matrix: &self.schur, gradient: &self.reduced_gradient })
+        Ok(self.reduced())
+    }
+
+    /// The border's system as the last [`reduce`](Self::reduce) left it.
+    #[must_use]
+    pub fn reduced(&self) -> ReducedSystem<'_> {
+        ReducedSystem { matrix: &self.schur, gradient: &self.reduced_gradient }
     }
 
     /// Completes a step whose border part is given: reads `d_w` from the end of `step`, writes `d_g` to its beginning. Uses
@@ -227,6 +233,10 @@ impl LinearSolver for BorderedCholesky {
 
     fn weak_pivots(&self) -> usize {
         self.weak
+    }
+
+    fn elimination(&mut self) -> Option<&mut BorderedCholesky> {
+        Some(self)
     }
 
     fn name(&self) -> &'static str {

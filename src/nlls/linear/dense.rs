@@ -101,9 +101,15 @@ impl DenseFactor {
         self.side
     }
 
+    /// Takes matrices of another side, at most that it was made for.
+    pub(super) fn set_side(&mut self, side: usize) {
+        debug_assert!(side * side <= self.values.len(), "side {side}");
+        self.side = side;
+    }
+
     /// The buffer, column-major; fill its lower triangle.
     pub(super) fn matrix_mut(&mut self) -> &mut [f64] {
-        &mut self.values
+        &mut self.values[..self.side * self.side]
     }
 
     /// Factorises what is in the buffer. Returns the number of weak pivots, or the coordinate that broke it.
@@ -117,7 +123,7 @@ impl DenseFactor {
             return Ok(0);
         }
         cholesky_in_place(
-            MatMut::from_column_major_slice_mut(&mut self.values, n, n),
+            MatMut::from_column_major_slice_mut(&mut self.values[..n * n], n, n),
             LltRegularization::default(),
             Par::Seq,
             self.memory.stack(),

@@ -17,6 +17,8 @@ use thiserror::Error;
 use super::{BlockStructure, NormalEquations};
 
 mod bordered;
+mod bounded;
+mod box_qp;
 mod dense;
 mod scratch;
 mod sparse;
@@ -24,6 +26,8 @@ mod supernodal;
 mod vector;
 
 pub use bordered::{BorderedCholesky, ReducedSystem};
+pub(super) use bounded::{BoundedStep, inverse_of_reduced};
+pub(super) use box_qp::Side;
 pub use dense::DenseCholesky;
 pub use sparse::SparseCholesky;
 pub(crate) use vector::dot;
@@ -117,6 +121,12 @@ pub trait LinearSolver: fmt::Debug + Send {
     /// directions that nothing in the energy observes. 0 when unknown.
     fn weak_pivots(&self) -> usize {
         0
+    }
+
+    /// The border's system of the last successful [`solve`](Self::solve), for steps under bounds. `None` from solvers that do not
+    /// eliminate the sparse blocks: for steps that run into a bound the minimiser then does that with a solver of its own.
+    fn elimination(&mut self) -> Option<&mut BorderedCholesky> {
+        None
     }
 
     /// A short name for reports, such as `"bordered Cholesky"`.

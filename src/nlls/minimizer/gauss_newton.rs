@@ -6,6 +6,9 @@
 //!
 //! `2 g'd` is the slope of E along d (the equations are those of E/2); it is negative whenever H is positive definite, so a
 //! short enough step always lowers the energy, and the sequence of energies is monotone.
+//!
+//! With bounds of the border, d minimises `g'd + d'Hd / 2` between them. As d = 0 is allowed, `g'd <= -d'Hd`: all of this still
+//! holds, and as x and x + d are between the bounds, so is every x + t d.
 
 use std::ops::ControlFlow;
 
@@ -28,7 +31,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         if let Err(error) = run.solve(0.0, 0.0) {
             return StopReason::LinearSolverFailed(error);
         }
-        let Proposal { slope, predicted, step_norm, step_is_small } = run.proposal();
+        let Proposal { slope, predicted, curvature, step_norm, step_is_small } = run.proposal();
         if predicted <= f64::EPSILON * energy {
             return StopReason::Converged(Convergence::Energy);
         }
@@ -49,8 +52,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         };
         run.accept(trial);
         let decrease = energy - trial;
-        // Of the step of length t the model predicts t (2 - t) of the whole.
-        let gain = decrease / (scale * (2.0 - scale) * predicted);
+        let gain = decrease / (scale * (-slope - scale * curvature));
         if run.record(decrease, scale * step_norm, scale, 0.0, gain, true) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }

@@ -3,8 +3,11 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::covariance::covariance_with;
+use super::linear::BorderedCholesky;
 use super::{BlockStructure, LinearSolver, LinearSolverKind, NormalEquations, OptionError, Problem};
 
+mod bounded;
 pub mod gauss_newton;
 pub mod levenberg_marquardt;
 mod observer;
@@ -65,7 +68,8 @@ impl Minimizer {
         &self.options
     }
 
-    /// Minimises from `x` in place, with buffers of its own. `x` never ends with a higher energy than it had.
+    /// Minimises from `x` in place, with buffers of its own. `x` never ends with a higher energy than it had, or than the
+    /// nearest point within the problem's [bounds](Problem::border_bounds) has if it starts outside.
     ///
     /// # Panics
     /// If `x` does not have [`Problem::parameter_len`] entries.
@@ -98,6 +102,10 @@ impl Minimizer {
             ..Summary::empty()
         };
         workspace.summary.records.clear();
+        if let Err(error) = workspace.buffers.bounds.load(problem) {
+            workspace.summary.stop = StopReason::InvalidBounds(error);
+            return &workspace.summary;
+        }
         let mut run = Run::new(&self.options, problem, x, workspace, observer);
         let stop = match &self.options.algorithm {
             Algorithm::GaussNewton(options) => gauss_newton::minimize(&mut run, options),
@@ -167,12 +175,42 @@ impl Workspace {
         self.lambda
     }
 
+    /// [`border_covariance`](super::border_covariance) of `problem` at `x`, with the workspace's equations and factor.
+    ///
+    /// `damping_floor` is that of [`Options`], for the sparse blocks alone: where nothing observes a direction of theirs, nothing
+    /// of it reaches the border, and S is the same up to that share. 0 for none.
+    ///
+    /// # Errors
+    /// [`LinearError`](super::LinearError) names the first coordinate that nothing observes, or that is not finite.
+    ///
+    /// # Panics
+    /// As [`border_covariance`](super::border_covariance).
+    pub fn border_covariance<P: Problem + ?Sized>(
+        &mut self,
+        problem: &mut P,
+        x: &[f64],
+        damping_floor: f64,
+    ) -> Result<nalgebra::DMatrix<f64>, super::LinearError> {
+        let structure = problem.structure().clone();
+        self.prepare(&structure, self.kind);
+        let (equations, solver) = match (&mut self.equations, &mut self.solver) {
+            (Some(equations), Some(solver)) => (equations, solver.as_mut()),
+            _ => unreachable!("`prepare` fills both"),
+        };
+        match solver.elimination() {
+            Some(elimination) => covariance_with(problem, x, equations, elimination, damping_floor),
+            None => covariance_with(problem, x, equations, &mut BorderedCholesky::new(&structure), damping_floor),
+        }
+    }
+
     /// Makes equations and solver fit the structure.
     fn prepare(&mut self, structure: &Arc<BlockStructure>, kind: LinearSolverKind) {
         let fits = |e: &NormalEquations| Arc::ptr_eq(e.structure(), structure) || e.structure() == structure;
+        let mut fresh = false;
         if !self.equations.as_ref().is_some_and(fits) {
             self.equations = Some(NormalEquations::new(structure.clone()));
             self.lambda = None;
+            fresh = true;
             if !self.own_solver {
                 self.solver = None;
             }
@@ -180,6 +218,10 @@ impl Workspace {
         if self.solver.is_none() || (self.kind != kind && !self.own_solver) {
             self.solver = Some(kind.build(structure));
             self.kind = kind;
+            fresh = true;
+        }
+        if let (Some(equations), Some(solver)) = (&self.equations, &mut self.solver) {
+            self.buffers.bounds.prepare(equations, solver.as_mut(), fresh);
         }
     }
 }

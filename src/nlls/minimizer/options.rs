@@ -79,7 +79,8 @@ pub struct Options {
     pub energy_tolerance: f64,
     /// Converged when `|d| <= tolerance (|x| + tolerance)`. Default 1e-10.
     pub step_tolerance: f64,
-    /// Converged when no entry of the gradient of E/2 exceeds this. Default 1e-12. In units of the energy: set it by scale.
+    /// Converged when no entry of the gradient of E/2 exceeds this (for coordinates with bounds: of how far they can follow it,
+    /// `w - P(w - gradient)`). Default 1e-12. In units of the energy: set it by scale.
     pub gradient_tolerance: f64,
     /// Damping of `floor max(H_ii, floor max_j H_jj)` in every coordinate and every step, for directions that nothing
     /// observes; they then stay where they are. Default 0: a singular H ends Gauss-Newton with a named reason. Use 1e-9 or so:

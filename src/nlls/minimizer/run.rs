@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::time::Instant;
 
+use super::bounded::Bounds;
 use super::{IterationRecord, Observer, Options, StageTimes, StopReason, Workspace};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
@@ -29,6 +30,7 @@ pub(super) struct Buffers {
     step: Vec<f64>,
     scaled: Vec<f64>,
     trial: Vec<f64>,
+    pub bounds: Bounds,
 }
 
 /// What the quadratic model says of a step.
@@ -38,6 +40,8 @@ pub(super) struct Proposal {
     pub slope: f64,
     /// Predicted decrease of E, `-2 g'd - d'Hd` with the undamped H.
     pub predicted: f64,
+    /// `d'Hd` with the undamped H.
+    pub curvature: f64,
     /// `|d|`.
     pub step_norm: f64,
     /// `|d| <= tolerance (|x| + tolerance)`.
@@ -77,8 +81,9 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         }
     }
 
-    /// The energy of the start, linearised if there is going to be a step.
+    /// The energy of the start, moved between its bounds, linearised if there is going to be a step.
     pub(super) fn start(&mut self) -> Result<f64, StopReason> {
+        self.buffers.bounds.project(self.x);
         let energy = if self.options.max_iterations == 0 { self.energy_at_x() } else { self.linearize() };
         self.summary.initial_energy = energy;
         self.summary.final_energy = energy;
@@ -104,16 +109,19 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         self.lambda
     }
 
-    /// `max |g_i|`; NaN if any entry is.
+    /// `max |g_i|`, with `|w_k - P(w_k - g_k)|` for border coordinates between bounds; NaN if any entry is.
     pub(super) fn gradient_norm(&self) -> f64 {
-        self.equations.gradient.iter().fold(0.0, |max: f64, g| if g.abs() <= max { max } else { g.abs() })
+        let (sparse, border) = self.equations.gradient.split_at(self.equations.structure().sparse_dimension());
+        let sparse = sparse.iter().map(|g| g.abs());
+        let border = border.iter().enumerate().map(|(k, g)| self.buffers.bounds.reach(self.x, k, *g));
+        sparse.chain(border).fold(0.0, |max: f64, g| if g <= max { max } else { g })
     }
 
-    /// Solves `(H + lambda D + floor) d = -g`.
+    /// Solves `(H + lambda D + floor) d = -g`, or its bounded version.
     pub(super) fn solve(&mut self, lambda: f64, min_diagonal: f64) -> Result<(), LinearError> {
         let clock = Instant::now();
         let floor = self.options.damping_floor;
-        let Buffers { diagonal, damping, step, .. } = &mut *self.buffers;
+        let Buffers { diagonal, damping, step, bounds, .. } = &mut *self.buffers;
         damping.clear();
         if lambda > 0.0 || floor > 0.0 {
             self.equations.copy_diagonal(diagonal);
@@ -122,27 +130,39 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
                 diagonal.iter().map(|&h| lambda * h.max(min_diagonal * largest) + floor * h.max(floor * largest)),
             );
         }
-        let result = self.solver.solve(self.equations, damping, step);
+        let result = bounds.solve(self.solver, self.equations, damping, self.x, step);
         self.times.solve += clock.elapsed();
         result
     }
 
-    /// The decrease of E that coordinate-wise steps promise, `sum_i g_i^2 / H_ii`: a measure of how far the minimum is that does
-    /// not shrink with the damping. For use after a damped solve.
+    /// The decrease of E that coordinate-wise steps promise, `sum_i g_i^2 / H_ii` (less where a bound shortens the step): a
+    /// measure of how far the minimum is that does not shrink with the damping. For use after a damped solve.
     pub(super) fn attainable(&self) -> f64 {
-        let terms = self.equations.gradient.iter().zip(&self.buffers.diagonal);
-        terms.map(|(g, h)| if *h > 0.0 { g * g / h } else { 0.0 }).sum()
+        let sparse = self.equations.structure().sparse_dimension();
+        let terms = self.equations.gradient.iter().zip(&self.buffers.diagonal).enumerate();
+        terms
+            .map(|(i, (g, h))| {
+                if *h <= 0.0 {
+                    return 0.0;
+                }
+                let full = (g / h).abs();
+                let reach = if i < sparse { full } else { self.buffers.bounds.reach(self.x, i - sparse, g / h) };
+                if reach < full { reach * (2.0 * g.abs() - h * reach) } else { g * g / h }
+            })
+            .sum()
     }
 
     /// What the model says of the step that was just computed.
     pub(super) fn proposal(&self) -> Proposal {
         let d = &self.buffers.step;
         let slope = 2.0 * dot(&self.equations.gradient, d);
+        let curvature = self.equations.quadratic_form(d);
         let norm = |v: &[f64]| dot(v, v).sqrt();
         let (step_norm, tolerance) = (norm(d), self.options.step_tolerance);
         Proposal {
             slope,
-            predicted: -slope - self.equations.quadratic_form(d),
+            predicted: -slope - curvature,
+            curvature,
             step_norm,
             step_is_small: step_norm <= tolerance * (norm(self.x) + tolerance),
         }
@@ -151,11 +171,12 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     /// Moves a copy of x by `scale` times the step; returns its energy, infinity if that is not finite.
     pub(super) fn try_step(&mut self, scale: f64) -> f64 {
         let clock = Instant::now();
-        let Buffers { step, scaled, trial, .. } = &mut *self.buffers;
+        let Buffers { step, scaled, trial, bounds, .. } = &mut *self.buffers;
         for (t, d) in scaled.iter_mut().zip(step) {
             *t = scale * *d;
         }
         self.problem.retract(self.x, scaled, trial);
+        bounds.settle(trial, scale);
         let energy = self.problem.energy(trial);
         self.times.energy += clock.elapsed();
         if energy.is_finite() { energy } else { f64::INFINITY }

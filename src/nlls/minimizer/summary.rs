@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::{Algorithm, Options};
-use crate::nlls::{BlockStructure, LinearError};
+use crate::nlls::{BlockStructure, BoundsError, LinearError};
 
 /// Which criterion was met.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -16,12 +16,12 @@ pub enum Convergence {
     Energy,
     /// The parameters no longer move.
     Step,
-    /// The gradient vanishes.
+    /// The gradient vanishes, or points out of the bounds.
     Gradient,
 }
 
 /// Why a minimisation ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StopReason {
     /// A tolerance was met.
@@ -36,6 +36,8 @@ pub enum StopReason {
     NonFinite,
     /// The observer asked to stop.
     StoppedByObserver,
+    /// The bounds leave nothing to choose. The parameters are those of the start.
+    InvalidBounds(BoundsError),
 }
 
 impl StopReason {
@@ -63,6 +65,7 @@ impl fmt::Display for StopReason {
             Self::LinearSolverFailed(e) => write!(f, "failed: {e}"),
             Self::NonFinite => write!(f, "failed: the energy of the start is not finite"),
             Self::StoppedByObserver => write!(f, "stopped by the observer"),
+            Self::InvalidBounds(e) => write!(f, "failed: {e}"),
         }
     }
 }
@@ -103,7 +106,8 @@ pub struct IterationRecord {
     pub energy: f64,
     /// By how much the iteration lowered it; 0 if the step was rejected.
     pub decrease: f64,
-    /// Largest entry of the gradient of E/2 at the point where the step starts.
+    /// Largest entry of the gradient of E/2 at the point where the step starts; of `w - P(w - gradient)` for border coordinates
+    /// with bounds, P being the projection between them.
     pub gradient_norm: f64,
     /// Euclidean norm of the tangent step that was taken; of the rejected one, if it was.
     pub step_norm: f64,

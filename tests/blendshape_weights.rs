@@ -1,0 +1,191 @@
+//! Laws of blendshape weights: bounds, and the standard deviations that a fit reports.
+
+use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
+use nonrigid::mesh::Vec3;
+use nonrigid::model::{NodeGraph, Stiffness, blendshape, hybrid};
+use nonrigid::nlls::{Kernel, Minimizer, NormalEquations, Options, Problem, Silent, Workspace, border_covariance};
+use nonrigid::rig::{Family, Shape, ShapeBasis};
+use nonrigid::term::PointToPoint;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const VERTICES: usize = 90;
+const SHAPES: usize = 7;
+
+fn random_vec(rng: &mut ChaCha8Rng, size: f64) -> Vec3 {
+    Vec3::from_fn(|_, _| rng.random_range(-size..size))
+}
+
+/// Two standard normal numbers (Box and Muller 1958).
+fn normal(rng: &mut ChaCha8Rng) -> [f64; 2] {
+    let (u, v) = (1.0 - rng.random::<f64>(), rng.random::<f64>());
+    let radius = (-2.0 * u.ln()).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
+    [radius * cos, radius * sin]
+}
+
+fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> Vec3 {
+    let ([x, y], [z, _]) = (normal(rng), normal(rng));
+    Vec3::new(x, y, z) * sigma
+}
+
+fn rest(rng: &mut ChaCha8Rng) -> Vec<Vec3> {
+    (0..VERTICES).map(|_| random_vec(rng, 50.0)).collect()
+}
+
+/// Shapes of very different sizes, all but the first three of which are alike in pairs.
+fn shapes(rng: &mut ChaCha8Rng, bounds: impl Fn(usize) -> [f64; 2]) -> ShapeBasis {
+    let shapes = (0..SHAPES).map(|k| Shape { name: k.to_string(), family: Family::Expression }).collect();
+    let slab = (0..3 * VERTICES)
+        .flat_map(|_| {
+            let mut row: [f64; SHAPES] = std::array::from_fn(|k| rng.random_range(-1.0..1.0) * (0.5 + k as f64));
+            row[4] = 0.8 * row[3] + 0.3 * row[4];
+            row
+        })
+        .collect();
+    ShapeBasis::new(shapes, slab).with_bounds(|shape| bounds(shape.name.parse().unwrap()))
+}
+
+fn to_points(targets: Vec<Vec3>, scale: f64, kernel: Kernel) -> Pointwise<PointToPoint, Kernel, 3> {
+    let weights = vec![1.0; targets.len()];
+    Pointwise::new("points", PointToPoint { targets, weights, scale }, kernel)
+}
+
+#[test]
+fn deviations_of_weights_are_the_scatter_of_repeated_fits() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (sigma, alpha, draws) = (0.8, 2.5, 200);
+    let rest = rest(&mut rng);
+    let basis = shapes(&mut rng, |_| [f64::NEG_INFINITY, f64::INFINITY]);
+    let mut problem = Deformation::new(blendshape(rest, basis, 1e-9), Samples::vertices(VERTICES));
+    // A turned, shifted face with all shapes in it.
+    let mut truth = problem.model.rest_parameters();
+    let step: Vec<f64> = (0..6 + SHAPES).map(|i| [0.2, 0.7][usize::from(i >= 6)] * (1.0 + i as f64).sin()).collect();
+    let start = truth.clone();
+    problem.retract(&start, &step, &mut truth);
+    let exact = problem.vertices(&truth).to_vec();
+
+    let minimizer = Minimizer::new(Options::gauss_newton()).unwrap();
+    let mut workspace = Workspace::new();
+    let (mut sum, mut squares, mut variances) = ([0.0; SHAPES], [0.0; SHAPES], 0.0);
+    for _ in 0..draws {
+        problem.terms =
+            vec![to_points(exact.iter().map(|p| p + noise(&mut rng, sigma)).collect(), alpha, Kernel::None)];
+        let mut x = start.clone();
+        let summary = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent);
+        assert!(summary.stop.converged(), "{summary}");
+        for (k, w) in x[x.len() - SHAPES..].iter().enumerate() {
+            let error = w - truth[truth.len() - SHAPES + k];
+            sum[k] += error;
+            squares[k] += error * error;
+        }
+        variances += problem.residual_variance(&x).unwrap() / f64::from(draws);
+    }
+    // Residuals of weight alpha have variance sigma^2; a residual of weight one has alpha times that.
+    let (residuals, parameters) = ((3 * VERTICES) as f64, (6 + SHAPES) as f64);
+    let corrected = variances * residuals / (residuals - parameters);
+    let sampling = (2.0 / (f64::from(draws) * (residuals - parameters))).sqrt();
+    assert!((corrected / (alpha * sigma * sigma) - 1.0).abs() < 4.0 * sampling, "{corrected}");
+
+    problem.terms = vec![to_points(exact, alpha, Kernel::None)];
+    let covariance = border_covariance(&mut problem, &truth).unwrap() * (alpha * sigma * sigma);
+    let count = f64::from(draws);
+    for k in 0..SHAPES {
+        let predicted = covariance[(k, k)].sqrt();
+        let empirical = ((squares[k] - sum[k] * sum[k] / count) / (count - 1.0)).sqrt();
+        println!("weight {k}: predicted {predicted:.5}, empirical {empirical:.5}");
+        // A standard deviation from n draws scatters by its 1 / sqrt(2 (n - 1)), a mean by 1 / sqrt(n).
+        let sampling = 1.0 / (2.0 * (count - 1.0)).sqrt();
+        assert!((empirical / predicted - 1.0).abs() < 3.5 * sampling, "weight {k}: {empirical} {predicted}");
+        assert!((sum[k] / count).abs() < 4.0 * predicted / count.sqrt(), "weight {k} is biased by {}", sum[k] / count);
+    }
+    // The shapes are not equally well known, or this shows little.
+    let all: Vec<f64> = (0..SHAPES).map(|k| covariance[(k, k)].sqrt()).collect();
+    assert!(all.iter().copied().fold(0.0, f64::max) > 5.0 * all.iter().copied().fold(f64::MAX, f64::min), "{all:?}");
+}
+
+#[test]
+fn residual_variances_leave_out_what_a_kernel_has_switched_off() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let rest = rest(&mut rng);
+    let mut problem = Deformation::new(blendshape(rest.clone(), ShapeBasis::none(), 1.0), Samples::vertices(VERTICES));
+    assert_eq!(problem.residual_variance(&problem.model.rest_parameters()), None);
+    let outliers = VERTICES / 3;
+    let target = |(i, p): (usize, &Vec3)| p + Vec3::x() * if i < outliers { 40.0 } else { 0.1 };
+    problem.terms = vec![to_points(rest.iter().enumerate().map(target).collect(), 3.0, Kernel::Tukey { delta: 5.0 })];
+    let x = problem.model.rest_parameters();
+    // Each vertex has three scalar residuals, one of which is 0.1 mm.
+    let expected = 3.0 * 0.01 / 3.0;
+    let found = problem.residual_variance(&x).unwrap();
+    assert!((found / expected - 1.0).abs() < 1e-12, "{found}");
+}
+
+/// The hybrid and the blendshape model, drawn beyond bounds of their weights.
+fn bounded_fit(which: &str, options: Options) -> (Vec<f64>, f64, f64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let rest = rest(&mut rng);
+    let bounds = |k: usize| if k == 5 { [f64::NEG_INFINITY, f64::INFINITY] } else { [0.0, 0.3 + 0.1 * k as f64] };
+    let basis = shapes(&mut rng, bounds);
+    let influences: Vec<Vec<(u32, f64)>> =
+        (0..VERTICES).map(|i| vec![((i % 5) as u32, 0.7), (((i + 1) % 5) as u32, 0.3)]).collect();
+    let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
+    let model = match which {
+        "hybrid" => hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.1, ..Stiffness::default() }),
+        _ => blendshape(rest.clone(), basis.clone(), 0.1),
+    };
+    let mut problem = Deformation::new(model, Samples::vertices(VERTICES));
+    let wanted: Vec<f64> = (0..SHAPES).map(|k| 1.2 * (1.0 + 2.0 * k as f64).sin()).collect();
+    let targets = (0..VERTICES).map(|i| basis.blend(i, rest[i], &wanted) + random_vec(&mut rng, 0.5)).collect();
+    problem.terms = vec![to_points(targets, 1.0, Kernel::Huber { delta: 2.0 })];
+    let mut x = problem.model.rest_parameters();
+    let first = projected_gradient(&mut problem, &x);
+    let mut workspace = Workspace::new();
+    let minimizer = Minimizer::new(options.with_max_iterations(300).with_energy_tolerance(0.0)).unwrap();
+    let summary = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent);
+    assert!(summary.stop.was_successful(), "{summary}");
+    let last = projected_gradient(&mut problem, &x);
+    let held: Vec<bool> = (0..SHAPES).map(|k| problem.border_bounds().unwrap().at_bound(&x, k)).collect();
+    assert!(held.iter().filter(|h| **h).count() >= 2 && held.iter().any(|h| !h), "{held:?}");
+    for (k, w) in x[x.len() - SHAPES..].iter().enumerate() {
+        let [lower, upper] = bounds(k);
+        assert!((lower..=upper).contains(w), "{which} {k}: {w}");
+        assert_eq!(held[k], *w == lower || *w == upper);
+    }
+    (x, first, last)
+}
+
+fn projected_gradient(problem: &mut impl Problem, x: &[f64]) -> f64 {
+    let mut equations = NormalEquations::new(problem.structure().clone());
+    problem.linearize(x, &mut equations);
+    let sparse = problem.structure().sparse_dimension();
+    let bounds = problem.border_bounds().unwrap();
+    let moved = equations.gradient.iter().enumerate().map(|(i, g)| match i.checked_sub(sparse) {
+        None => g.abs(),
+        Some(k) => {
+            let w = x[bounds.first + k];
+            (w - (w - g).clamp(bounds.lower[k], bounds.upper[k])).abs()
+        }
+    });
+    moved.fold(0.0, f64::max)
+}
+
+#[test]
+fn bounded_weights_are_at_the_constrained_minimum() {
+    for which in ["hybrid", "blendshape"] {
+        for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
+            let (_, first, last) = bounded_fit(which, options);
+            assert!(last <= 1e-8 * first.max(1.0), "{which}: {last:e} after {first:e}");
+        }
+    }
+}
+
+#[test]
+fn bounded_weights_have_the_same_bits_at_any_number_of_threads() {
+    for which in ["hybrid", "blendshape"] {
+        let [one, two] = [1, 2].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| bounded_fit(which, Options::gauss_newton()).0)
+        });
+        assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()), "{which}");
+    }
+}
