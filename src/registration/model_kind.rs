@@ -4,10 +4,13 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
+use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError, SmoothOptions};
 use crate::energy::DeformationModel;
-use crate::mesh::{TriangleMesh, Vec3};
-use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::model::{
+    Arap, ArapOptions, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid,
+    rigid, similarity,
+};
 use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
@@ -25,6 +28,12 @@ pub trait RegistrationModel: DeformationModel {
     /// Names and values of the blendshape weights in `x`, if the model has any.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
         Vec::new()
+    }
+
+    /// How many directions no data fixed at the last linearisation, for a model that knows better than the linear solver, which
+    /// counts coordinates that damping alone holds.
+    fn weak_directions(&self) -> Option<usize> {
+        None
     }
 }
 
@@ -68,6 +77,10 @@ pub enum ModelKind {
     Graph,
     /// Blendshapes under one rigid motion.
     Blendshape,
+    /// Every vertex by itself, its displacement smooth.
+    Free,
+    /// As-rigid-as-possible surface (Sorkine and Alexa 2007).
+    Arap,
     /// Rigid motion.
     Rigid,
     /// Similarity.
@@ -76,7 +89,8 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Hybrid, Self::Graph, Self::Blendshape, Self::Rigid, Self::Similarity];
+    pub const ALL: [Self; 7] =
+        [Self::Hybrid, Self::Graph, Self::Blendshape, Self::Free, Self::Arap, Self::Rigid, Self::Similarity];
 }
 
 impl std::fmt::Display for ModelKind {
@@ -102,6 +116,8 @@ impl ModelFactory for ModelKind {
             Self::Hybrid => "hybrid",
             Self::Graph => "graph",
             Self::Blendshape => "blendshape",
+            Self::Free => "free",
+            Self::Arap => "arap",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
         }
@@ -118,6 +134,11 @@ impl ModelFactory for ModelKind {
             Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
             Self::Graph => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
             Self::Blendshape => Box::new(blendshape(rest, input.shapes.clone(), stiffness.blend)),
+            Self::Free => Box::new(Free::new(input.rest, free_options(input.schedule), 1.0).map_err(template_error)?),
+            Self::Arap => {
+                let options = ArapOptions { solver: input.schedule.arap.solver, ..ArapOptions::default() };
+                Box::new(Arap::new(input.rest, options, 1.0).map_err(template_error)?)
+            }
             Self::Rigid => Box::new(rigid(rest)),
             Self::Similarity => Box::new(similarity(rest)),
         })
@@ -130,7 +151,36 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
         GraphDistance::Surface => NodeGraph::along_surface,
         GraphDistance::Euclidean => NodeGraph::through_space,
     };
-    build(input.rest, options.nodes, options.influences).map_err(|e| RegistrationError::Template(e.to_string()))
+    build(input.rest, options.nodes, options.influences).map_err(template_error)
+}
+
+fn free_options(schedule: &Schedule) -> FreeOptions {
+    let SmoothOptions { kind, weights } = schedule.smooth;
+    FreeOptions { kind, weights, reference_vertices: schedule.reference_vertices }
+}
+
+fn template_error(error: MeshError) -> RegistrationError {
+    RegistrationError::Template(error.to_string())
+}
+
+impl RegistrationModel for Free {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda_smooth = level.lambda_smooth;
+    }
+
+    fn weak_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+impl RegistrationModel for Arap {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda_smooth = level.lambda_smooth;
+    }
+
+    fn weak_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
 }
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {
