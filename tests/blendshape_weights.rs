@@ -130,7 +130,9 @@ fn bounded_fit(which: &str, options: Options) -> (Vec<f64>, f64, f64) {
         (0..VERTICES).map(|i| vec![((i % 5) as u32, 0.7), (((i + 1) % 5) as u32, 0.3)]).collect();
     let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
     let model = match which {
-        "hybrid" => hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.1, ..Stiffness::default() }),
+        "hybrid" => {
+            hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.1, ..Stiffness::default() })
+        }
         _ => blendshape(rest.clone(), basis.clone(), 0.1),
     };
     let mut problem = Deformation::new(model, Samples::vertices(VERTICES));

@@ -1,4 +1,4 @@
-//! Laws that every deformation model on the common assembly obeys.
+//! Laws that every deformation model obeys.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -6,8 +6,11 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
-use nonrigid::model::{Linearisation, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
-use nonrigid::model::{Sumner, affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
+use nonrigid::model::{
+    Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph,
+    NodeTransform, Smoothness, Stiffness, Sumner,
+};
+use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use nonrigid::nlls::{GradientCheck, Kernel, Minimizer, NormalEquations, Options, Problem, check_gradient};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
@@ -86,7 +89,40 @@ fn kernels() -> Vec<Kernel> {
     ]
 }
 
-fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Box<dyn Fn() -> Box<dyn TestModel>>, Vec<Vec3>)) {
+/// 9 x 6 vertices in two triangles a quad; the last six vertices belong to none.
+fn triangles() -> Vec<[u32; 3]> {
+    let quads = (0..40).map(|q| q + q / 8);
+    quads.flat_map(|a| [[a, a + 1, a + 10], [a, a + 10, a + 9]]).collect()
+}
+
+type Build<M> = Box<dyn Fn() -> Box<M>>;
+
+fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn DeformationModel>, Vec<Vec3>)) {
+    each_assembled_model(|rng, build, rest| visit(rng, Box::new(move || build()), rest));
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    let mesh = TriangleMesh { positions: rest(&mut rng), triangles: triangles() };
+    let held: Vec<bool> = (0..VERTICES).map(|i| i % 11 == 4).collect();
+    let places: Vec<Vec3> = mesh.positions.iter().map(|&p| p + random_vec(&mut rng, 2.0)).collect();
+    for kind in [Smoothness::Laplacian, Smoothness::BiLaplacian] {
+        for weights in [EdgeWeights::Uniform, EdgeWeights::Cotangent] {
+            let options = FreeOptions { kind, weights, reference_vertices: 100.0 };
+            let (m, h, p) = (mesh.clone(), held.clone(), places.clone());
+            let build = move || Free::new(&m, options, 0.7).expect("a sound mesh").with_held_at(&h, &p);
+            visit(&mut rng, Box::new(move || Box::new(build())), mesh.positions.clone());
+        }
+    }
+    for solver in [ArapSolver::LocalGlobal, ArapSolver::Joint] {
+        for clamp in [true, false] {
+            let (m, h, p) = (mesh.clone(), held.clone(), places.clone());
+            let options = ArapOptions { solver, clamp };
+            let build = move || Arap::new(&m, options, 0.7).expect("a sound mesh").with_held_at(&h, &p);
+            visit(&mut rng, Box::new(move || Box::new(build())), mesh.positions.clone());
+        }
+    }
+}
+
+/// The models on the assembly of blendshapes inside a graph.
+fn each_assembled_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn TestModel>, Vec<Vec3>)) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let rest = rest(&mut rng);
     let graph_of = nodes(&mut rng, &rest);
@@ -127,7 +163,7 @@ impl<T: NodeTransform<W>, const W: usize> TestModel for NodeAssembly<T, W> {
 
 #[test]
 fn structured_and_reference_linearisation_agree_for_every_model_and_kernel() {
-    each_model(|rng, build, rest| {
+    each_assembled_model(|rng, build, rest| {
         for kernel in kernels() {
             let mut problem = Deformation::new(build(), samples());
             problem.terms = terms(rng, &rest, kernel);

@@ -46,8 +46,11 @@ pub struct Rung {
     pub pull: Option<(f64, f64)>,
 }
 
-/// Stiffness and landmark weights run geometrically over this many levels and stay for the rest.
-const RAMP: usize = 6;
+/// Stiffness and landmark weights run geometrically until so many levels are left, and stay for these.
+const STAY: usize = 2;
+
+/// The rung on which the second stage of a sequence starts.
+const SECOND_STAGE: usize = 2;
 
 /// Steps of each level.
 const STEPS: usize = 5;
@@ -66,8 +69,8 @@ pub struct Axis {
     pub start: usize,
 }
 
-const STIFF: &[f64] = &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
-const SOFT: &[f64] = &[0.003, 0.007, 0.015, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3.0, 7.0];
+const FIRST: &[f64] = &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+const LAST: &[f64] = &[0.003, 0.007, 0.015, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3.0, 7.0, 15.0];
 const LANDMARKS_FIRST: &[f64] = &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
 const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
 
@@ -75,24 +78,26 @@ const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
 #[must_use]
 pub fn axes(model: ModelKind) -> Vec<Axis> {
     let axis = |name, grid, start| Axis { name, grid, start };
-    let graph = |start| axis("lambda_graph last", SOFT, start);
+    let graph = [axis("lambda_graph last", LAST, 4), axis("lambda_graph first", FIRST, 3)];
+    let blend = [axis("lambda_blend last", LAST, 7), axis("lambda_blend first", FIRST, 4)];
+    let smooth = [axis("lambda_smooth last", LAST, 6), axis("lambda_smooth first", FIRST, 3)];
     let mut axes = match model {
         ModelKind::Rigid | ModelKind::Similarity => Vec::new(),
-        ModelKind::Blendshape => vec![axis("lambda_blend last", SOFT, 7), axis("lambda_blend first", STIFF, 4)],
-        ModelKind::Hybrid => vec![
-            graph(4),
-            axis("lambda_graph first", STIFF, 3),
-            axis("lambda_blend last", SOFT, 7),
-            axis("lambda_blend first", STIFF, 4),
-            axis("prediction", &[0.0, 0.003, 0.01, 0.03, 0.1], 2),
-        ],
-        ModelKind::Graph => vec![graph(4), axis("lambda_graph first", STIFF, 3)],
+        ModelKind::Blendshape => blend.to_vec(),
+        ModelKind::Hybrid => [&graph[..], &blend, &[axis("prediction", &[0.0, 0.003, 0.01, 0.03, 0.1], 2)]].concat(),
+        ModelKind::Sequential => [&smooth[..], &blend].concat(),
+        ModelKind::Graph => graph.to_vec(),
+        ModelKind::Sumner => [&graph[..], &[axis("lambda_rotation", &[0.001, 0.01, 0.1, 1.0, 10.0], 2)]].concat(),
+        ModelKind::Free => {
+            [&[axis("bilaplacian", &[0.0, 1.0], 0), axis("cotangent", &[0.0, 1.0], 0)], &smooth[..]].concat()
+        }
+        ModelKind::Arap => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
     };
     axes.push(axis("landmarks last", LANDMARKS_LAST, 3));
     axes.push(axis("landmarks first", LANDMARKS_FIRST, 3));
     axes.push(axis("cap", &[5.0, 8.0, 12.0, 25.0], 0));
     axes.push(axis("rim", &[0.0, 1.0, 2.0, 3.0], 3));
-    if matches!(model, ModelKind::Hybrid | ModelKind::Graph) {
+    if matches!(model, ModelKind::Hybrid | ModelKind::Graph | ModelKind::Sumner) {
         axes.push(axis("nodes", &[200.0, 300.0, 400.0, 600.0, 800.0], 2));
     }
     axes
@@ -112,43 +117,64 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
          [scan]\ntemplate_rim = {:?}\n",
         at["rim"]
     );
+    let mut option = |axis: &str, section: &str, choices: [&str; 2]| {
+        if let Some(&choice) = at.get(axis) {
+            let _ = write!(text, "{section}{}\n", choices[usize::from(choice > 0.0)]);
+        }
+    };
+    option("bilaplacian", "\n[smooth]\nkind = ", ["\"laplacian\"", "\"bilaplacian\""]);
+    option("cotangent", "weights = ", ["\"uniform\"", "\"cotangent\""]);
+    option("joint", "\n[arap]\nsolver = ", ["\"local_global\"", "\"joint\""]);
     if let Some(nodes) = at.get("nodes") {
         let _ = writeln!(text, "\n[graph]\nnodes = {nodes}\ninfluences = 4\ndistance = \"surface\"");
     }
-    for (level, rung) in LADDER.iter().enumerate() {
-        text += &level_text(level, rung, at);
+    if model == ModelKind::Sequential {
+        text += &levels_text("level", &LADDER, &["lambda_blend"], at);
+        text += "\n[then]\nmodel = \"arap\"\n";
+        text += &levels_text("then.level", &LADDER[SECOND_STAGE..], &["lambda_smooth"], at);
+    } else {
+        text += &levels_text("level", &LADDER, &["lambda_graph", "lambda_smooth", "lambda_blend"], at);
     }
     text
 }
 
-fn level_text(level: usize, rung: &Rung, at: &HashMap<&'static str, f64>) -> String {
-    let mut text = format!("\n[[level]]\nsteps = {STEPS}\n");
-    let mut line = |key: &str, value: f64| {
-        let _ = writeln!(text, "{key} = {value:?}");
-    };
-    for key in ["lambda_graph", "lambda_smooth", "lambda_blend", "landmarks"] {
-        let ends = ["first", "last"].map(|end| at.iter().find(|a| *a.0 == format!("{key} {end}")).map(|a| *a.1));
-        if let [Some(first), Some(last)] = ends {
-            line(key, ramp(first, last, level));
+/// The levels under `rungs` as `[[table]]`s, with ramps of the landmarks and of those of `keys` that `at` has ends for.
+fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static str, f64>) -> String {
+    let mut text = String::new();
+    for (level, rung) in rungs.iter().enumerate() {
+        let _ = write!(text, "\n[[{table}]]\nsteps = {STEPS}\n");
+        let mut line = |key: &str, value: f64| {
+            let _ = writeln!(text, "{key} = {value:?}");
+        };
+        for key in keys.iter().chain(&["landmarks"]) {
+            let ends = ["first", "last"].map(|end| at.get(&*format!("{key} {end}")).copied());
+            if let [Some(first), Some(last)] = ends {
+                line(key, ramp(first, last, level, rungs.len() - STAY));
+            }
+        }
+        if let Some(&ratio) = at.get("lambda_rotation") {
+            line("lambda_rotation", ratio);
+        }
+        if let Some(&weight) = at.get("prediction").filter(|w| **w > 0.0) {
+            line("prediction", weight);
+            line("seam", 0.3);
+        }
+        line("distance_cap", rung.distance_cap.max(at["cap"]));
+        line("normal_angle", 60.0);
+        let _ = writeln!(text, "kernel = {{ huber = {{ delta = {:?} }} }}", rung.huber);
+        if let Some((weight, scale)) = rung.pull {
+            let _ = writeln!(
+                text,
+                "point_to_point = {weight:?}\npoint_kernel = {{ geman_mcclure = {{ delta = {scale:?} }} }}"
+            );
         }
     }
-    if let Some(&weight) = at.get("prediction").filter(|w| **w > 0.0) {
-        line("prediction", weight);
-        line("seam", 0.3);
-    }
-    line("distance_cap", rung.distance_cap.max(at["cap"]));
-    line("normal_angle", 60.0);
-    let _ = writeln!(text, "kernel = {{ huber = {{ delta = {:?} }} }}", rung.huber);
-    if let Some((weight, scale)) = rung.pull {
-        let _ =
-            writeln!(text, "point_to_point = {weight:?}\npoint_kernel = {{ geman_mcclure = {{ delta = {scale:?} }} }}");
-    }
     text
 }
 
-/// Geometric over the first levels, then constant; two digits.
-fn ramp(first: f64, last: f64, level: usize) -> f64 {
-    let t = level.min(RAMP - 1) as f64 / (RAMP - 1) as f64;
+/// Geometric over so many levels, then constant; two digits.
+fn ramp(first: f64, last: f64, level: usize, levels: usize) -> f64 {
+    let t = level.min(levels - 1) as f64 / (levels - 1) as f64;
     let value = first * (last / first).powf(t);
     let digit = 10f64.powf(value.log10().floor() - 1.0);
     let rounded = (value / digit).round() * digit;
@@ -309,7 +335,10 @@ mod tests {
                 let at = axes(model).iter().map(|a| (a.name, end(a))).collect();
                 let schedule =
                     Schedule::from_toml(&schedule_text(model, &at)).unwrap_or_else(|e| panic!("{model}: {e}"));
-                assert_eq!(schedule.levels.len(), LADDER.len());
+                assert_eq!(
+                    (schedule.levels.len(), schedule.then.is_some()),
+                    (LADDER.len(), model == ModelKind::Sequential)
+                );
                 let landmarks: Vec<f64> = schedule.levels.iter().map(|l| l.landmarks).collect();
                 assert_eq!(
                     (landmarks[0], landmarks[5], landmarks[7]),

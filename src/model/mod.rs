@@ -1,17 +1,26 @@
-//! Deformation models, one file each, all on the one assembly in `assembly/`.
+//! Deformation models, one file each: blendshapes and graphs on the assembly in `assembly/`, models of free vertices on the one
+//! in `vertex_assembly.rs`.
 
+mod arap;
 mod assembly;
 mod blendshape;
+mod edge_weights;
+mod free;
 mod graph;
 mod hybrid;
 mod node_graph;
 mod rigid;
+mod rotation_fit;
 mod similarity;
 mod sumner;
 mod transform;
+mod vertex_assembly;
 
+pub use arap::{Arap, ArapOptions, ArapSolver};
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
 pub use blendshape::{Blendshape, blendshape};
+pub use edge_weights::EdgeWeights;
+pub use free::{Free, FreeOptions, Smoothness};
 pub use graph::{Graph, graph};
 pub use hybrid::{AffineHybrid, Hybrid, affine_hybrid, hybrid};
 pub use node_graph::NodeGraph;

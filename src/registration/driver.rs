@@ -122,7 +122,8 @@ pub struct RegistrationResult {
     pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.
     pub accepted: Vec<bool>,
-    /// Directions that nothing observed and damping held still, in the last step.
+    /// Directions that nothing observed and damping held still, in the last step. Models of single vertices count the shifts of
+    /// whole parts.
     pub weak_directions: usize,
     /// Every step.
     pub history: Vec<StepRecord>,
@@ -219,7 +220,7 @@ pub fn register_with(
         start,
         weights,
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
-        weak_directions: run.workspace.summary().weak_directions(),
+        weak_directions: problem.model.weak_directions().unwrap_or_else(|| run.workspace.summary().weak_directions()),
         history: run.history,
         stop: if flow.is_break() { RegistrationStop::StoppedByObserver } else { RegistrationStop::Finished },
         schedule: schedule.clone(),

@@ -18,19 +18,21 @@ pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
-    BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, ScanOptions, Schedule, ScheduleError, SeamOptions,
-    SigmaOptions, Stage, StopOptions,
+    BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule, ScheduleError,
+    SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,
 };
 pub use seam::Seams;
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.
-pub const DEFAULT_SCHEDULES: [(&str, &str); 7] = [
+pub const DEFAULT_SCHEDULES: [(&str, &str); 9] = [
     ("hybrid", include_str!("schedules/hybrid.toml")),
     ("sequential", include_str!("schedules/sequential.toml")),
     ("graph", include_str!("schedules/graph.toml")),
     ("sumner", include_str!("schedules/sumner.toml")),
     ("blendshape", include_str!("schedules/blendshape.toml")),
+    ("free", include_str!("schedules/free.toml")),
+    ("arap", include_str!("schedules/arap.toml")),
     ("rigid", include_str!("schedules/rigid.toml")),
     ("similarity", include_str!("schedules/similarity.toml")),
 ];

@@ -4,10 +4,10 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError};
+use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError, SmoothOptions};
 use crate::energy::DeformationModel;
-use crate::mesh::{TriangleMesh, Vec3};
-use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::model::{Arap, ArapOptions, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
 use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
 
@@ -26,6 +26,12 @@ pub trait RegistrationModel: DeformationModel {
     /// Names and values of the blendshape weights in `x`, if the model has any; in the order of the border's coordinates.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
         Vec::new()
+    }
+
+    /// How many directions no data fixed at the last linearisation, for a model that knows better than the linear solver, which
+    /// counts coordinates that damping alone holds.
+    fn weak_directions(&self) -> Option<usize> {
+        None
     }
 }
 
@@ -73,6 +79,10 @@ pub enum ModelKind {
     Sequential,
     /// Blendshapes under one rigid motion.
     Blendshape,
+    /// Every vertex by itself, its displacement smooth.
+    Free,
+    /// As-rigid-as-possible surface (Sorkine and Alexa 2007).
+    Arap,
     /// Rigid motion.
     Rigid,
     /// Similarity.
@@ -81,8 +91,17 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Hybrid, Self::Sequential, Self::Graph, Self::Sumner, Self::Blendshape, Self::Rigid, Self::Similarity];
+    pub const ALL: [Self; 9] = [
+        Self::Hybrid,
+        Self::Sequential,
+        Self::Graph,
+        Self::Sumner,
+        Self::Blendshape,
+        Self::Free,
+        Self::Arap,
+        Self::Rigid,
+        Self::Similarity,
+    ];
 
     /// Whether blendshapes are part of the model.
     #[must_use]
@@ -116,6 +135,8 @@ impl ModelFactory for ModelKind {
             Self::Sumner => "sumner",
             Self::Sequential => "sequential",
             Self::Blendshape => "blendshape",
+            Self::Free => "free",
+            Self::Arap => "arap",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
         }
@@ -141,6 +162,11 @@ impl ModelFactory for ModelKind {
             }
             Self::Sequential if input.schedule.then.is_none() => return Err(ScheduleError::NoSecondStage.into()),
             Self::Sequential | Self::Blendshape => Box::new(blendshape(rest, input.shapes.clone(), stiffness.blend)),
+            Self::Free => Box::new(Free::new(input.rest, free_options(input.schedule), 1.0).map_err(template_error)?),
+            Self::Arap => {
+                let options = ArapOptions { solver: input.schedule.arap.solver, ..ArapOptions::default() };
+                Box::new(Arap::new(input.rest, options, 1.0).map_err(template_error)?)
+            }
             Self::Rigid => Box::new(rigid(rest)),
             Self::Similarity => Box::new(similarity(rest)),
         })
@@ -153,7 +179,36 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
         GraphDistance::Surface => NodeGraph::along_surface,
         GraphDistance::Euclidean => NodeGraph::through_space,
     };
-    build(input.rest, options.nodes, options.influences).map_err(|e| RegistrationError::Template(e.to_string()))
+    build(input.rest, options.nodes, options.influences).map_err(template_error)
+}
+
+fn free_options(schedule: &Schedule) -> FreeOptions {
+    let SmoothOptions { kind, weights } = schedule.smooth;
+    FreeOptions { kind, weights, reference_vertices: schedule.reference_vertices }
+}
+
+fn template_error(error: MeshError) -> RegistrationError {
+    RegistrationError::Template(error.to_string())
+}
+
+impl RegistrationModel for Free {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda_smooth = level.lambda_smooth;
+    }
+
+    fn weak_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+impl RegistrationModel for Arap {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda_smooth = level.lambda_smooth;
+    }
+
+    fn weak_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
 }
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::ModelKind;
 use crate::mesh::PoseKind;
+use crate::model::{ArapSolver, EdgeWeights, Smoothness};
 use crate::nlls::Kernel;
 use crate::rig::Family;
 
@@ -27,6 +28,12 @@ pub struct Schedule {
     /// The deformation graph; only models with one read it.
     #[serde(default)]
     pub graph: GraphOptions,
+    /// The smoothness of free vertices; only they read it.
+    #[serde(default)]
+    pub smooth: SmoothOptions,
+    /// How as-rigid-as-possible surfaces are solved; only they read it.
+    #[serde(default)]
+    pub arap: RigidityOptions,
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
@@ -106,6 +113,24 @@ pub enum NodeKind {
     Rigid,
     /// Any affine map, kept near the rotations by `lambda_rotation` (Sumner et al. 2007).
     Affine,
+}
+
+/// The smoothness of free vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SmoothOptions {
+    /// Which derivative of the displacements costs: `laplacian` (default) or `bilaplacian`.
+    pub kind: Smoothness,
+    /// How edges weigh: `uniform` (default) or `cotangent`.
+    pub weights: EdgeWeights,
+}
+
+/// How as-rigid-as-possible surfaces are solved.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RigidityOptions {
+    /// `local_global` (default) or `joint`.
+    pub solver: ArapSolver,
 }
 
 /// What of the scan is believed.

@@ -1,0 +1,304 @@
+//! Free vertices: every vertex has a displacement of its own, and a Laplacian or bi-Laplacian keeps the field smooth.
+//!
+//! ```text
+//!     v_i = n_i + d_i
+//!     E_smooth = lambda sum_(i,j) w_ij |d_i - d_j|^2                      Laplacian, each edge once
+//!     E_smooth = lambda sum_i (1 / a_i) |sum_j c_ij (d_i - d_j)|^2        bi-Laplacian
+//! ```
+//!
+//! (Botsch and Sorkine 2008, "On linear variational surface deformation methods", sections III and IV.) The first is the
+//! membrane energy, the integral of `|grad d|^2`, the second the thin plate's, the integral of `(Laplace d)^2`, times the area
+//! of one vertex of a template of the schedule's reference size. Both are in square millimetres, keep their value when
+//! triangles are subdivided, and turn and scale with the template.
+//!
+//! Inside the surface `c_ij = w_ij`. On the open boundary that would charge a slope across the boundary as if it were
+//! bending, so there the part of `d` that is linear along the surface is fitted to the neighbours and taken out:
+//! `c_ij = w_ij (1 - e_ij' G^+ sum_k w_ik e_ik)`, with `e_ij = n_j - n_i` and `G = sum_k |w_ik| e_ik e_ik'` restricted to its two
+//! leading directions.
+
+use nalgebra::{Matrix3, SymmetricEigen};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::edge_weights::{EdgeWeights, WeightedEdges};
+use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, parameters, row_position};
+use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
+use crate::mesh::normals::vertex_areas;
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// Which derivative of the displacements costs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Smoothness {
+    /// The first: displacements of neighbours differ little.
+    #[default]
+    Laplacian,
+    /// The second: displacements vary evenly. Fields linear on a flat surface are free.
+    #[serde(rename = "bilaplacian")]
+    BiLaplacian,
+}
+
+/// How free vertices are kept smooth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FreeOptions {
+    /// Laplacian or bi-Laplacian.
+    pub kind: Smoothness,
+    /// Weights of the edges. Cotangents are clamped at zero for the Laplacian, whose energy they would make negative.
+    pub weights: EdgeWeights,
+    /// Number of vertices of the template that `lambda` is meant for: the bi-Laplacian's unit of area is the template's over
+    /// this.
+    pub reference_vertices: f64,
+}
+
+/// Vertex areas below this part of the mean count as that.
+const SMALLEST_AREA: f64 = 1e-3;
+
+/// Free vertices under a Laplacian.
+pub struct Free {
+    /// `lambda` of the regulariser.
+    pub lambda_smooth: f64,
+    assembly: VertexAssembly,
+    rows: SmoothRows,
+    /// Residuals of the rows at the last `x`.
+    residuals: Vec<Vec3>,
+    /// `R'R`, a scalar for every stored block.
+    stiffness: Vec<f64>,
+    /// Per block, the (row, coefficient) in which its vertex takes part.
+    uses: Vec<Vec<(u32, f64)>>,
+}
+
+/// Residuals `r_m = sum_k c_mk d_k`: what is squared and summed.
+struct SmoothRows {
+    starts: Vec<u32>,
+    vertices: Vec<u32>,
+    coefficients: Vec<f64>,
+}
+
+impl SmoothRows {
+    fn new() -> Self {
+        Self { starts: vec![0], vertices: Vec::new(), coefficients: Vec::new() }
+    }
+
+    fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Adds `scale sum_j c_j (d_i - d_j)`.
+    fn push(&mut self, i: u32, scale: f64, star: &[(u32, f64)]) {
+        self.vertices.push(i);
+        self.coefficients.push(scale * star.iter().map(|s| s.1).sum::<f64>());
+        for &(j, c) in star.iter().filter(|s| s.1 != 0.0) {
+            self.vertices.push(j);
+            self.coefficients.push(-scale * c);
+        }
+        self.starts.push(self.vertices.len() as u32);
+    }
+
+    fn range(&self, row: usize) -> std::ops::Range<usize> {
+        self.starts[row] as usize..self.starts[row + 1] as usize
+    }
+
+    fn vertices(&self, row: usize) -> &[u32] {
+        &self.vertices[self.range(row)]
+    }
+
+    fn of(&self, row: usize) -> impl Iterator<Item = (u32, f64)> + Clone + '_ {
+        let range = self.range(row);
+        self.vertices[range.clone()].iter().copied().zip(self.coefficients[range].iter().copied())
+    }
+
+    fn laplacian(edges: &WeightedEdges) -> Self {
+        let mut rows = Self::new();
+        for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights) {
+            rows.push(i, w.sqrt(), &[(j, 1.0)]);
+        }
+        rows
+    }
+
+    fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> Self {
+        let count = mesh.positions.len();
+        let of_mesh = WeightedEdges {
+            edges: edges.edges[..edges.of_mesh].to_vec(),
+            weights: edges.weights[..edges.of_mesh].to_vec(),
+            ..edges.clone()
+        };
+        let mut stars = of_mesh.stars(count);
+        let used = stars.iter().filter(|s| !s.is_empty()).count().max(1) as f64;
+        // In units of the mean area, then of the reference vertex': uniform weights know no areas.
+        let areas: Vec<f64> = match options.weights {
+            EdgeWeights::Uniform => vec![options.reference_vertices / used; count],
+            EdgeWeights::Cotangent => {
+                let areas = vertex_areas(&mesh.positions, &mesh.triangles);
+                let mean = areas.iter().sum::<f64>() / used;
+                let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
+                areas.into_iter().map(|a| relative(a) * options.reference_vertices / used).collect()
+            }
+        };
+        let mut rows = Self::new();
+        for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
+            if edges.boundary[i] {
+                take_out_slope(i, star, &mesh.positions);
+            }
+            rows.push(i as u32, (1.0 / areas[i]).sqrt(), star);
+        }
+        // Ties have rows of their own: in the anchor's row the tied vertex would take up the bending there.
+        for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
+            rows.push(i, w.sqrt(), &[(j, 1.0)]);
+        }
+        rows
+    }
+}
+
+/// Replaces the weights `w_ij` of a star by the `c_ij` that vanish on fields linear along the surface.
+fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec3]) {
+    let edge = |j: u32| positions[j as usize] - positions[i];
+    let (mut g, mut sum) = (Matrix3::zeros(), Vec3::zeros());
+    for &(j, w) in star.iter() {
+        g += edge(j) * edge(j).transpose() * w.abs();
+        sum += edge(j) * w;
+    }
+    let eigen = SymmetricEigen::new(g);
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    let mut slope = Vec3::zeros();
+    for k in order.into_iter().take(2).filter(|&k| eigen.eigenvalues[k] > 1e-10 * eigen.eigenvalues[order[0]]) {
+        let u = eigen.eigenvectors.column(k);
+        slope += u * (u.dot(&sum) / eigen.eigenvalues[k]);
+    }
+    for (j, w) in star {
+        // |w| weights the fit; where w is negative so is its residual's coefficient
+        *w -= w.abs() * edge(*j).dot(&slope);
+    }
+}
+
+impl Free {
+    /// Free vertices at the rest positions of `mesh` (millimetres).
+    ///
+    /// Vertices that no triangle refers to follow the nearest one that has triangles. Vertices in parts without data stay
+    /// where they are if the solver damps (`Options::with_damping_floor`); without damping the normal equations are singular,
+    /// which is an error there.
+    ///
+    /// # Errors
+    /// When a position is not finite or a triangle indexes past the vertices.
+    ///
+    /// # Panics
+    /// If `options.reference_vertices` is not positive.
+    pub fn new(mesh: &TriangleMesh, options: FreeOptions, lambda_smooth: f64) -> Result<Self, MeshError> {
+        assert!(options.reference_vertices > 0.0, "reference_vertices must be positive");
+        let clamp = options.kind == Smoothness::Laplacian;
+        let edges = WeightedEdges::new(mesh, options.weights, clamp)?;
+        let rows = match options.kind {
+            Smoothness::Laplacian => SmoothRows::laplacian(&edges),
+            Smoothness::BiLaplacian => SmoothRows::bilaplacian(mesh, &edges, &options),
+        };
+        let assembly = VertexAssembly::new(mesh.positions.clone(), &edges);
+        let residuals = vec![Vec3::zeros(); rows.len()];
+        Ok(Self { lambda_smooth, assembly, rows, residuals, stiffness: Vec::new(), uses: Vec::new() })
+    }
+
+    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    #[must_use]
+    pub fn with_held(self, held: &[bool]) -> Self {
+        let rest = self.assembly.rest.clone();
+        self.with_held_at(held, &rest)
+    }
+
+    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
+    ///
+    /// # Panics
+    /// If there is not one mark and one position per vertex.
+    #[must_use]
+    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
+        self.assembly.hold(held, positions);
+        self
+    }
+
+    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
+    #[must_use]
+    pub fn unobserved_shifts(&self) -> usize {
+        self.assembly.unobserved_shifts()
+    }
+
+    fn place(&mut self, x: &[f64]) {
+        let (rows, assembly) = (&self.rows, &self.assembly);
+        let displacement = |v: u32| match assembly.block(v) {
+            Some(block) => parameters(x, block),
+            None => assembly.fixed[v as usize] - assembly.rest[v as usize],
+        };
+        self.residuals.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, r) in chunk.iter_mut().enumerate() {
+                *r = rows.of(c * CHUNK + k).map(|(v, c)| displacement(v) * c).sum();
+            }
+        });
+    }
+}
+
+impl DeformationModel for Free {
+    fn name(&self) -> &'static str {
+        "free"
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.assembly.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.assembly.parameter_len()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        vec![0.0; self.parameter_len()]
+    }
+
+    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+        let (rows, assembly) = (&self.rows, &mut self.assembly);
+        let structure = assembly.attach(samples, (0..rows.len()).map(|m| rows.vertices(m)));
+        self.stiffness = vec![0.0; structure.slot_count()];
+        self.uses = vec![Vec::new(); structure.block_count()];
+        for m in 0..rows.len() {
+            let free = rows.of(m).filter_map(|(v, c)| assembly.block(v).map(|block| (block, c)));
+            for (a, c_a) in free.clone() {
+                self.uses[a].push((m as u32, c_a));
+                for (b, c_b) in free.clone().filter(|f| f.0 <= a) {
+                    let slot = structure.row_slots(a).start + row_position(&structure, a, b) as usize / 9;
+                    self.stiffness[slot] += c_a * c_b;
+                }
+            }
+        }
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        let rest = &self.assembly.rest;
+        self.assembly.positions(x, out, |v, d| rest[v] + d);
+    }
+
+    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        self.assembly.pull_back(field, equations);
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.place(x);
+        let sum: f64 = self.residuals.iter().map(Vec3::norm_squared).sum();
+        out.push(("smoothness", self.lambda_smooth * sum));
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.place(x);
+        let structure = equations.structure().clone();
+        let (stiffness, uses, residuals, lambda) = (&self.stiffness, &self.uses, &self.residuals, self.lambda_smooth);
+        equations.for_each_block_row(&|i, mut row| {
+            add_scalars(&mut row, &stiffness[structure.row_slots(i)], lambda);
+            let gradient: Vec3 = uses[i].iter().map(|&(m, c)| residuals[m as usize] * c).sum();
+            row.gradient.iter_mut().zip(&gradient).for_each(|(g, r)| *g += lambda * r);
+        });
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        VertexAssembly::retract(x, step, out);
+    }
+}

@@ -1,0 +1,249 @@
+//! What the models whose parameters are vertex positions share: blocks of three parameters per vertex, data quadrics, held
+//! vertices, and which parts of the template no data fix.
+//!
+//! Held vertices are not parameters: they have no block, and their positions are copied.
+
+use nalgebra::{Matrix3, SymmetricEigen};
+use rayon::prelude::*;
+
+use super::edge_weights::WeightedEdges;
+use crate::energy::{QuadricField, Samples};
+use crate::mesh::Vec3;
+use crate::mesh::adjacency::EdgeGraph;
+use crate::nlls::{BlockRow, BlockStructure, NormalEquations};
+
+/// Block of a vertex that has none.
+pub(super) const HELD: u32 = u32::MAX;
+
+/// Vertices per parallel task.
+pub(super) const CHUNK: usize = 512;
+
+/// Vertices, their parameter blocks and how samples act on them.
+pub(super) struct VertexAssembly {
+    /// Rest positions, all vertices.
+    pub rest: Vec<Vec3>,
+    /// Positions of held vertices; of the others, those at rest.
+    pub fixed: Vec<Vec3>,
+    /// Parameter block of every vertex, or [`HELD`].
+    pub blocks: Vec<u32>,
+    /// Vertex of every block, ascending.
+    pub vertices: Vec<u32>,
+    /// Per block, the samples that its vertex is a corner of.
+    pulls: Vec<Pull>,
+    pull_starts: Vec<u32>,
+    targets: Vec<Target>,
+    /// Connected part of every vertex.
+    parts: Vec<u32>,
+    /// Whether a held vertex fixes the part.
+    anchored: Vec<bool>,
+    /// Part of every sample; samples across parts fix the first of their corners'.
+    sample_parts: Vec<u32>,
+    /// Sum of the quadrics of each part at the last linearisation.
+    part_quadrics: Vec<Matrix3<f64>>,
+}
+
+/// A sample at one of its corners.
+struct Pull {
+    sample: u32,
+    weight: f64,
+    targets: std::ops::Range<u32>,
+}
+
+/// A block of the corner's row: where it starts in the row, and the product of the weights of both corners.
+struct Target {
+    start: u32,
+    weight: f64,
+}
+
+impl VertexAssembly {
+    /// All vertices free. Parts are what `edges` of weight other than zero join.
+    pub fn new(rest: Vec<Vec3>, edges: &WeightedEdges) -> Self {
+        let joined: Vec<[u32; 2]> =
+            edges.edges.iter().zip(&edges.weights).filter(|(_, w)| **w != 0.0).map(|(e, _)| *e).collect();
+        let components = EdgeGraph::from_pairs(rest.len(), &joined).components();
+        let mut parts = components.labels().to_vec();
+        let mut count = components.count() as u32;
+        for part in parts.iter_mut().filter(|p| **p == crate::mesh::adjacency::Components::UNREFERENCED) {
+            *part = count;
+            count += 1;
+        }
+        Self {
+            fixed: rest.clone(),
+            blocks: (0..rest.len() as u32).collect(),
+            vertices: (0..rest.len() as u32).collect(),
+            rest,
+            pulls: Vec::new(),
+            pull_starts: Vec::new(),
+            targets: Vec::new(),
+            parts,
+            anchored: vec![false; count as usize],
+            sample_parts: Vec::new(),
+            part_quadrics: Vec::new(),
+        }
+    }
+
+    /// Holds the vertices marked in `held` at their `positions`; the others are free.
+    ///
+    /// # Panics
+    /// If there is not one mark and one position per vertex.
+    pub fn hold(&mut self, held: &[bool], positions: &[Vec3]) {
+        assert_eq!(held.len(), self.rest.len(), "one mark per vertex");
+        assert_eq!(positions.len(), self.rest.len(), "one position per vertex");
+        self.vertices.clear();
+        self.anchored.fill(false);
+        for (v, &held) in held.iter().enumerate() {
+            self.blocks[v] = if held { HELD } else { self.vertices.len() as u32 };
+            self.fixed[v] = if held { positions[v] } else { self.rest[v] };
+            if held {
+                self.anchored[self.parts[v] as usize] = true;
+            } else {
+                self.vertices.push(v as u32);
+            }
+        }
+    }
+
+    /// Number of parameters.
+    pub fn parameter_len(&self) -> usize {
+        3 * self.vertices.len()
+    }
+
+    /// Block of a vertex that is free.
+    pub fn block(&self, vertex: u32) -> Option<usize> {
+        let block = self.blocks[vertex as usize];
+        (block != HELD).then_some(block as usize)
+    }
+
+    /// The pattern: vertices of a clique meet, and so do the corners of a sample.
+    pub fn attach<'a>(&mut self, samples: &Samples, cliques: impl Iterator<Item = &'a [u32]>) -> BlockStructure {
+        assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        let mut pairs = Vec::new();
+        let mut free = Vec::new();
+        for clique in cliques {
+            free.clear();
+            free.extend(clique.iter().filter_map(|&v| self.block(v)));
+            for (k, &a) in free.iter().enumerate() {
+                pairs.extend(free[..k].iter().map(|&b| (a, b)));
+            }
+        }
+        for s in 0..samples.len() {
+            let corners = samples.corners(s);
+            for (k, &(v, _)) in corners.iter().enumerate() {
+                let others = corners[..k].iter().filter_map(|c| self.block(c.0));
+                pairs.extend(self.block(v).into_iter().flat_map(|a| others.clone().map(move |b| (a, b))));
+            }
+        }
+        let structure = BlockStructure::new(&vec![3; self.vertices.len()], pairs, 0)
+            .expect("proven: all pairs are blocks of free vertices");
+
+        let mut pulls: Vec<(usize, Pull)> = Vec::new();
+        self.targets.clear();
+        for s in 0..samples.len() {
+            for &(v, weight) in samples.corners(s) {
+                let Some(block) = self.block(v) else { continue };
+                let first = self.targets.len() as u32;
+                for &(other, other_weight) in samples.corners(s) {
+                    let Some(other) = self.block(other).filter(|&other| other <= block) else { continue };
+                    let start = row_position(&structure, block, other);
+                    self.targets.push(Target { start, weight: weight * other_weight });
+                }
+                pulls.push((block, Pull { sample: s as u32, weight, targets: first..self.targets.len() as u32 }));
+            }
+        }
+        pulls.sort_by_key(|p| p.0);
+        self.pull_starts = vec![0; self.vertices.len() + 1];
+        pulls.iter().for_each(|p| self.pull_starts[p.0 + 1] += 1);
+        for i in 0..self.vertices.len() {
+            self.pull_starts[i + 1] += self.pull_starts[i];
+        }
+        self.pulls = pulls.into_iter().map(|p| p.1).collect();
+        let part = |s: usize| samples.corners(s).first().map_or(0, |c| self.parts[c.0 as usize]);
+        self.sample_parts = (0..samples.len()).map(part).collect();
+        structure
+    }
+
+    /// Adds the data quadrics to `equations`.
+    pub fn pull_back(&mut self, field: &QuadricField, equations: &mut NormalEquations) {
+        let quadrics = field.quadrics();
+        self.part_quadrics.clear();
+        self.part_quadrics.resize(self.anchored.len(), Matrix3::zeros());
+        for (quadric, &part) in quadrics.iter().zip(&self.sample_parts) {
+            for row in quadric.rows() {
+                let row = Vec3::from(*row);
+                self.part_quadrics[part as usize] += row * row.transpose();
+            }
+        }
+        let this = &*self;
+        equations.for_each_block_row(&|i, row| {
+            let range = this.pull_starts[i] as usize..this.pull_starts[i + 1] as usize;
+            for pull in &this.pulls[range] {
+                let quadric = &quadrics[pull.sample as usize];
+                if quadric.rows().is_empty() {
+                    continue;
+                }
+                for (h, g) in row.gradient.iter_mut().zip(quadric.gradient) {
+                    *h += pull.weight * g;
+                }
+                let m = quadric.matrix();
+                for target in &this.targets[pull.targets.start as usize..pull.targets.end as usize] {
+                    let block = &mut row.blocks[target.start as usize..target.start as usize + 9];
+                    for (h, m) in block.iter_mut().zip(m.as_flattened()) {
+                        *h += target.weight * m;
+                    }
+                }
+            }
+        });
+    }
+
+    /// In how many directions parts can be shifted as a whole without any data noticing, at the last linearisation: three
+    /// for a part without data and without held vertices.
+    pub fn unobserved_shifts(&self) -> usize {
+        let free = |part: usize| {
+            let m = self.part_quadrics.get(part).copied().unwrap_or_else(Matrix3::zeros);
+            let curvatures = SymmetricEigen::new(m).eigenvalues;
+            let least = 1e-9 * curvatures.max();
+            curvatures.iter().filter(|c| **c <= least).count()
+        };
+        (0..self.anchored.len()).filter(|&part| !self.anchored[part]).map(free).sum()
+    }
+
+    /// Writes all positions: `place` says where free vertices are, given their index and parameters.
+    pub fn positions(&self, x: &[f64], out: &mut Vec<Vec3>, place: impl Fn(usize, Vec3) -> Vec3 + Sync) {
+        out.resize(self.rest.len(), Vec3::zeros());
+        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, p) in chunk.iter_mut().enumerate() {
+                let v = c * CHUNK + k;
+                *p = match self.blocks[v] {
+                    HELD => self.fixed[v],
+                    block => place(v, parameters(x, block as usize)),
+                };
+            }
+        });
+    }
+
+    /// `out = x + step`.
+    pub fn retract(x: &[f64], step: &[f64], out: &mut [f64]) {
+        for ((o, x), d) in out.iter_mut().zip(x).zip(step) {
+            *o = x + d;
+        }
+    }
+}
+
+/// The three parameters of a block.
+pub(super) fn parameters(x: &[f64], block: usize) -> Vec3 {
+    Vec3::new(x[3 * block], x[3 * block + 1], x[3 * block + 2])
+}
+
+/// Where block (`row`, `column`) starts in its row.
+pub(super) fn row_position(structure: &BlockStructure, row: usize, column: usize) -> u32 {
+    let k = structure.row(row).binary_search(&column).expect("proven: the pair is part of the pattern");
+    9 * k as u32
+}
+
+/// Adds `scale` times the scalars `k`, each times the identity, to the blocks of a row.
+pub(super) fn add_scalars(row: &mut BlockRow<'_>, k: &[f64], scale: f64) {
+    for (block, k) in row.blocks.chunks_exact_mut(9).zip(k) {
+        for a in [0, 4, 8] {
+            block[a] += scale * k;
+        }
+    }
+}
