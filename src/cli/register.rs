@@ -209,6 +209,7 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         quality.median_within,
         quality.flipped
     );
+    println!("{}", quality.mesh);
     println!("wrote {}", a.out.display());
 }
 
