@@ -6,7 +6,7 @@ use std::path::Path;
 
 use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
-use nonrigid::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
+use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::io::{
     NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
@@ -81,7 +81,7 @@ fn outputs_are_the_same_bytes_at_any_number_of_threads() {
 #[test]
 fn the_report_says_what_was_read_done_and_reached() {
     let bench = Bench::new();
-    bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 --out r.obj --report r.json"));
+    let printed = bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 --out r.obj --report r.json"));
     let report = json(bench.read("r.json"));
     for key in [
         "version",
@@ -101,9 +101,17 @@ fn the_report_says_what_was_read_done_and_reached() {
     assert_eq!((report["model"].as_str(), report["stop"].as_str()), (Some("hybrid"), Some("finished")));
     assert_eq!(report["weights"].as_array().unwrap().len(), bench.rig.expressions.len() + 2);
     assert!(report["schedule"]["level"].as_array().unwrap().len() > 1);
-    for key in ["to_scan", "median_within", "flipped", "stretch"] {
+    for key in ["to_scan", "median_within", "flipped", "self_intersections", "self_intersections_at_rest", "stretch"] {
         assert!(!report["quality"][key].is_null(), "the quality has no {key}");
     }
+    let neutral = read_npy_points(&bench.path("case/neutral.npy")).unwrap();
+    let result = read_obj(&bench.path("r.obj")).unwrap();
+    let quality = MeshQuality::new(&result.with_positions(neutral), &result.positions).unwrap();
+    assert_eq!(report["quality"]["self_intersections"], quality.self_intersections);
+    assert_eq!(report["quality"]["self_intersections_at_rest"], quality.self_intersections_at_rest);
+    assert_eq!(report["quality"]["stretch"]["edges"], quality.stretch.edges);
+    let said = format!("self-intersections: {} pairs of triangles (at rest", quality.self_intersections);
+    assert!(printed.contains(&said) && printed.contains("edge stretch: median"), "{printed}");
     let last = report["history"].as_array().unwrap().last().unwrap();
     let parts: f64 = last["energies"].as_array().unwrap().iter().map(|e| e[1].as_f64().unwrap()).sum();
     let total = last["energy"].as_f64().unwrap();
@@ -184,16 +192,19 @@ fn eval_prints_what_the_library_computes_from_truth() {
     let seen = read_npy_mask(&bench.path("case/observed.npy"), None).unwrap();
     let triangles = result.triangulate().triangles;
     let all = vec![true; seen.len()];
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let quality = MeshQuality::new(&template, &result.positions).unwrap();
     for (option, mask) in [("--observed case/observed.npy", &seen), ("", &all)] {
         let (expected, _) = TruthErrors::new(&result.positions, &truth, mask, &triangles).unwrap();
         let command = format!("eval --result r.obj {TEMPLATE} --truth case/truth.npy {option}");
         let printed = bench.done(&format!("{command} --json"));
-        assert_eq!(printed.trim_end(), serde_json::to_string_pretty(&expected).unwrap());
+        assert_eq!(json(printed), merged(&expected, &quality));
         let text = bench.done(&command);
         for number in [expected.rmse, expected.off, expected.slide, expected.median, expected.p95, expected.max] {
             assert!(text.contains(&format!("{number:.4}")), "{text}: {number}");
         }
         assert!(text.contains(&format!("{} flipped", expected.flipped)), "{text}");
+        assert!(text.contains(&quality.to_string()), "{text}");
     }
     // The result as an array is the same result.
     write_npy_points(&bench.path("r.npy"), &result.positions).unwrap();
@@ -202,6 +213,17 @@ fn eval_prints_what_the_library_computes_from_truth() {
     // The truth itself has no error.
     let none = json(bench.done(&format!("eval --result case/truth.npy {TEMPLATE} --truth case/truth.npy --json")));
     assert_eq!((none["max"].as_f64(), none["flipped"].as_u64()), (Some(0.0), Some(0)));
+    // A pinch: one vertex pulled through the face to the back of it, which the template does not have.
+    let mut pinched = template.clone();
+    let middle = pinched.positions.iter().sum::<Vec3>() / pinched.positions.len() as f64;
+    let nearest = |p: &&mut Vec3| ((**p - middle).xy().norm() * 1e6) as u64;
+    let nose = pinched.positions.iter_mut().min_by_key(nearest).unwrap();
+    *nose += Vec3::new(25.0, 0.0, -40.0);
+    write_obj(&bench.path("pinched.obj"), &pinched).unwrap();
+    let pinched = json(by("pinched.obj"));
+    assert_eq!(pinched["self_intersections_at_rest"], 0, "the generated face has none");
+    assert!(pinched["self_intersections"].as_u64().unwrap() > 0, "{pinched}");
+    assert!(pinched["stretch"]["max"].as_f64().unwrap() > 3.0, "{pinched}");
 }
 
 #[test]
@@ -217,15 +239,21 @@ fn eval_without_truth_measures_both_ways_to_the_scan() {
     };
     let (forth, back) = (between(&result.positions, &scan), between(&scan.positions, &result.triangulate()));
     let distances = SurfaceDistances::from_distances(&forth, &back, WITHIN_MM);
-    let stretch = EdgeStretch::new(&template, &result.positions).unwrap();
+    let quality = MeshQuality::new(&template, &result.positions).unwrap();
     let command = format!("eval --result r.obj {TEMPLATE} --target case/scan.ply");
     let printed = json(bench.done(&format!("{command} --json")));
-    let mut expected = json(serde_json::to_string(&distances).unwrap());
-    expected["stretch"] = json(serde_json::to_string(&stretch).unwrap());
-    assert_eq!(printed, expected);
+    assert_eq!(printed, merged(&distances, &quality));
     let text = bench.done(&command);
     assert!(text.contains(&format!("result to scan: median {:.4}", distances.result_to_scan.median)), "{text}");
     assert!(text.contains(&format!("scan to result: median {:.4}", distances.scan_to_result.median)), "{text}");
+    assert!(text.contains(&quality.to_string()), "{text}");
+}
+
+/// The fields of both in one JSON object.
+fn merged(a: &impl serde::Serialize, b: &impl serde::Serialize) -> serde_json::Value {
+    let [mut a, b] = [serde_json::to_string(a), serde_json::to_string(b)].map(|text| json(text.unwrap()));
+    b.as_object().unwrap().iter().for_each(|(key, value)| a[key] = value.clone());
+    a
 }
 
 #[test]

@@ -1,10 +1,13 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
+pub mod compare_rigs;
 pub mod first;
 mod generated;
 pub mod random_pose;
+pub mod real_scans;
 pub mod remesh;
 pub mod rig_statistics;
 pub mod scan_bench;
+pub mod scan_bench_command;
 pub mod schedule_search;
 pub mod tables;

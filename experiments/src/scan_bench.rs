@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::evaluation::TruthErrors;
+use nonrigid::evaluation::{MeshQuality, TruthErrors};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
@@ -197,6 +197,9 @@ pub struct BenchRow {
     /// Errors against the truth.
     #[serde(flatten)]
     pub errors: TruthErrors,
+    /// Self-intersections and edge stretch against the rest shape: the subject's neutral, or else the template.
+    #[serde(flatten)]
+    pub mesh: MeshQuality,
     /// Steps taken.
     pub iterations: usize,
     /// Significance of the scan's vertices coinciding with the template's, at the first level that tested it: above 5, the
@@ -229,10 +232,12 @@ pub fn run_case(
     let seconds = clock.elapsed().as_secs_f64();
     let triangles = case.template.triangulate().triangles;
     let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
+    let rest = case.template.with_positions(input.rest_positions().to_vec());
     let row = BenchRow {
         case: case.name.clone(),
         model: model.name().to_owned(),
         errors,
+        mesh: MeshQuality::new(&rest, &result.positions)?,
         iterations: result.history.len(),
         vertex_coincidence: result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance()),
         seconds,
@@ -301,6 +306,8 @@ pub struct BenchSummary {
     pub mean_slide: f64,
     /// Largest rmse over the unobserved vertices of a case.
     pub worst_unobserved: f64,
+    /// Most self-intersections in a case.
+    pub worst_self_intersections: usize,
     /// Mean wall time; not part of what is compared.
     #[serde(skip)]
     pub mean_seconds: f64,
@@ -326,6 +333,7 @@ pub fn summarize(rows: &[BenchRow]) -> Vec<BenchSummary> {
             mean_off: mean(|r| r.errors.off),
             mean_slide: mean(|r| r.errors.slide),
             worst_unobserved: worst(|r| r.errors.unobserved),
+            worst_self_intersections: of.iter().map(|r| r.mesh.self_intersections).max().unwrap_or(0),
             mean_seconds: mean(|r| r.seconds),
         }
     };

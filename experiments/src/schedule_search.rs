@@ -293,6 +293,9 @@ pub struct Options {
     /// Where cases, log and schedules go
     #[arg(long, value_name = "DIR", default_value = "out/schedule-search")]
     out: std::path::PathBuf,
+    /// Threads [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
 }
 
 /// Searches and writes `MODEL.toml` for each model and `search.csv`.
@@ -300,7 +303,7 @@ pub struct Options {
 /// # Errors
 /// A [`Failure`] when something cannot be written; anything else is a failed computation.
 pub fn run(options: &Options) -> Result<()> {
-    let Options { models, seed, vertices, budget, out } = options;
+    let Options { models, seed, vertices, budget, out, .. } = options;
     println!("{} models, six cases of seed {seed}, {vertices} vertices, {budget} evaluations each", models.len());
     let cases = search_cases(&out.join("data"), *vertices as usize, *seed)?;
     let mut rows = "model,evaluation,axes,mean_rmse\n".to_owned();

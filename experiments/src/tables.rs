@@ -1,9 +1,10 @@
-//! Rows of results as files: what two equal runs have in common apart from what they have not.
+//! Rows of results as files and as text: what two equal runs have in common apart from what they have not.
 
 use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Result;
+use comfy_table::{CellAlignment, Table, presets};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
 use serde_json::Value;
@@ -15,23 +16,62 @@ use crate::scan_bench::BenchRow;
 /// # Errors
 /// When a file cannot be written.
 pub fn write_tables(out: &Path, name: &str, rows: &[BenchRow], json: &Value) -> Result<()> {
-    let header = "case,model,rmse,off,slide,median,p95,max,unobserved,flips,iterations";
-    let csv = write_atomically(&out.join(format!("{name}.csv")), |file| {
+    let header = "case,model,rmse,off,slide,median,p95,max,unobserved,flips,self_intersections,\
+                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations";
+    let lines = rows.iter().map(|r| {
+        let (e, m) = (&r.errors, &r.mesh);
+        let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}"));
+        format!(
+            "{},{},{},{},{},{},{:.6},{:.6},{}",
+            r.case,
+            r.model,
+            numbers.join(","),
+            e.flipped,
+            m.self_intersections,
+            m.self_intersections_at_rest,
+            m.stretch.p1,
+            m.stretch.p99,
+            r.iterations
+        )
+    });
+    write_csv(&out.join(format!("{name}.csv")), header, lines)?;
+    write_json(&out.join(format!("{name}.json")), json)?;
+    let threads = rayon::current_num_threads();
+    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", r.case, r.model, r.seconds));
+    write_csv(&out.join(format!("{name}.timing.csv")), "case,model,seconds,threads", times)
+}
+
+/// Writes a header and lines that are separated by commas already.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_csv(path: &Path, header: &str, lines: impl IntoIterator<Item = String>) -> Result<()> {
+    let written = write_atomically(path, |file| {
         writeln!(file, "{header}")?;
-        for r in rows {
-            let e = &r.errors;
-            let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}"));
-            writeln!(file, "{},{},{},{},{}", r.case, r.model, numbers.join(","), e.flipped, r.iterations)?;
-        }
-        Ok(())
+        lines.into_iter().try_for_each(|line| writeln!(file, "{line}"))
     });
-    csv.map_err(Failure::writing)?;
-    write_atomically(&out.join(format!("{name}.json")), |file| writeln!(file, "{json:#}")).map_err(Failure::writing)?;
-    let timing = write_atomically(&out.join(format!("{name}.timing.csv")), |file| {
-        writeln!(file, "case,model,seconds,threads")?;
-        rows.iter().try_for_each(|r| {
-            writeln!(file, "{},{},{:.4},{}", r.case, r.model, r.seconds, rayon::current_num_threads())
-        })
-    });
-    Ok(timing.map_err(Failure::writing)?)
+    Ok(written.map_err(Failure::writing)?)
+}
+
+/// Text as one field of a CSV line.
+#[must_use]
+pub fn csv_text(text: &str) -> String {
+    if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}
+
+/// Writes JSON with a line break at the end.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_json(path: &Path, json: &Value) -> Result<()> {
+    Ok(write_atomically(path, |file| writeln!(file, "{json:#}")).map_err(Failure::writing)?)
+}
+
+/// A table for the terminal: numbers, in all columns but the first, to the right.
+#[must_use]
+pub fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header).add_rows(rows);
+    table.column_iter_mut().skip(1).for_each(|c| c.set_cell_alignment(CellAlignment::Right));
+    table
 }

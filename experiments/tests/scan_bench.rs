@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
+use experiments::tables::write_tables;
 use nonrigid::energy::{DataTerm, DeformationModel, NamedEnergy, Pointwise, QuadricField, Samples};
-use nonrigid::evaluation::TruthErrors;
+use nonrigid::evaluation::{MeshQuality, TruthErrors};
 use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
 use nonrigid::registration::{
@@ -54,6 +55,9 @@ fn every_model_gets_a_row_for_every_case() {
         let triangles = case.template.triangulate().triangles;
         let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
         assert_eq!((&row.errors, row.iterations), (&errors, result.history.len()));
+        let rest = case.neutral.as_ref().unwrap_or(&case.template.positions);
+        let rest = case.template.with_positions(rest.clone());
+        assert_eq!(row.mesh, MeshQuality::new(&rest, &result.positions)?);
         // And the result is what a registration of the same input gives.
         let input = RegistrationInput {
             neutral: case.neutral.as_deref(),
@@ -77,6 +81,27 @@ fn every_model_gets_a_row_for_every_case() {
     assert_eq!(visited, expected);
     for row in &rows {
         assert!(row.errors.finite && row.errors.rmse > 0.0 && row.errors.rmse < 8.0, "{row:?}");
+        // Poses neither stretch nor fold; no generated face intersects itself at rest.
+        assert_eq!(row.mesh.self_intersections_at_rest, 0, "{row:?}");
+        if row.model == "rigid" {
+            assert!((row.mesh.stretch.min - 1.0).abs() + (row.mesh.stretch.max - 1.0).abs() < 1e-9, "{row:?}");
+            assert_eq!(row.mesh.self_intersections, 0, "{row:?}");
+        }
+    }
+    write_tables(folder.path(), "bench", &rows, &serde_json::json!({ "rows": rows })).unwrap();
+    let csv = std::fs::read_to_string(folder.path().join("bench.csv")).unwrap();
+    let fields: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let column = |name: &str| fields[0].iter().position(|h| *h == name).unwrap_or_else(|| panic!("no column {name}"));
+    let json = std::fs::read(folder.path().join("bench.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    for (i, row) in rows.iter().enumerate() {
+        let field = |name: &str| fields[i + 1][column(name)];
+        assert_eq!(field("self_intersections"), row.mesh.self_intersections.to_string());
+        assert_eq!(field("self_intersections_at_rest"), "0");
+        assert_eq!(field("stretch_p1"), format!("{:.6}", row.mesh.stretch.p1));
+        assert_eq!(field("stretch_p99"), format!("{:.6}", row.mesh.stretch.p99));
+        assert_eq!(json["rows"][i]["self_intersections"], row.mesh.self_intersections);
+        assert_eq!(json["rows"][i]["stretch"]["edges"], row.mesh.stretch.edges);
     }
     let summary = summarize(&rows);
     assert_eq!(summary.len(), ModelKind::ALL.len());
@@ -87,6 +112,8 @@ fn every_model_gets_a_row_for_every_case() {
     }
     for s in &summary {
         let of: Vec<f64> = rows.iter().filter(|r| r.model == s.model).map(|r| r.errors.rmse).collect();
+        let most = rows.iter().filter(|r| r.model == s.model).map(|r| r.mesh.self_intersections).max();
+        assert_eq!(Some(s.worst_self_intersections), most);
         assert!((s.mean_rmse - (of[0] + of[1]) / 2.0).abs() < 1e-12 && s.worst_rmse == of[0].max(of[1]));
     }
 }

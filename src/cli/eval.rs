@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::inputs::read_positions;
 use super::{Failure, Stage, check_output};
-use crate::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
+use crate::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
 use crate::registration::WITHIN_MM;
@@ -42,12 +42,13 @@ pub struct Arguments {
     heatmap: Option<PathBuf>,
 }
 
-/// What is printed when there is no truth.
+/// What is printed: distances to the truth or to the scan, then what the result is as a mesh.
 #[derive(Serialize)]
-struct ScanFit {
+struct Measured<D> {
     #[serde(flatten)]
-    distances: SurfaceDistances,
-    stretch: EdgeStretch,
+    distances: D,
+    #[serde(flatten)]
+    mesh: MeshQuality,
 }
 
 /// Runs the command.
@@ -58,7 +59,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     same_count("the result", positions.len(), &template)?;
     let result = PolygonMesh { positions, ..template.clone() };
     let (text, json, per_vertex, label) = match (&a.truth, &a.target) {
-        (Some(truth), _) => against_truth(a, &result, &read_positions(truth)?)?,
+        (Some(truth), _) => against_truth(a, &template, &result, &read_positions(truth)?)?,
         (None, Some(target)) => {
             let scan = io::read_scan(target).map_err(Failure::loading)?.mesh;
             if scan.triangles.is_empty() {
@@ -83,7 +84,12 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 
 type Outcome = (String, String, Vec<f64>, &'static str);
 
-fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<Outcome, Failure> {
+fn against_truth(
+    a: &Arguments,
+    template: &PolygonMesh,
+    result: &PolygonMesh,
+    truth: &[Vec3],
+) -> Result<Outcome, Failure> {
     same_count("the truth", truth.len(), result)?;
     let observed = match &a.observed {
         Some(path) => io::read_npy_mask(path, Some(truth.len())).map_err(Failure::loading)?,
@@ -92,26 +98,32 @@ fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<
     let triangles = result.triangulate().triangles;
     let (errors, vertices) =
         TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
+    let mesh = MeshQuality::new(template, &result.positions).map_err(Failure::computation)?;
     let text = format!(
-        "rmse {:.4} mm (off {:.4}, slide {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles",
+        "rmse {:.4} mm (off {:.4}, slide {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n{mesh}",
         errors.rmse, errors.off, errors.slide, errors.median, errors.p95, errors.max, errors.unobserved, errors.flipped
     );
-    Ok((text, to_json(&errors)?, vertices.observed_distance(&observed), "distance to the truth"))
+    Ok((
+        text,
+        to_json(&Measured { distances: errors, mesh })?,
+        vertices.observed_distance(&observed),
+        "distance to the truth",
+    ))
 }
 
 fn against_scan(template: &PolygonMesh, result: &PolygonMesh, scan: &TriangleMesh) -> Result<Outcome, Failure> {
     let on_scan = ClosestPoint::new(scan).map_err(Failure::computation)?;
     let on_result = ClosestPoint::new(&result.triangulate()).map_err(Failure::computation)?;
     let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
-    let fit = ScanFit {
+    let fit = Measured {
         distances: SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM),
-        stretch: EdgeStretch::new(template, &result.positions).map_err(Failure::computation)?,
+        mesh: MeshQuality::new(template, &result.positions).map_err(Failure::computation)?,
     };
     let (forth, back) = (&fit.distances.result_to_scan, &fit.distances.scan_to_result);
     let text = format!(
         "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\
          scan to result: median {:.4} mm, p95 {:.4}, max {:.4}\n\
-         edge stretch: {:.2} to {:.2}, median {:.3}",
+         {}",
         forth.median,
         forth.p95,
         forth.max,
@@ -119,9 +131,7 @@ fn against_scan(template: &PolygonMesh, result: &PolygonMesh, scan: &TriangleMes
         back.median,
         back.p95,
         back.max,
-        fit.stretch.min,
-        fit.stretch.max,
-        fit.stretch.median
+        fit.mesh
     );
     Ok((text, to_json(&fit)?, to_scan, "distance to the scan"))
 }

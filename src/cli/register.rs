@@ -237,6 +237,7 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         quality.median_within,
         quality.flipped
     );
+    println!("{}", quality.mesh);
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {
         println!("{held} of {} weights are at a bound", result.weights.len());

@@ -1,16 +1,18 @@
 //! How good a registered mesh is: against a known truth, and against the scan alone.
 //!
 //! [`TruthErrors`] needs the true position of every vertex, [`SurfaceDistances`] only distances between the two surfaces,
-//! [`EdgeStretch`] and [`flipped_triangles`] only the mesh before and after. Surface distance alone misleads: a mesh can
-//! lie on the scan to 0.1 mm and slide along it by 10 mm.
+//! [`MeshQuality`] (self-intersections, edge stretch) and [`flipped_triangles`] only the mesh before and after. Surface
+//! distance alone misleads: a mesh can lie on the scan to 0.1 mm and slide along it by 10 mm.
 
 mod deformation;
 mod percentile;
+mod self_intersections;
 mod surface_distances;
 mod truth_errors;
 
-pub use deformation::{EdgeStretch, flipped_triangles};
+pub use deformation::{EdgeStretch, MeshQuality, flipped_triangles};
 pub use percentile::percentile;
+pub use self_intersections::self_intersections;
 pub use surface_distances::{DistanceSummary, SurfaceDistances};
 pub use truth_errors::{TruthErrors, VertexErrors};
 

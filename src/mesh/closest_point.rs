@@ -207,6 +207,34 @@ impl BoxTree {
     }
 }
 
+impl BoxTree {
+    /// Visits the leaves whose box meets `query`, both closed.
+    fn meeting(&self, query: &Bounds, mut leaf: impl FnMut(Range<usize>)) {
+        let mut stack = [0u32; STACK];
+        let mut height = usize::from(!self.nodes.is_empty());
+        while height > 0 {
+            height -= 1;
+            let node = &self.nodes[stack[height] as usize];
+            for side in 0..2 {
+                let meets = (0..3).all(|axis| {
+                    f64::from(node.low[axis][side]) <= query.high[axis]
+                        && f64::from(node.high[axis][side]) >= query.low[axis]
+                });
+                let (first, count) = (node.first[side], node.count[side]);
+                if !meets || count == u32::MAX {
+                    continue;
+                }
+                if count > 0 {
+                    leaf(first as usize..(first + count) as usize);
+                } else {
+                    stack[height] = first;
+                    height += 1;
+                }
+            }
+        }
+    }
+}
+
 fn bounds_of(boxes: &[Bounds], order: &[u32]) -> Bounds {
     let mut bounds = Bounds::EMPTY;
     order.iter().for_each(|&i| bounds.include(&boxes[i as usize]));
@@ -432,6 +460,22 @@ impl ClosestPoint {
         self.run(query, best)
     }
 
+    /// Calls `found` with every triangle whose bounding box meets the box from `low` to `high`, boundaries included. Their
+    /// order depends on nothing but mesh and box.
+    pub fn triangles_meeting_box(&self, low: &Vec3, high: &Vec3, mut found: impl FnMut(u32)) {
+        let query = Bounds { low: (*low).into(), high: (*high).into() };
+        self.tree.meeting(&query, |slots| {
+            for slot in slots {
+                let [a, b, c] = self.triangles[slot];
+                let meets = (0..3)
+                    .all(|i| a[i].min(b[i]).min(c[i]) <= query.high[i] && a[i].max(b[i]).max(c[i]) >= query.low[i]);
+                if meets {
+                    found(self.tree.order[slot]);
+                }
+            }
+        });
+    }
+
     #[inline(always)]
     fn closest(&self, slot: usize, query: Point) -> ([f64; 3], Point, f64) {
         let [a, b, c] = self.triangles[slot];
@@ -618,6 +662,21 @@ mod tests {
                     prop_assert_eq!(tree.query_from_within(q, hint, d.next_down()), None);
                 }
             }
+        }
+
+        #[test]
+        fn the_triangles_in_a_box_are_those_of_all(mesh in mesh(), a in point(), b in point()) {
+            let (low, high) = (a.inf(&b), a.sup(&b));
+            let mut found = Vec::new();
+            ClosestPoint::new(&mesh).unwrap().triangles_meeting_box(&low, &high, |t| found.push(t));
+            found.sort_unstable();
+            let meets = |t: &[u32; 3]| {
+                let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+                let (l, h) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
+                (0..3).all(|i| l[i] <= high[i] && low[i] <= h[i])
+            };
+            let all = (0..mesh.triangles.len() as u32).filter(|t| meets(&mesh.triangles[*t as usize]));
+            prop_assert_eq!(found, all.collect::<Vec<_>>());
         }
 
         #[test]

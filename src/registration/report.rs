@@ -8,7 +8,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::{NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
-use crate::evaluation::{DistanceSummary, EdgeStretch, EvaluationError, flipped_triangles};
+use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
@@ -44,8 +44,9 @@ pub struct Quality {
     pub median_within: f64,
     /// Triangles whose normal turned by more than 90 degrees against the rest shape, after the best rigid motion.
     pub flipped: usize,
-    /// Edge lengths over those of the rest shape.
-    pub stretch: EdgeStretch,
+    /// Self-intersections and edge stretch against the rest shape.
+    #[serde(flatten)]
+    pub mesh: MeshQuality,
 }
 
 /// Distance in millimetres up to which a vertex counts as on the scan in [`Quality`].
@@ -71,7 +72,7 @@ impl Quality {
             to_scan: DistanceSummary::new(&distances, WITHIN_MM),
             median_within: DistanceSummary::new(&within, WITHIN_MM).median,
             flipped: flipped_triangles(&posed, positions, &template.triangulate().triangles)?,
-            stretch: EdgeStretch::new(&template, positions)?,
+            mesh: MeshQuality::new(&template, positions)?,
         })
     }
 }

@@ -1,0 +1,157 @@
+//! `scan-bench` on the command line: what it reads, writes and prints.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use comfy_table::Table;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
+
+use crate::random_pose::random_pose;
+use crate::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
+use crate::tables::{table, write_tables};
+
+/// What to run.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Folder of cases
+    #[arg(value_name = "DIR")]
+    cases: PathBuf,
+    /// Rig folder; its polygons are the template
+    #[arg(long, value_name = "DIR")]
+    rig: PathBuf,
+    /// Where results, tables and timings go
+    #[arg(long, value_name = "DIR", default_value = "out/scan-bench")]
+    out: PathBuf,
+    /// Models to run
+    #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
+    models: Vec<ModelKind>,
+    /// Schedule (.toml) for every model instead of its own
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Landmarks: all, align (for the start only), or how many
+    #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
+    landmarks: LandmarkUse,
+    /// Turn every scan by this many degrees about a random axis
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    turn: f64,
+    /// Move every scan by this many millimetres in a random direction
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    shift: f64,
+    /// Use each scan's dual mesh: the same surface without its vertices, which may be the template's own, displaced
+    #[arg(long)]
+    remesh: bool,
+    /// Seed of the random poses
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A [`Failure`] when something cannot be read or written; anything else is a failed registration.
+pub fn run(a: &Arguments) -> Result<()> {
+    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
+    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    let rig = BenchRig::read(&a.rig).map_err(unread)?;
+    let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
+    if a.remesh {
+        cases = cases.into_iter().map(BenchCase::remeshed).collect();
+    }
+    if a.turn != 0.0 || a.shift != 0.0 {
+        println!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed);
+        let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));
+        cases = cases.into_iter().enumerate().map(moved).collect();
+    }
+    println!("{} cases x {} models, {} threads", cases.len(), a.models.len(), rayon::current_num_threads());
+    let scheduled = a.models.iter().map(|model| {
+        let schedule = match &a.config {
+            None => model.schedule()?,
+            Some(path) => {
+                let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
+                let text = fs::read_to_string(path).map_err(|e| unread(&e))?;
+                Schedule::from_toml(&text).map_err(|e| unread(&e))?
+            }
+        };
+        Ok(Scheduled { model, schedule })
+    });
+    let scheduled: Vec<Scheduled<'_>> = scheduled.collect::<Result<_>>()?;
+    let models: Vec<&dyn ModelFactory> = scheduled.iter().map(|m| m as &dyn ModelFactory).collect();
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {
+        let folder = a.out.join(&row.case);
+        fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+        let mesh = case.template.with_positions(result.positions.clone());
+        write_polygon_mesh(&folder.join(format!("{}.obj", row.model)), &mesh).map_err(Failure::writing)?;
+        eprintln!("{:16} {:12} rmse {:.3} mm  {:.2} s", row.case, row.model, row.errors.rmse, row.seconds);
+        Ok(())
+    })?;
+    let json = serde_json::json!({ "rows": rows, "summary": summarize(&rows) });
+    write_tables(&a.out, "scan-bench", &rows, &json)?;
+    println!("{}", table_of(&rows));
+    println!("{}", summary_table(&rows));
+    println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
+    Ok(())
+}
+
+fn table_of(rows: &[BenchRow]) -> Table {
+    let header = [
+        "case / mm",
+        "model",
+        "rmse",
+        "off",
+        "slide",
+        "median",
+        "p95",
+        "unobserved",
+        "flips",
+        "self-int.",
+        "(at rest)",
+        "stretch 1 %",
+        "99 %",
+        "steps",
+        "s",
+    ];
+    table(
+        &header,
+        rows.iter().map(|r| {
+            let e = &r.errors;
+            let mut cells = vec![r.case.clone(), r.model.clone()];
+            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
+            cells.extend(
+                [e.flipped, r.mesh.self_intersections, r.mesh.self_intersections_at_rest].map(|n| n.to_string()),
+            );
+            cells.extend([r.mesh.stretch.p1, r.mesh.stretch.p99].map(|x| format!("{x:.2}")));
+            cells.extend([r.iterations.to_string(), format!("{:.2}", r.seconds)]);
+            cells
+        }),
+    )
+}
+
+fn summary_table(rows: &[BenchRow]) -> Table {
+    let header = [
+        "model / mm",
+        "mean rmse",
+        "worst rmse",
+        "mean off",
+        "mean slide",
+        "worst unobserved",
+        "worst self-int.",
+        "mean s",
+    ];
+    table(
+        &header,
+        summarize(rows).into_iter().map(|s| {
+            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
+            let mut cells = vec![s.model];
+            cells.extend(numbers.map(|x| format!("{x:.3}")));
+            cells.extend([s.worst_self_intersections.to_string(), format!("{:.2}", s.mean_seconds)]);
+            cells
+        }),
+    )
+}
