@@ -256,14 +256,7 @@ fn broken() -> Bench {
         ("then_shapes", then.replace("\"graph\"", "\"hybrid\"")),
         ("then_no_nodes", then.replace("nodes = 60", "nodes = 0")),
         ("then_start", then.replace("[then.graph]", "start = \"rigid\"\n[then.graph]")),
-        (
-            "then_then_no_steps",
-            then.clone()
-                + &then
-                    .replace("[then", "[then.then")
-                    .replace("[[then", "[[then.then")
-                    .replace("steps = 2", "steps = 0"),
-        ),
+        ("then_then_no_steps", then.clone() + &then.replace("[then", "[then.then").replace("steps = 2", "steps = 0")),
         ("unknown_node", String::new()),
     ] {
         let first =
@@ -363,7 +356,7 @@ const ROWS: &[Row] = &[
     ("register", "--config then_then_no_steps.toml", LOADING, &["then_then_no_steps.toml", "then.then.level 1: steps"]),
     ("register", "--config unknown_node.toml", LOADING, &["unknown_node.toml", "round", "affine"]),
     ("register", "--model sequential", LOADING, &["sequential", "[then]"]),
-    ("register", "--config two_stages.toml --model sequential --rig -", LOADING, &["sequential", "blendshapes"]),
+    ("register", "--config two_stages.toml --model sequential --rig -", ARGUMENTS, &["sequential", "blendshapes"]),
     ("register", "--config empty_bounds.toml", LOADING, &["empty_bounds.toml", "bounds.expression", "[1, 0]"]),
     ("register", "--config nan_bounds.toml", LOADING, &["nan_bounds.toml", "bounds.identity", "NaN"]),
     ("register", "--config one_bound.toml", LOADING, &["one_bound.toml", "expression"]),

@@ -2,21 +2,24 @@
 
 mod support;
 
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::evaluation::TruthErrors;
+use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::io::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::model::{
     Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, NodeGraph, Smoothness, Stiffness, blendshape, graph,
-    hybrid, rigid, similarity,
+    hybrid, rigid, similarity, sumner,
 };
 use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
 use nonrigid::registration::{
-    ModelKind, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, register,
+    GraphOptions, Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
+    RegistrationStop, Schedule, ScheduleError, Stage, StepRecord, StopOptions, register,
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
@@ -185,6 +188,7 @@ fn moving_the_template_changes_nothing() {
     let mut moved = task.clone();
     moved.template.positions.iter_mut().for_each(|p| *p = turn * *p + Vec3::new(500.0, 3.0, -80.0));
     // Blendshapes turn with their template; the others have none.
+    // Sumner's E_rot, as it was published, is not the same in all axes.
     for model in [ModelKind::Graph, ModelKind::Rigid, ModelKind::Similarity] {
         let distance = farthest(&moved.fit(model).positions, &task.fit(model).positions);
         assert!(distance < 1e-6, "{model}: {distance}");
@@ -278,6 +282,123 @@ fn named_energies_sum_to_the_energy_and_history_counts_on() {
     }
 }
 
+/// The sequential method's schedule, its second stage replaced.
+fn sequential(then: Stage) -> Schedule {
+    Schedule { then: Some(Box::new(then)), ..Schedule::default_for("sequential").unwrap() }
+}
+
+fn graph_stage(levels: Vec<Level>) -> Stage {
+    Stage { model: ModelKind::Graph, graph: GraphOptions::default(), levels, then: None }
+}
+
+#[test]
+fn a_second_stage_starts_where_the_first_ended() {
+    let task = small_task();
+    let first = task.fit_by(ModelKind::Blendshape, &Schedule { then: None, ..sequential(graph_stage(Vec::new())) });
+    // Nothing pulls but the prediction, which is the first stage's result: had it been the neutral, or had anything else been
+    // the rest shape, the graph would move.
+    let level = Level {
+        steps: 3,
+        lambda_graph: 0.1,
+        point_to_plane: 0.0,
+        prediction: 1.0,
+        distance_cap: 3.0,
+        ..Level::default()
+    };
+    for model in [ModelKind::Graph, ModelKind::Sumner, ModelKind::Rigid] {
+        let third = Stage { model: ModelKind::Rigid, ..graph_stage(vec![level]) };
+        let still = Stage { model, then: Some(Box::new(third)), ..graph_stage(vec![level]) };
+        let both = task.fit_by(ModelKind::Sequential, &sequential(still));
+        assert!(first.accepted.iter().any(|a| !a), "the prediction must have something to pull at");
+        let distance = farthest(&both.positions, &first.positions);
+        assert!(distance < 1e-9, "{model}: {distance}");
+        assert_eq!(both.weights, first.weights);
+        let (before, after) = both.history.split_at(first.history.len());
+        assert_eq!(before, first.history);
+        assert!(after.iter().all(|h| h.energy < 1e-12 && h.motion < 1e-9), "{model}: {after:?}");
+        // Levels count on.
+        let levels = sequential(graph_stage(Vec::new())).levels.len();
+        assert_eq!(after.iter().map(|h| h.level).collect::<BTreeSet<_>>(), BTreeSet::from([levels, levels + 1]));
+    }
+}
+
+#[test]
+fn a_second_stage_comes_nearer_to_the_scan() {
+    let task = small_task();
+    let schedule = Schedule::default_for("sequential").unwrap();
+    let first = task.fit_by(ModelKind::Blendshape, &Schedule { then: None, ..schedule.clone() });
+    let both = task.fit_by(ModelKind::Sequential, &schedule);
+    let surface = ClosestPoint::new(&task.scan).unwrap();
+    let distance = |result: &RegistrationResult| {
+        let seen = first.accepted.iter().zip(&both.accepted).map(|(a, b)| *a && *b);
+        let distances = result.positions.iter().zip(seen).filter(|p| p.1);
+        distances.map(|(p, _)| surface.query(p).unwrap().squared_distance).sum::<f64>()
+    };
+    println!("{} {}", distance(&first), distance(&both));
+    assert!(distance(&both) < 0.5 * distance(&first), "{} {}", distance(&both), distance(&first));
+    assert_eq!(both.weights, first.weights);
+    assert_eq!(both.schedule, schedule);
+}
+
+/// Counts, and stops after a number of steps.
+struct StopAfter {
+    announced: (usize, usize),
+    seen: Vec<StepRecord>,
+    steps: usize,
+}
+
+impl RegistrationObserver for StopAfter {
+    fn on_start(&mut self, levels: usize, steps: usize) {
+        self.announced = (levels, steps);
+    }
+
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
+        self.seen.push(record.clone());
+        if self.seen.len() == self.steps { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
+
+#[test]
+fn an_observer_sees_and_stops_every_stage() {
+    let task = small_task();
+    let mut schedule = sequential(graph_stage(Schedule::default_for("graph").unwrap().levels[5..7].to_vec()));
+    schedule.levels = schedule.levels[..3].to_vec();
+    schedule.stop = StopOptions { energy: 0.0, motion: 0.0 };
+    let first: usize = schedule.levels.iter().map(|l| l.steps).sum();
+    let second: usize = schedule.then.as_ref().unwrap().levels.iter().map(|l| l.steps).sum();
+    for (steps, stop) in [
+        (1, RegistrationStop::StoppedByObserver),
+        (first, RegistrationStop::StoppedByObserver),
+        (first + 1, RegistrationStop::StoppedByObserver),
+        (first + second + 1, RegistrationStop::Finished),
+    ] {
+        let mut observer = StopAfter { announced: (0, 0), seen: Vec::new(), steps };
+        let result = register(&task.input(), &ModelKind::Sequential, &schedule, &mut observer).unwrap();
+        assert_eq!((result.stop, observer.announced), (stop, (5, first + second)));
+        assert_eq!((result.history.len(), &result.history), (steps.min(first + second), &observer.seen));
+        assert_eq!(result.weights.len(), task.shapes.len());
+    }
+}
+
+#[test]
+fn failures_name_the_level_of_their_stage() {
+    let task = small_task();
+    let level = Level { lambda_graph: 1.0, ..Level::default() };
+    let blind = Level { distance_cap: 1e-9, ..level };
+    let run = |schedule: &Schedule| {
+        let none = &mut |_: &StepRecord| ControlFlow::Continue(());
+        register(&task.input(), &ModelKind::Sequential, schedule, none).unwrap_err()
+    };
+    let error = run(&sequential(graph_stage(vec![level, blind])));
+    assert_eq!(error, RegistrationError::NoOverlap { level: "then.level 2".into(), cap: 1e-9 });
+    assert!(error.to_string().starts_with("then.level 2: no vertex"), "{error}");
+    let mut schedule = sequential(graph_stage(vec![level]));
+    schedule.levels[1].distance_cap = 1e-9;
+    assert_eq!(run(&schedule), RegistrationError::NoOverlap { level: "level 2".into(), cap: 1e-9 });
+    schedule.then = None;
+    assert_eq!(run(&schedule), RegistrationError::Schedule(ScheduleError::NoSecondStage));
+}
+
 /// Terms with fixed correspondences: targets near the pose of the case, normals in all directions.
 fn fixed_terms(rng: &mut ChaCha8Rng, rest: &[Vec3], kernel: Kernel) -> Vec<Box<dyn DataTerm>> {
     let mut near = |size: f64| -> Vec<Vec3> {
@@ -313,6 +434,7 @@ fn no_step_raises_the_energy_at_fixed_correspondences() {
     let models: Vec<Box<dyn Fn() -> Box<dyn DeformationModel>>> = vec![
         Box::new(|| Box::new(hybrid(rest.clone(), nodes.clone(), task.shapes.clone(), stiffness))),
         Box::new(|| Box::new(graph(rest.clone(), nodes.clone(), 0.5))),
+        Box::new(|| Box::new(sumner(rest.clone(), nodes.clone(), 0.5, 0.3))),
         Box::new(|| Box::new(blendshape(rest.clone(), task.shapes.clone(), 0.8))),
         Box::new(|| Box::new(rigid(rest.clone()))),
         Box::new(|| Box::new(similarity(rest.clone()))),

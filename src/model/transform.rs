@@ -89,6 +89,9 @@ impl NodeTransform<15> for AffineMotion {
     }
 
     /// `c_1.c_2, c_1.c_3, c_2.c_3, c_1.c_1 - 1, c_2.c_2 - 1, c_3.c_3 - 1` of the columns of `A`: Sumner et al. 2007, `Rot(A)`.
+    ///
+    /// As printed, each product of two columns counts once, not twice as in the norm `|A'A - I|^2`: away from the rotations the
+    /// energy depends a little on how the template lies in its axes.
     #[inline(always)]
     fn rotation_residuals<D: Scalar>(map: &AffineMap<D>) -> Option<[D; 6]> {
         let a = &map.linear;
