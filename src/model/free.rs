@@ -302,3 +302,185 @@ impl DeformationModel for Free {
         VertexAssembly::retract(x, step, out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::energy::{DataTerm, Deformation};
+    use crate::mesh::testing::{noise, sheet, side_by_side};
+    use crate::model::vertex_assembly::testing::pins;
+    use crate::nlls::{Minimizer, Options};
+
+    const REFERENCE: f64 = 500.0;
+
+    fn every_kind() -> impl Iterator<Item = FreeOptions> {
+        let kinds = [Smoothness::Laplacian, Smoothness::BiLaplacian].into_iter();
+        kinds.flat_map(|kind| [EdgeWeights::Uniform, EdgeWeights::Cotangent].map(|weights| options(kind, weights)))
+    }
+
+    fn options(kind: Smoothness, weights: EdgeWeights) -> FreeOptions {
+        FreeOptions { kind, weights, reference_vertices: REFERENCE }
+    }
+
+    fn energy(mesh: &TriangleMesh, options: FreeOptions, field: impl Fn(&Vec3) -> Vec3) -> f64 {
+        let mut model = Free::new(mesh, options, 2.0).unwrap();
+        let x: Vec<f64> = mesh.positions.iter().flat_map(|p| <[f64; 3]>::from(field(p))).collect();
+        let mut energies = Vec::new();
+        model.regulariser_energy(&x, &mut energies);
+        energies[0].1
+    }
+
+    fn regular() -> TriangleMesh {
+        sheet(9, 7, |c, r| Vec3::new(c, r, 0.0))
+    }
+
+    /// A plane with uneven and obtuse triangles, askew in space.
+    fn uneven() -> TriangleMesh {
+        let (u, v) = (Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.0, 1.0, 0.0));
+        sheet(9, 7, |c, r| {
+            let k = (9.0 * r + c) as usize;
+            u * (c + 0.35 * noise(k)) + v * (r + 0.35 * noise(k + 100)) + Vec3::new(5.0, 6.0, 7.0)
+        })
+    }
+
+    #[test]
+    fn shifts_are_free_and_bending_is_not() {
+        for mesh in [regular(), uneven()] {
+            for options in every_kind() {
+                let shift = energy(&mesh, options, |_| Vec3::new(3.0, -50.0, 2.0));
+                let bend = energy(&mesh, options, |p| Vec3::z() * p.y * p.y);
+                assert!(shift < 1e-22 && bend > 1.0, "{options:?}: shift {shift}, bend {bend}");
+            }
+        }
+    }
+
+    #[test]
+    fn fields_linear_on_a_plane_cost_their_slope_or_nothing() {
+        let slope = nalgebra::Matrix3::new(0.3, 0.1, -0.7, 0.5, 1.3, 0.2, -0.4, 0.8, 0.9);
+        let linear = |p: &Vec3| slope * p + Vec3::new(1.0, 2.0, 3.0);
+        let mesh = uneven();
+        let free = energy(&mesh, options(Smoothness::BiLaplacian, EdgeWeights::Cotangent), linear);
+        assert!(free < 1e-22, "{free}");
+        let free = energy(&regular(), options(Smoothness::BiLaplacian, EdgeWeights::Uniform), linear);
+        assert!(free < 1e-22, "{free}");
+        // Axis-aligned right angles: no weight is clamped.
+        let mesh = regular();
+        let area = 48.0;
+        let paid = energy(&mesh, options(Smoothness::Laplacian, EdgeWeights::Cotangent), linear);
+        let gradient = slope.fixed_columns::<2>(0).norm_squared();
+        approx::assert_relative_eq!(paid, 2.0 * gradient * area, max_relative = 1e-12);
+    }
+
+    #[test]
+    fn energies_are_the_integrals_whatever_the_resolution() {
+        // d = sin(ax) sin(by) on a flat square of side pi: its gradient and its Laplacian, squared, integrate to
+        // (a^2 + b^2) (pi/2)^2 and (a^2 + b^2)^2 (pi/2)^2.
+        let side = std::f64::consts::PI;
+        let field = |p: &Vec3| Vec3::z() * (2.0 * p.x).sin() * p.y.sin();
+        let quarter = (side / 2.0) * (side / 2.0);
+        let square = |n: usize| {
+            sheet(n, n, |c, r| {
+                let h = side / (n - 1) as f64;
+                Vec3::new(c * h, r * h, 0.0)
+            })
+        };
+        let membrane = options(Smoothness::Laplacian, EdgeWeights::Cotangent);
+        let plate = options(Smoothness::BiLaplacian, EdgeWeights::Cotangent);
+        for (n, tolerance) in [(33, 0.08), (65, 0.04)] {
+            let mesh = square(n);
+            approx::assert_relative_eq!(energy(&mesh, membrane, field), 2.0 * 5.0 * quarter, max_relative = tolerance);
+            let expected = 2.0 * 25.0 * quarter * side * side / REFERENCE;
+            approx::assert_relative_eq!(energy(&mesh, plate, field), expected, max_relative = tolerance);
+        }
+        // Uniform weights do not know the shape of triangles, but they know how many there are.
+        for kind in [Smoothness::Laplacian, Smoothness::BiLaplacian] {
+            let [coarse, fine] = [33, 65].map(|n| energy(&square(n), options(kind, EdgeWeights::Uniform), field));
+            approx::assert_relative_eq!(coarse, fine, max_relative = 0.06);
+        }
+    }
+
+    #[test]
+    fn energies_scale_with_the_square_of_the_unit() {
+        let field = |p: &Vec3| Vec3::new(p.x * p.y, p.y.sin(), p.z * p.z);
+        for options in every_kind() {
+            let mesh = uneven();
+            let metres = TriangleMesh { positions: mesh.positions.iter().map(|p| p * 1e-3).collect(), ..mesh.clone() };
+            let large = energy(&mesh, options, field);
+            let small = energy(&metres, options, |p| field(&(p * 1e3)) * 1e-3);
+            approx::assert_relative_eq!(small * 1e6, large, max_relative = 1e-9);
+        }
+    }
+
+    type Problem = Deformation<Free, Box<dyn DataTerm>>;
+
+    fn solve(model: Free, samples: &[usize], targets: &[Vec3]) -> (Problem, Vec<Vec3>) {
+        let mut problem = Problem::new(model, Samples::vertices(72));
+        problem.terms = pins(samples, targets);
+        let mut x = problem.model.rest_parameters();
+        let options = Options::gauss_newton().with_max_iterations(3).with_damping_floor(1e-9);
+        let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+        assert!(summary.final_energy <= summary.initial_energy, "{summary}");
+        let vertices = problem.vertices(&x).to_vec();
+        (problem, vertices)
+    }
+
+    /// 63 vertices in a sheet, 8 in a strip apart from it, and one in no triangle, near vertex 30.
+    fn parts() -> TriangleMesh {
+        let mut mesh = side_by_side(&uneven(), &sheet(4, 2, |c, r| Vec3::new(c + 30.0, r, 0.0)));
+        mesh.positions.push(mesh.positions[30] + Vec3::new(0.1, 0.1, -0.1));
+        mesh
+    }
+
+    #[test]
+    fn loose_vertices_follow_and_parts_without_data_stay() {
+        let mesh = parts();
+        let targets: Vec<Vec3> = (0..63).map(|i| mesh.positions[i] + Vec3::new(1.0, noise(i), 2.0)).collect();
+        for options in every_kind() {
+            let model = Free::new(&mesh, options, 0.5).unwrap();
+            let (problem, vertices) = solve(model, &(0..63).collect::<Vec<_>>(), &targets);
+            assert_eq!(problem.model.unobserved_shifts(), 3);
+            let moved = |v: usize| vertices[v] - mesh.positions[v];
+            assert!(moved(30).norm() > 1.0);
+            approx::assert_abs_diff_eq!(moved(71), moved(30), epsilon = 1e-6);
+            for v in 63..71 {
+                approx::assert_abs_diff_eq!(moved(v), Vec3::zeros(), epsilon = 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn a_loose_vertex_changes_nothing_for_the_others() {
+        let with = parts();
+        let mut without = with.clone();
+        without.positions[71] = Vec3::new(4.0, -70.0, 0.0);
+        let targets: Vec<Vec3> = (0..63).map(|i| with.positions[i] + Vec3::new(1.0, noise(i), 2.0)).collect();
+        for options in every_kind() {
+            let [a, b] = [&with, &without]
+                .map(|mesh| solve(Free::new(mesh, options, 0.5).unwrap(), &(0..63).collect::<Vec<_>>(), &targets).1);
+            for v in 0..63 {
+                approx::assert_abs_diff_eq!(a[v], b[v], epsilon = 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn holding_vertices_where_they_would_go_changes_nothing() {
+        let mesh = parts();
+        let held: Vec<bool> = (0..72).map(|i| i % 5 == 1).collect();
+        let samples: Vec<usize> = (0..72).filter(|i| !held[*i]).step_by(3).collect();
+        let targets: Vec<Vec3> = samples.iter().map(|&i| mesh.positions[i] + Vec3::new(noise(i), 1.0, 2.0)).collect();
+        for options in every_kind() {
+            let (_, free) = solve(Free::new(&mesh, options, 0.5).unwrap(), &samples, &targets);
+            let model = Free::new(&mesh, options, 0.5).unwrap().with_held_at(&held, &free);
+            assert_eq!(model.parameter_len(), 3 * held.iter().filter(|h| !**h).count());
+            let (problem, again) = solve(model, &samples, &targets);
+            assert_eq!(problem.model.unobserved_shifts(), 0);
+            for v in 0..72 {
+                approx::assert_abs_diff_eq!(again[v], free[v], epsilon = 1e-6);
+                assert!(!held[v] || again[v] == free[v], "held vertices are copied bit for bit");
+            }
+            let (_, rest) = solve(Free::new(&mesh, options, 0.5).unwrap().with_held(&held), &samples, &targets);
+            assert!((0..72).all(|v| held[v] == (rest[v] == mesh.positions[v])));
+        }
+    }
+}

@@ -247,3 +247,44 @@ pub(super) fn add_scalars(row: &mut BlockRow<'_>, k: &[f64], scale: f64) {
         }
     }
 }
+
+/// What the tests of these models share.
+#[cfg(test)]
+pub(super) mod testing {
+    use super::*;
+    use crate::energy::{DataTerm, Pointwise, SampleResidual};
+    use crate::nlls::{Kernel, Scalar};
+
+    struct Pins {
+        samples: Vec<usize>,
+        targets: Vec<Vec3>,
+    }
+
+    impl SampleResidual<3> for Pins {
+        fn len(&self) -> usize {
+            self.samples.len()
+        }
+
+        fn sample(&self, m: usize) -> usize {
+            self.samples[m]
+        }
+
+        fn weight(&self, _m: usize) -> f64 {
+            1.0
+        }
+
+        fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+            let mut axis = 0;
+            v.map(|v| {
+                axis += 1;
+                v - self.targets[m][axis - 1]
+            })
+        }
+    }
+
+    /// Pulls samples to targets.
+    pub fn pins(samples: &[usize], targets: &[Vec3]) -> Vec<Box<dyn DataTerm>> {
+        let pins = Pins { samples: samples.to_vec(), targets: targets.to_vec() };
+        vec![Box::new(Pointwise::new("pins", pins, Kernel::None))]
+    }
+}
