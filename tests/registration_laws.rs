@@ -473,5 +473,5 @@ fn no_step_raises_the_energy_at_fixed_correspondences() {
         }
     }
     // A minimiser that stands still would pass the rest.
-    assert!(lowered > 270, "{lowered} of 432 steps lowered the energy");
+    assert!(lowered > 300, "{lowered} of 480 steps lowered the energy");
 }
