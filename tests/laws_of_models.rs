@@ -1,12 +1,14 @@
-//! Laws that every deformation model on the common assembly obeys.
+//! Laws that every deformation model obeys.
 
 use std::sync::Arc;
 
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
-use nonrigid::mesh::Vec3;
-use nonrigid::model::{Linearisation, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
+use nonrigid::mesh::{TriangleMesh, Vec3};
+use nonrigid::model::{Affine, Linearisation, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
 use nonrigid::model::{blendshape, graph, hybrid, rigid, similarity};
-use nonrigid::nlls::{GradientCheck, Kernel, NormalEquations, Problem, check_gradient};
+use nonrigid::nlls::{
+    GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, check_gradient,
+};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
 use rand::{Rng, SeedableRng};
@@ -100,21 +102,41 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Box<dyn Fn() -> Box<dyn Tes
     visit(&mut rng, Box::new(move || Box::new(rigid(r.clone()))), rest.clone());
     let r = rest.clone();
     visit(&mut rng, Box::new(move || Box::new(similarity(r.clone()))), rest.clone());
+    let r = rest.clone();
+    visit(&mut rng, Box::new(move || Box::new(affine(&r))), rest.clone());
+}
+
+/// Triangles join all but the last four vertices, at random; those four follow the nearest others.
+fn affine(rest: &[Vec3]) -> Affine {
+    let corner = |k: usize| (k % (VERTICES - 4)) as u32;
+    let triangles = (0..VERTICES - 4).map(|k| [corner(k), corner(5 * k + 1), corner(7 * k + 3)]).collect();
+    Affine::new(&TriangleMesh { positions: rest.to_vec(), triangles }, 0.7, 1.3).expect("a finite mesh")
 }
 
 trait TestModel: DeformationModel {
-    fn set_linearisation(&mut self, linearisation: Linearisation);
+    /// Whether there is another way to take derivatives, now to be used or not.
+    fn set_linearisation(&mut self, linearisation: Linearisation) -> bool;
+}
+
+impl TestModel for Affine {
+    fn set_linearisation(&mut self, _linearisation: Linearisation) -> bool {
+        false
+    }
 }
 
 impl<T: NodeTransform<W>, const W: usize> TestModel for NodeAssembly<T, W> {
-    fn set_linearisation(&mut self, linearisation: Linearisation) {
+    fn set_linearisation(&mut self, linearisation: Linearisation) -> bool {
         self.linearisation = linearisation;
+        true
     }
 }
 
 #[test]
 fn structured_and_reference_linearisation_agree_for_every_model_and_kernel() {
     each_model(|rng, build, rest| {
+        if !build().set_linearisation(Linearisation::Reference) {
+            return;
+        }
         for kernel in kernels() {
             let mut problem = Deformation::new(build(), samples());
             problem.terms = terms(rng, &rest, kernel);
@@ -184,6 +206,60 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     for (v, n) in moved.iter().zip(&rest) {
         approx::assert_abs_diff_eq!(*v, rotation * n + shift, epsilon = 1e-11);
     }
+}
+
+#[test]
+fn an_affine_map_of_the_whole_template_costs_nothing() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let rest = rest(&mut rng);
+    let mut model = affine(&rest);
+    let linear = nalgebra::Matrix3::from_fn(|_, _| rng.random_range(-2.0..2.0));
+    let shift = Vec3::new(30.0, -80.0, 12.0);
+    let mut x = model.rest_parameters();
+    for rows in x.chunks_exact_mut(12) {
+        let old = nalgebra::Matrix3x4::from_row_slice(rows);
+        let mut new = linear * old;
+        let mut translation = new.column_mut(3);
+        translation += shift;
+        rows.copy_from_slice(new.transpose().as_slice());
+    }
+    let (mut energies, mut moved) = (Vec::new(), Vec::new());
+    model.regulariser_energy(&x, &mut energies);
+    assert_eq!(energies, [("affine stiffness", 0.0)]);
+    model.positions(&x, &mut moved);
+    for (v, n) in moved.iter().zip(&rest) {
+        approx::assert_abs_diff_eq!(*v, linear * n + shift, epsilon = 1e-11);
+    }
+    // One map that differs does cost.
+    x[12] += 0.5;
+    energies.clear();
+    model.regulariser_energy(&x, &mut energies);
+    assert!(energies[0].1 > 0.1, "{energies:?}");
+}
+
+#[test]
+fn affine_maps_reach_the_same_minimum_whatever_solves_the_equations() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let rest = rest(&mut rng);
+    let kernel = Kernel::Huber { delta: 1.0 };
+    let terms = || terms(&mut ChaCha8Rng::seed_from_u64(6), &rest, kernel);
+    let solve = |solver: LinearSolverKind, threads: usize| {
+        let mut problem = Deformation::new(affine(&rest), samples());
+        problem.terms = terms();
+        let mut x = problem.model.rest_parameters();
+        let minimizer = Minimizer::new(Options::gauss_newton().with_linear_solver(solver)).expect("options in bounds");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+        let summary = pool.install(|| minimizer.minimize(&mut problem, &mut x));
+        assert!(summary.stop.converged(), "{summary}");
+        (problem.vertices(&x).to_vec(), summary.linear_solver)
+    };
+    let (auto, name) = solve(LinearSolverKind::Auto, 1);
+    assert_eq!(name, "decoupled conjugate gradients");
+    let (direct, _) = solve(LinearSolverKind::Sparse, 1);
+    for (a, b) in auto.iter().zip(&direct) {
+        assert!((a - b).norm() < 1e-6, "{a} {b}");
+    }
+    assert!(auto == solve(LinearSolverKind::Auto, 2).0, "other bits at two threads");
 }
 
 #[test]

@@ -1,5 +1,7 @@
-//! Deformation models, one file each, all on the one assembly in `assembly.rs`.
+//! Deformation models, one file each: those made of nodes and blendshapes on the one assembly in `assembly.rs`, per-vertex
+//! affine maps on their own.
 
+mod affine;
 mod assembly;
 mod blendshape;
 mod graph;
@@ -9,6 +11,7 @@ mod rigid;
 mod similarity;
 mod transform;
 
+pub use affine::Affine;
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
 pub use blendshape::{Blendshape, blendshape};
 pub use graph::{Graph, graph};

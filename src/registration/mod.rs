@@ -17,15 +17,16 @@ pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
-    GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
+    AffineOptions, GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
 };
 pub use seam::Seams;
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.
-pub const DEFAULT_SCHEDULES: [(&str, &str); 5] = [
+pub const DEFAULT_SCHEDULES: [(&str, &str); 6] = [
     ("hybrid", include_str!("schedules/hybrid.toml")),
     ("graph", include_str!("schedules/graph.toml")),
+    ("affine", include_str!("schedules/affine.toml")),
     ("blendshape", include_str!("schedules/blendshape.toml")),
     ("rigid", include_str!("schedules/rigid.toml")),
     ("similarity", include_str!("schedules/similarity.toml")),

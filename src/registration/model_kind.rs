@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
 use crate::energy::DeformationModel;
 use crate::mesh::{TriangleMesh, Vec3};
-use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use crate::model::{Affine, NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
 use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
@@ -66,6 +66,8 @@ pub enum ModelKind {
     Hybrid,
     /// Deformation graph (Sumner et al. 2007).
     Graph,
+    /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
+    Affine,
     /// Blendshapes under one rigid motion.
     Blendshape,
     /// Rigid motion.
@@ -76,7 +78,8 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Hybrid, Self::Graph, Self::Blendshape, Self::Rigid, Self::Similarity];
+    pub const ALL: [Self; 6] =
+        [Self::Hybrid, Self::Graph, Self::Affine, Self::Blendshape, Self::Rigid, Self::Similarity];
 }
 
 impl std::fmt::Display for ModelKind {
@@ -101,6 +104,7 @@ impl ModelFactory for ModelKind {
         match self {
             Self::Hybrid => "hybrid",
             Self::Graph => "graph",
+            Self::Affine => "affine",
             Self::Blendshape => "blendshape",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
@@ -117,6 +121,10 @@ impl ModelFactory for ModelKind {
         Ok(match self {
             Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
             Self::Graph => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
+            Self::Affine => {
+                let model = Affine::new(input.rest, 1.0, input.schedule.affine.gamma);
+                Box::new(model.map_err(|e| RegistrationError::Template(e.to_string()))?)
+            }
             Self::Blendshape => Box::new(blendshape(rest, input.shapes.clone(), stiffness.blend)),
             Self::Rigid => Box::new(rigid(rest)),
             Self::Similarity => Box::new(similarity(rest)),
@@ -131,6 +139,12 @@ fn node_graph(input: &ModelInput<'_>) -> Result<NodeGraph, RegistrationError> {
         GraphDistance::Euclidean => NodeGraph::through_space,
     };
     build(input.rest, options.nodes, options.influences).map_err(|e| RegistrationError::Template(e.to_string()))
+}
+
+impl RegistrationModel for Affine {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda = level.lambda_smooth;
+    }
 }
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, W> {

@@ -26,6 +26,9 @@ pub struct Schedule {
     /// The deformation graph; only models with one read it.
     #[serde(default)]
     pub graph: GraphOptions,
+    /// Per-vertex affine maps; only the model of that name reads it.
+    #[serde(default)]
+    pub affine: AffineOptions,
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
@@ -58,6 +61,21 @@ pub struct GraphOptions {
 impl Default for GraphOptions {
     fn default() -> Self {
         Self { nodes: 400, influences: 4, distance: GraphDistance::Surface }
+    }
+}
+
+/// How per-vertex affine maps differ at a cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AffineOptions {
+    /// `gamma` of Amberg et al. 2007: weight of differences of translation against those of the linear parts, both as
+    /// displacements at the template's root-mean-square size.
+    pub gamma: f64,
+}
+
+impl Default for AffineOptions {
+    fn default() -> Self {
+        Self { gamma: 1.0 }
     }
 }
 
@@ -309,6 +327,7 @@ impl Schedule {
         positive("reference_vertices".into(), self.reference_vertices)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
         positive("graph.influences".into(), self.graph.influences as f64)?;
+        positive("affine.gamma".into(), self.affine.gamma)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;
