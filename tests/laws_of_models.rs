@@ -7,11 +7,13 @@ use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph,
+    Affine, Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph,
     NodeTransform, Smoothness, Stiffness, Sumner,
 };
 use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
-use nonrigid::nlls::{GradientCheck, Kernel, Minimizer, NormalEquations, Options, Problem, check_gradient};
+use nonrigid::nlls::{
+    GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, check_gradient,
+};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
 use rand::{Rng, SeedableRng};
@@ -111,6 +113,8 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn DeformationModel>
             visit(&mut rng, Box::new(move || Box::new(build())), mesh.positions.clone());
         }
     }
+    let m = mesh.positions.clone();
+    visit(&mut rng, Box::new(move || Box::new(affine(&m))), mesh.positions.clone());
     for solver in [ArapSolver::LocalGlobal, ArapSolver::Joint] {
         for clamp in [true, false] {
             let (m, h, p) = (mesh.clone(), held.clone(), places.clone());
@@ -149,6 +153,13 @@ fn each_assembled_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn TestMod
     let r = rest.clone();
     let single = NodeGraph::single(Vec3::new(3.0, -2.0, 1.0), VERTICES);
     visit(&mut rng, Box::new(move || Box::new(sumner(r.clone(), single.clone(), 0.7, 0.4))), rest.clone());
+}
+
+/// Triangles join all but the last four vertices, at random; those four follow the nearest others.
+fn affine(rest: &[Vec3]) -> Affine {
+    let corner = |k: usize| (k % (VERTICES - 4)) as u32;
+    let triangles = (0..VERTICES - 4).map(|k| [corner(k), corner(5 * k + 1), corner(7 * k + 3)]).collect();
+    Affine::new(&TriangleMesh { positions: rest.to_vec(), triangles }, 0.7, 1.3).expect("a finite mesh")
 }
 
 trait TestModel: DeformationModel {
@@ -350,6 +361,60 @@ fn affine_nodes_stand_alone_coincide_and_turn_by_pi() {
     let mut moved = Vec::new();
     model.positions(&x, &mut moved);
     assert!(moved.iter().all(|p| (p - Vec3::y()).norm() < 1e-6), "{moved:?}");
+}
+
+#[test]
+fn an_affine_map_of_the_whole_template_costs_nothing() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let rest = rest(&mut rng);
+    let mut model = affine(&rest);
+    let linear = nalgebra::Matrix3::from_fn(|_, _| rng.random_range(-2.0..2.0));
+    let shift = Vec3::new(30.0, -80.0, 12.0);
+    let mut x = model.rest_parameters();
+    for rows in x.chunks_exact_mut(12) {
+        let old = nalgebra::Matrix3x4::from_row_slice(rows);
+        let mut new = linear * old;
+        let mut translation = new.column_mut(3);
+        translation += shift;
+        rows.copy_from_slice(new.transpose().as_slice());
+    }
+    let (mut energies, mut moved) = (Vec::new(), Vec::new());
+    model.regulariser_energy(&x, &mut energies);
+    assert_eq!(energies, [("affine stiffness", 0.0)]);
+    model.positions(&x, &mut moved);
+    for (v, n) in moved.iter().zip(&rest) {
+        approx::assert_abs_diff_eq!(*v, linear * n + shift, epsilon = 1e-11);
+    }
+    // One map that differs does cost.
+    x[12] += 0.5;
+    energies.clear();
+    model.regulariser_energy(&x, &mut energies);
+    assert!(energies[0].1 > 0.1, "{energies:?}");
+}
+
+#[test]
+fn affine_maps_reach_the_same_minimum_whatever_solves_the_equations() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let rest = rest(&mut rng);
+    let kernel = Kernel::Huber { delta: 1.0 };
+    let terms = || terms(&mut ChaCha8Rng::seed_from_u64(6), &rest, kernel);
+    let solve = |solver: LinearSolverKind, threads: usize| {
+        let mut problem = Deformation::new(affine(&rest), samples());
+        problem.terms = terms();
+        let mut x = problem.model.rest_parameters();
+        let minimizer = Minimizer::new(Options::gauss_newton().with_linear_solver(solver)).expect("options in bounds");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+        let summary = pool.install(|| minimizer.minimize(&mut problem, &mut x));
+        assert!(summary.stop.converged(), "{summary}");
+        (problem.vertices(&x).to_vec(), summary.linear_solver)
+    };
+    let (auto, name) = solve(LinearSolverKind::Auto, 1);
+    assert_eq!(name, "decoupled conjugate gradients");
+    let (direct, _) = solve(LinearSolverKind::Sparse, 1);
+    for (a, b) in auto.iter().zip(&direct) {
+        assert!((a - b).norm() < 1e-6, "{a} {b}");
+    }
+    assert!(auto == solve(LinearSolverKind::Auto, 2).0, "other bits at two threads");
 }
 
 #[test]

@@ -91,6 +91,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
         ModelKind::Free => {
             [&[axis("bilaplacian", &[0.0, 1.0], 0), axis("cotangent", &[0.0, 1.0], 0)], &smooth[..]].concat()
         }
+        ModelKind::Affine => [&[axis("gamma", &[0.1, 0.3, 1.0, 3.0, 10.0], 2)], &smooth[..]].concat(),
         ModelKind::Arap => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
     };
     axes.push(axis("landmarks last", LANDMARKS_LAST, 3));
@@ -125,6 +126,9 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
     option("bilaplacian", "\n[smooth]\nkind = ", ["\"laplacian\"", "\"bilaplacian\""]);
     option("cotangent", "weights = ", ["\"uniform\"", "\"cotangent\""]);
     option("joint", "\n[arap]\nsolver = ", ["\"local_global\"", "\"joint\""]);
+    if let Some(gamma) = at.get("gamma") {
+        let _ = writeln!(text, "\n[affine]\ngamma = {gamma:?}");
+    }
     if let Some(nodes) = at.get("nodes") {
         let _ = writeln!(text, "\n[graph]\nnodes = {nodes}\ninfluences = 4\ndistance = \"surface\"");
     }

@@ -42,7 +42,7 @@ pub struct Arguments {
     /// What the landmarks' names mean on the template (.json)
     #[arg(long, value_name = "FILE", requires = "landmarks")]
     template_landmarks: Option<PathBuf>,
-    /// Deformation model: hybrid, graph, blendshape, rigid or similarity
+    /// Deformation model: hybrid, graph, affine (N-ICP), blendshape, rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
     /// Schedule (.toml) [default: the model's own]

@@ -1,6 +1,7 @@
-//! Deformation models, one file each: blendshapes and graphs on the assembly in `assembly/`, models of free vertices on the one
-//! in `vertex_assembly.rs`.
+//! Deformation models, one file each: those made of nodes and blendshapes on the assembly in `assembly/`, models of free
+//! vertices on the one in `vertex_assembly.rs`, per-vertex affine maps on their own.
 
+mod affine;
 mod arap;
 mod assembly;
 mod blendshape;
@@ -16,6 +17,7 @@ mod sumner;
 mod transform;
 mod vertex_assembly;
 
+pub use affine::Affine;
 pub use arap::{Arap, ArapOptions, ArapSolver};
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
 pub use blendshape::{Blendshape, blendshape};

@@ -18,18 +18,19 @@ pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{
-    BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule, ScheduleError,
-    SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,
+    AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule,
+    ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,
 };
 pub use seam::Seams;
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.
-pub const DEFAULT_SCHEDULES: [(&str, &str); 9] = [
+pub const DEFAULT_SCHEDULES: [(&str, &str); 10] = [
     ("hybrid", include_str!("schedules/hybrid.toml")),
     ("sequential", include_str!("schedules/sequential.toml")),
     ("graph", include_str!("schedules/graph.toml")),
     ("sumner", include_str!("schedules/sumner.toml")),
+    ("affine", include_str!("schedules/affine.toml")),
     ("blendshape", include_str!("schedules/blendshape.toml")),
     ("free", include_str!("schedules/free.toml")),
     ("arap", include_str!("schedules/arap.toml")),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError, SmoothOptions};
 use crate::energy::DeformationModel;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::model::{Arap, ArapOptions, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
+use crate::model::{Affine, Arap, ArapOptions, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
 use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
 
@@ -77,6 +77,8 @@ pub enum ModelKind {
     Sumner,
     /// Blendshapes, then what the schedule's `[then]` names, from the shape that they have found (Bhat et al. 2013).
     Sequential,
+    /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
+    Affine,
     /// Blendshapes under one rigid motion.
     Blendshape,
     /// Every vertex by itself, its displacement smooth.
@@ -91,14 +93,15 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All of them.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Hybrid,
         Self::Sequential,
+        Self::Blendshape,
         Self::Graph,
         Self::Sumner,
-        Self::Blendshape,
-        Self::Free,
         Self::Arap,
+        Self::Affine,
+        Self::Free,
         Self::Rigid,
         Self::Similarity,
     ];
@@ -134,6 +137,7 @@ impl ModelFactory for ModelKind {
             Self::Graph => "graph",
             Self::Sumner => "sumner",
             Self::Sequential => "sequential",
+            Self::Affine => "affine",
             Self::Blendshape => "blendshape",
             Self::Free => "free",
             Self::Arap => "arap",
@@ -166,6 +170,9 @@ impl ModelFactory for ModelKind {
             Self::Arap => {
                 let options = ArapOptions { solver: input.schedule.arap.solver, ..ArapOptions::default() };
                 Box::new(Arap::new(input.rest, options, 1.0).map_err(template_error)?)
+            }
+            Self::Affine => {
+                Box::new(Affine::new(input.rest, 1.0, input.schedule.affine.gamma).map_err(template_error)?)
             }
             Self::Rigid => Box::new(rigid(rest)),
             Self::Similarity => Box::new(similarity(rest)),
@@ -208,6 +215,12 @@ impl RegistrationModel for Arap {
 
     fn weak_directions(&self) -> Option<usize> {
         (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+impl RegistrationModel for Affine {
+    fn set_level(&mut self, level: &Level) {
+        self.lambda = level.lambda_smooth;
     }
 }
 

@@ -34,6 +34,9 @@ pub struct Schedule {
     /// How as-rigid-as-possible surfaces are solved; only they read it.
     #[serde(default)]
     pub arap: RigidityOptions,
+    /// Per-vertex affine maps; only the model of that name reads it.
+    #[serde(default)]
+    pub affine: AffineOptions,
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
@@ -92,6 +95,21 @@ pub struct GraphOptions {
 impl Default for GraphOptions {
     fn default() -> Self {
         Self { nodes: 400, influences: 4, distance: GraphDistance::Surface, node: NodeKind::Rigid }
+    }
+}
+
+/// How per-vertex affine maps differ at a cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AffineOptions {
+    /// `gamma` of Amberg et al. 2007: weight of differences of translation against those of the linear parts, both as
+    /// displacements at the template's root-mean-square size.
+    pub gamma: f64,
+}
+
+impl Default for AffineOptions {
+    fn default() -> Self {
+        Self { gamma: 1.0 }
     }
 }
 
@@ -435,6 +453,7 @@ impl Schedule {
             positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
         }
+        positive("affine.gamma".into(), self.affine.gamma)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;

@@ -5,6 +5,7 @@
 //! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
 //! | [`SparseCholesky`] | blocks, no (or a narrow) border | supernodal `P H P' = L L'`, AMD on the block graph |
 //! | [`BorderedCholesky`] | blocks and a dense border | Schur complement of the border by a forward solve |
+//! | [`DecoupledCg`] | blocks split by coordinate | conjugate gradients after a sparse Cholesky that forgets the coupling of x, y, z |
 //!
 //! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
 //! of threads. faer is used in here and nowhere else.
@@ -19,7 +20,9 @@ use super::{BlockStructure, NormalEquations};
 mod bordered;
 mod bounded;
 mod box_qp;
+mod decoupled;
 mod dense;
+mod pcg;
 mod scratch;
 mod sparse;
 mod supernodal;
@@ -28,7 +31,9 @@ mod vector;
 pub use bordered::{BorderedCholesky, ReducedSystem};
 pub(super) use bounded::{BoundedStep, inverse_of_reduced};
 pub(super) use box_qp::Side;
+pub use decoupled::DecoupledCg;
 pub use dense::DenseCholesky;
+pub use pcg::Pcg;
 pub use sparse::SparseCholesky;
 pub(crate) use vector::dot;
 
@@ -105,6 +110,22 @@ pub enum LinearError {
         /// The first coordinate whose row or gradient is not finite.
         at: Coordinate,
     },
+    /// A search direction along which the quadratic model does not curve upwards.
+    #[error(
+        "conjugate gradients met a direction without positive curvature in iteration {iteration}: the normal equations or their preconditioner are not positive definite"
+    )]
+    NoCurvature {
+        /// Iteration, from 1.
+        iteration: usize,
+    },
+    /// The residual did not fall below the tolerance.
+    #[error(
+        "conjugate gradients did not converge in {iterations} iterations; the normal equations are too ill-conditioned for the preconditioner"
+    )]
+    NotConverged {
+        /// Iterations made.
+        iterations: usize,
+    },
 }
 
 /// Solves the normal equations; swap in your own through [`Workspace::with_linear_solver`](super::Workspace::with_linear_solver).
@@ -146,6 +167,8 @@ pub enum LinearSolverKind {
     Sparse,
     /// [`BorderedCholesky`].
     Bordered,
+    /// [`DecoupledCg`].
+    DecoupledCg,
 }
 
 impl LinearSolverKind {
@@ -157,16 +180,20 @@ impl LinearSolverKind {
             Self::Dense => Box::new(DenseCholesky::new(structure)),
             Self::Sparse => Box::new(SparseCholesky::new(structure)),
             Self::Bordered => Box::new(BorderedCholesky::new(structure)),
+            Self::DecoupledCg => Box::new(DecoupledCg::new(structure)),
         }
     }
 }
 
 /// The solver that suits a structure: dense when it has no sparse blocks or at most [`DENSE_DIMENSION`] coordinates, sparse
-/// Cholesky without a border, the bordered Schur complement with one.
+/// Cholesky without a border, the bordered Schur complement with one; conjugate gradients without a border when the blocks are
+/// [split by coordinate](BlockStructure::split_by_coordinate).
 #[must_use]
 pub fn choose(structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
     let kind = if structure.sparse_dimension() == 0 || structure.dimension() <= DENSE_DIMENSION {
         LinearSolverKind::Dense
+    } else if structure.border() == 0 && structure.coordinates() > 1 {
+        LinearSolverKind::DecoupledCg
     } else if structure.border() == 0 {
         LinearSolverKind::Sparse
     } else {

@@ -66,7 +66,7 @@ impl LinearSolver for SparseCholesky {
 }
 
 /// The same pattern with the border as one last block.
-fn flatten(s: &BlockStructure) -> BlockStructure {
+pub(super) fn flatten(s: &BlockStructure) -> BlockStructure {
     let n = s.block_count();
     let sizes: Vec<usize> = (0..n).map(|i| s.size(i)).chain([s.border()]).collect();
     let pairs = (0..n).flat_map(|i| s.row(i).iter().map(move |&j| (i, j)).chain([(n, i)]));
@@ -74,7 +74,7 @@ fn flatten(s: &BlockStructure) -> BlockStructure {
 }
 
 /// Copies values; row `n` of the flattened pattern holds blocks (n, 0), .., (n, n - 1), (n, n).
-fn fill_flattened(equations: &NormalEquations, flattened: &mut NormalEquations) {
+pub(super) fn fill_flattened(equations: &NormalEquations, flattened: &mut NormalEquations) {
     let s = equations.structure();
     let (n, border) = (s.block_count(), s.border());
     let (blocks, last) = flattened.blocks.split_at_mut(equations.blocks.len());

@@ -229,6 +229,52 @@ impl SupernodalFactor {
         self.gathered = gathered;
     }
 
+    /// Solves `L L' X = B` in place for right-hand sides side by side; `x` is in permuted order. `gathered` holds
+    /// [`longest_pattern`](Self::longest_pattern) rows of scratch.
+    #[inline(always)]
+    pub(super) fn solve_lanes<const N: usize>(&self, x: &mut [[f64; N]], gathered: &mut [[f64; N]]) {
+        for k in 0..self.supernode_count() {
+            let node = self.supernode(k);
+            let below = &mut gathered[..node.pattern.len()];
+            below.fill([0.0; N]);
+            for c in 0..node.width {
+                let column = node.column(c);
+                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                let value = head[c].map(|v| v / column[c]);
+                head[c] = value;
+                for (x, l) in tail.iter_mut().zip(&column[c + 1..]) {
+                    add_multiple(x, -l, &value);
+                }
+                for (x, l) in below.iter_mut().zip(&column[node.width..]) {
+                    add_multiple(x, *l, &value);
+                }
+            }
+            for (&row, v) in node.pattern.iter().zip(below) {
+                add_multiple(&mut x[row], -1.0, v);
+            }
+        }
+        for k in (0..self.supernode_count()).rev() {
+            let node = self.supernode(k);
+            let below = &mut gathered[..node.pattern.len()];
+            for (&row, v) in node.pattern.iter().zip(&mut *below) {
+                *v = x[row];
+            }
+            for c in (0..node.width).rev() {
+                let column = node.column(c);
+                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                let mut sums = [[0.0; N]; 4];
+                let known = tail.iter().chain(&*below);
+                for (i, (x, l)) in known.zip(&column[c + 1..]).enumerate() {
+                    add_multiple(&mut sums[i % 4], *l, x);
+                }
+                for n in 0..N {
+                    let sum = (sums[0][n] + sums[1][n]) + (sums[2][n] + sums[3][n]);
+                    head[c][n] = (head[c][n] - sum) / column[c];
+                }
+            }
+        }
+    }
+
     /// Solves `L' x = b` in place; `x` is in permuted order.
     pub(super) fn backward(&mut self, x: &mut [f64]) {
         let mut gathered = std::mem::take(&mut self.gathered);
@@ -246,6 +292,14 @@ impl SupernodalFactor {
             }
         }
         self.gathered = gathered;
+    }
+}
+
+/// `y += a x`.
+#[inline(always)]
+fn add_multiple<const N: usize>(y: &mut [f64; N], a: f64, x: &[f64; N]) {
+    for n in 0..N {
+        y[n] += a * x[n];
     }
 }
 

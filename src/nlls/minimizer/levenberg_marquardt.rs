@@ -53,7 +53,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             }
             Err(error @ LinearError::NonFinite { .. }) => return StopReason::LinearSolverFailed(error),
             // More damping may help.
-            Err(error @ LinearError::NotPositiveDefinite { .. }) => failure = Some(error),
+            Err(error) => failure = Some(error),
         }
         let accepted = gain > options.min_gain && trial <= energy;
         if accepted {
