@@ -6,11 +6,13 @@
 
 mod deformation;
 mod percentile;
+mod scan_distance;
 mod surface_distances;
 mod truth_errors;
 
 pub use deformation::{EdgeStretch, flipped_triangles};
 pub use percentile::percentile;
+pub use scan_distance::ScanDistance;
 pub use surface_distances::{DistanceSummary, SurfaceDistances};
 pub use truth_errors::{TruthErrors, VertexErrors};
 
