@@ -161,6 +161,17 @@ fn broken() -> Bench {
     write_npy(&bench.path("flat.npy"), &[vertices, 2], &vec![0.0f32; 2 * vertices]).unwrap();
     write_npy(&bench.path("short_mask.npy"), &[vertices - 1], &vec![true; vertices - 1]).unwrap();
     write_npy_points(&bench.path("short.npy"), &bench.rig.neutral[1..]).unwrap();
+    for (name, value) in [("nan", f64::NAN), ("negative", -0.25), ("large", 1.5)] {
+        let mut mask = vec![1.0; vertices];
+        mask[9] = value;
+        write_npy(&bench.path(&format!("{name}_mask.npy")), &[vertices], &mask).unwrap();
+    }
+    write_npy(&bench.path("zeros.npy"), &[vertices], &vec![0.0f32; vertices]).unwrap();
+    write_npy(&bench.path("ones.npy"), &[vertices], &vec![1.0f32; vertices]).unwrap();
+    bench.write("cloud.ply", {
+        let normal = "property float nx\nproperty float ny\nproperty float nz\nelement face 0";
+        header.replace("element face 1", normal) + "0 0 0 0 0 0\n1 0 0 0 0 0\n0 1 0 0 0 nan\n"
+    });
     let mut nan = bench.rig.neutral.clone();
     nan[7].y = f64::NAN;
     write_npy_points(&bench.path("nan.npy"), &nan).unwrap();
@@ -168,6 +179,14 @@ fn broken() -> Bench {
     let other = FaceRig::generate(&FaceOptions { vertices: 1300, identity_modes: 0 });
     write_rig(&bench.path("other_rig"), &other).unwrap();
     write_rig(&bench.path("nameless"), &bench.rig).unwrap();
+    for (name, regions) in [
+        ("past_regions", "{\"nose\": [1, 99999]}"),
+        ("odd_regions", "[[1, 2], [3]]"),
+        ("twin_regions", "{\"nose\": [1], \"nose\": [2]}"),
+    ] {
+        write_rig(&bench.path(name), &bench.rig).unwrap();
+        bench.write(&format!("{name}/regions.json"), regions);
+    }
     bench.write("nameless/expression_names.json", "[\"jawOpen\"]");
     write_rig(&bench.path("nan_rig"), &bench.rig).unwrap();
     let path = bench.path("nan_rig/expression_deltas.npy");
@@ -288,11 +307,31 @@ const ROWS: &[Row] = &[
     ("register", "--target past.ply", LOADING, &["past.ply", "found 7"]),
     ("register", "--target no_vertices.ply", LOADING, &["no_vertices.ply", "vertices"]),
     ("register", "--target no_faces.ply", LOADING, &["scan", "no triangles"]),
+    ("register", "--target no_faces.ply", LOADING, &["no normals", "nx, ny, nz"]),
+    ("register", "--target cloud.ply", LOADING, &["no normals", "nx, ny, nz"]),
     ("register", "--target scan.stl", LOADING, &["scan.stl", "extension", ".ply"]),
     ("register", "--target lone.ply", COMPUTATION, &["no vertex of the template", "25 mm"]),
     ("register", "--target away.ply", COMPUTATION, &["no vertex of the template", "landmarks"]),
     ("register", "--target inverted.ply", COMPUTATION, &["inside out"]),
     ("register", "--target -", ARGUMENTS, &["--target"]),
+    // masks and regions
+    ("register", "--mask missing.npy", LOADING, &["missing.npy"]),
+    ("register", "--mask garbage.npy", LOADING, &["garbage.npy"]),
+    ("register", "--mask short_mask.npy", LOADING, &["short_mask.npy"]),
+    ("register", "--mask case/truth.npy", LOADING, &["truth.npy"]),
+    ("register", "--mask nan_mask.npy", LOADING, &["nan_mask.npy", "NaN", "vertex 9"]),
+    ("register", "--mask negative_mask.npy", LOADING, &["negative_mask.npy", "-0.25", "from 0 to 1"]),
+    ("register", "--mask zeros.npy", LOADING, &["every vertex", "above 0"]),
+    ("register", "--free-mask short_mask.npy", LOADING, &["short_mask.npy"]),
+    ("register", "--free-mask nan_mask.npy", LOADING, &["nan_mask.npy", "NaN", "vertex 9"]),
+    ("register", "--free-mask large_mask.npy", LOADING, &["large_mask.npy", "1.5", "from 0 to 1"]),
+    ("register", "--free-mask ones.npy", LOADING, &["every vertex", "below 1"]),
+    ("register", "--regions nose --free-regions nose", LOADING, &["every vertex"]),
+    ("register", "--regions nosee", LOADING, &["--regions", "nosee", "nose, "]),
+    ("register", "--free-regions nose,ear", LOADING, &["--free-regions", "\"ear\"", "nose, "]),
+    ("register", "--rig past_regions", LOADING, &["regions.json", "\"nose\"", "99999"]),
+    ("register", "--rig odd_regions", LOADING, &["regions.json", "line 1"]),
+    ("register", "--rig twin_regions", LOADING, &["regions.json", "\"nose\" twice"]),
     // rig, shapes and neutral
     ("register", "--rig missing", LOADING, &["missing"]),
     ("register", "--rig nothing", LOADING, &["nothing", "neutral"]),
@@ -397,6 +436,7 @@ const ROWS: &[Row] = &[
     ("eval", "--truth - --target case/scan.ply", ARGUMENTS, &["--observed", "--target"]),
     ("eval", "--truth - --observed - --target truncated.ply", LOADING, &["truncated.ply"]),
     ("eval", "--truth - --observed - --target no_faces.ply", LOADING, &["no_faces.ply", "triangle"]),
+    ("eval", "--truth - --observed - --target cloud.ply", LOADING, &["cloud.ply", "nx, ny, nz"]),
     ("eval", "--heatmap OUT/h.bmp", ARGUMENTS, &["h.bmp", ".png"]),
     ("eval", "--heatmap nowhere/h.png", WRITING, &["nowhere/h.png", "no folder"]),
     // rig info

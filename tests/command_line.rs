@@ -10,8 +10,9 @@ use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::io::{
     NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
-    write_npy_points, write_obj, write_ply, write_polygon_mesh,
+    write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
+use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
 use serde_json::Value;
@@ -598,4 +599,120 @@ fn help_and_version_are_successes() {
     for command in ["register", "eval", "rig info", "rig pca"] {
         assert!(bench.done(&format!("{command} --help")).contains("Usage"), "{command}");
     }
+}
+
+/// Writes the scan's vertices with normals, and no faces.
+fn write_cloud(bench: &Bench, name: &str) {
+    let scan = &bench.case.scan;
+    let normals = vertex_normals(&scan.positions, &scan.triangles, NormalWeighting::Area);
+    let cloud = TriangleMesh { triangles: Vec::new(), ..scan.clone() };
+    let options = PlyOptions { normals: Some(&normals), precision: PlyPrecision::Double, ..PlyOptions::default() };
+    write_ply(&bench.path(name), &cloud, options).unwrap();
+}
+
+#[test]
+fn a_point_cloud_with_normals_is_a_target() {
+    let bench = Bench::new();
+    write_cloud(&bench, "cloud.ply");
+    let rmse = |target: &str| {
+        let options = format!("--target {target} --landmarks case/landmarks.json --picture r.png --report r.json");
+        let printed = bench.done(&format!("{FIT} {options} --out r.obj"));
+        assert!(printed.contains("% of the vertices accepted"), "{printed}");
+        let truth = "--truth case/truth.npy --observed case/observed.npy";
+        let errors = json(bench.done(&format!("eval --result r.obj {TEMPLATE} {truth} --json")));
+        errors["rmse"].as_f64().unwrap()
+    };
+    let (mesh, quality) = (rmse("case/scan.ply"), json(bench.read("r.json"))["quality"].clone());
+    let (cloud, of_cloud) = (rmse("cloud.ply"), json(bench.read("r.json"))["quality"].clone());
+    assert!(cloud < 1.2 * mesh + 0.05, "mesh {mesh} mm, cloud {cloud} mm");
+    let median = |quality: &Value| quality["median_within"].as_f64().unwrap();
+    assert!((median(&quality) - median(&of_cloud)).abs() < 0.1, "{quality}\n{of_cloud}");
+    let drawn = picture(&bench.path("r.png"));
+    assert!(drawn.pixels().filter(|p| p.0 == [86, 140, 196]).count() > 1000, "no points of the scan in the picture");
+    let fit = |target: &str| {
+        let line = format!("eval --result case/truth.npy {TEMPLATE} --target {target} --json --heatmap {target}.png");
+        json(bench.done(&line))
+    };
+    bench.write("case/keep", "");
+    let (on_mesh, on_cloud) = (fit("case/scan.ply"), fit("cloud.ply"));
+    for (way, number) in [("result_to_scan", "median"), ("scan_to_result", "median"), ("result_to_scan", "p90")] {
+        let [a, b] = [&on_mesh, &on_cloud].map(|v| v[way][number].as_f64().unwrap());
+        assert!((a - b).abs() < 0.1 + 0.1 * a, "{way} {number}: {a} {b}");
+    }
+}
+
+#[test]
+fn masks_and_regions_say_where_the_scan_counts() {
+    let bench = Bench::new();
+    let vertices = bench.rig.neutral.len();
+    let of = |name: &str| &bench.rig.regions.iter().find(|r| r.0 == name).unwrap().1;
+    let in_nose = |value: f64, other: f64| {
+        let mut mask = vec![other; vertices];
+        of("nose").iter().for_each(|&v| mask[v as usize] = value);
+        mask
+    };
+    write_npy(&bench.path("nose.npy"), &[vertices], &in_nose(1.0, 0.0)).unwrap();
+    write_npy(&bench.path("not_nose.npy"), &[vertices], &in_nose(0.0, 1.0)).unwrap();
+    write_npy(&bench.path("half.npy"), &[vertices], &vec![0.5f32; vertices]).unwrap();
+    write_npy(&bench.path("ones.npy"), &[vertices], &vec![true; vertices]).unwrap();
+    let fit = |options: &str| {
+        bench.done(&format!("{FIT} {INPUTS} {options} --out r.obj --report r.json"));
+        (read_obj(&bench.path("r.obj")).unwrap().positions, json(bench.read("r.json")))
+    };
+    let (plain, plain_report) = fit("");
+    assert_eq!(plain_report["regions"], Value::Array(Vec::new()));
+    assert_eq!(fit("--mask ones.npy").0, plain);
+    // A file and a painted region are the same; so are both at once.
+    let (masked, report) = fit("--mask nose.npy");
+    assert!(farthest(&masked, &plain) > 0.5);
+    assert!(report["inputs"].as_array().unwrap().iter().any(|i| i["role"] == "mask" && i["name"] == "nose.npy"));
+    assert_eq!(report["quality"]["to_scan"]["count"].as_u64().unwrap() as usize, of("nose").len());
+    let (region, report) = fit("--regions nose");
+    assert_eq!(region, masked);
+    assert_eq!(report["regions"], serde_json::json!(["nose"]));
+    assert_eq!(fit("--regions nose,chin --mask nose.npy").0, masked);
+    // Half of everything is less, against the same stiffness.
+    assert!(farthest(&fit("--mask half.npy").0, &plain) > 1e-3);
+    let (free, report) = fit("--free-mask not_nose.npy");
+    assert!(report["inputs"].as_array().unwrap().iter().any(|i| i["role"] == "free mask"));
+    assert!(farthest(&free, &masked) > 1e-3, "free vertices have no prediction either");
+    let (free_region, report) = fit("--free-regions nose");
+    assert_eq!(
+        (&report["free_regions"], &report["regions"]),
+        (&serde_json::json!(["nose"]), &Value::Array(Vec::new()))
+    );
+    assert!(farthest(&free_region, &plain) > 1e-3);
+    assert_eq!(report["quality"]["to_scan"]["count"].as_u64().unwrap() as usize, vertices - of("nose").len());
+}
+
+#[test]
+fn without_a_rigs_regions_the_templates_groups_are_regions() {
+    let bench = Bench::new();
+    let mut text = String::new();
+    for p in &bench.rig.mesh.positions {
+        text.push_str(&format!("v {:?} {:?} {:?}\n", p.x, p.y, p.z));
+    }
+    for f in 0..bench.rig.mesh.polygon_count() {
+        if f == 0 || f == bench.rig.mesh.polygon_count() / 2 {
+            text.push_str(if f == 0 { "g first all\n" } else { "g second all\n" });
+        }
+        let corners: Vec<String> = bench.rig.mesh.polygon(f).iter().map(|v| (v + 1).to_string()).collect();
+        text.push_str(&format!("f {}\n", corners.join(" ")));
+    }
+    bench.write("grouped.obj", text);
+    let fit = |options: &str| {
+        let line = format!("register --template grouped.obj {INPUTS} --model graph {options} --out r.obj");
+        bench.done(&line);
+        read_obj(&bench.path("r.obj")).unwrap().positions
+    };
+    let plain = fit("");
+    assert_eq!(fit("--regions all"), plain);
+    assert_eq!(fit("--regions first,second"), plain);
+    assert!(farthest(&fit("--regions second"), &plain) > 0.5);
+    let run = bench.run(&format!("register --template grouped.obj {INPUTS} --regions third --out r.obj"));
+    assert!(
+        run.code == 4 && run.stderr.contains("third") && run.stderr.contains("first, all, second"),
+        "{}",
+        run.stderr
+    );
 }

@@ -15,7 +15,7 @@ use nonrigid::nlls::{
     GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, check_gradient,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
-use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
+use nonrigid::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -64,10 +64,24 @@ fn terms(rng: &mut ChaCha8Rng, rest: &[Vec3], kernel: Kernel) -> Vec<Box<dyn Dat
     let weights: Vec<f64> = (0..VERTICES).map(|i| if i % 7 == 3 { 0.0 } else { 1.0 }).collect();
     let normals = (0..VERTICES).map(|_| random_vec(rng, 1.0).normalize()).collect();
     let plane = PointToPlane { targets: near(rng), normals, weights: weights.clone(), scale: 1.3 };
-    let point = PointToPoint { targets: near(rng), weights, scale: 0.2 };
+    let point = PointToPoint { targets: near(rng), weights: weights.clone(), scale: 0.2 };
     let targets = (0..4).map(|_| random_vec(rng, 40.0)).collect();
     let landmarks = Landmarks { samples: vec![5, 60, 61, 62], targets, weights: vec![1.0; 4], scale: 0.7 };
+    let directions = |rng: &mut ChaCha8Rng| (0..VERTICES).map(|_| random_vec(rng, 1.0).normalize()).collect();
+    let symmetric = Symmetric {
+        targets: near(rng),
+        source_normals: directions(rng),
+        target_normals: directions(rng),
+        weights: weights.clone(),
+        scale: 0.8,
+    };
+    // Several scan points on one sample, none on others.
+    let samples: Vec<usize> = (0..VERTICES).map(|m| m * m % 50).collect();
+    let targets = samples.iter().map(|&s| rest[s] + random_vec(rng, 3.0)).collect();
+    let from_scan = ScanToTemplate { samples, targets, normals: directions(rng), weights, scale: 0.6 };
     vec![
+        Box::new(Pointwise::new("symmetric", symmetric, kernel)),
+        Box::new(Pointwise::new("scan to template", from_scan, kernel)),
         Box::new(Pointwise::new("plane", plane, kernel)),
         Box::new(Pointwise::new("point", point, kernel)),
         Box::new(Pointwise::new("landmarks", landmarks, Kernel::None)),

@@ -9,8 +9,9 @@ use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::evaluation::TruthErrors;
-use nonrigid::mesh::closest_point::ClosestPoint;
+use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::io::{Landmark, TemplatePoint};
+use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::model::{
     Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, NodeGraph, Smoothness, Stiffness, blendshape, graph,
@@ -33,7 +34,10 @@ struct Task {
     template: PolygonMesh,
     shapes: ShapeBasis,
     scan: TriangleMesh,
+    scan_normals: Option<Vec<Vec3>>,
     landmarks: Vec<Landmark>,
+    mask: Option<Vec<f64>>,
+    free_mask: Option<Vec<f64>>,
 }
 
 impl Task {
@@ -54,13 +58,17 @@ impl Task {
             target: *p,
         });
         let landmarks = landmarks.collect();
-        Self { template: rig.mesh.clone(), shapes, scan: case.scan.clone(), landmarks }
+        let (template, scan) = (rig.mesh.clone(), case.scan.clone());
+        Self { template, shapes, scan, scan_normals: None, landmarks, mask: None, free_mask: None }
     }
 
     fn input(&self) -> RegistrationInput<'_> {
         RegistrationInput {
             shapes: &self.shapes,
+            scan_normals: self.scan_normals.as_deref(),
             landmarks: &self.landmarks,
+            mask: self.mask.as_deref(),
+            free_mask: self.free_mask.as_deref(),
             ..RegistrationInput::new(&self.template, &self.scan)
         }
     }
@@ -79,6 +87,26 @@ impl Task {
         let mut task = self.clone();
         task.scan.positions.iter_mut().for_each(|p| *p = place(*p));
         task.landmarks.iter_mut().for_each(|l| l.target = place(l.target));
+        for normal in task.scan_normals.iter_mut().flatten() {
+            *normal = (place(*normal) - place(Vec3::zeros())).normalize();
+        }
+        task
+    }
+
+    /// The scan as a point cloud: its vertices with their normals.
+    fn as_cloud(&self) -> Self {
+        let normals = vertex_normals(&self.scan.positions, &self.scan.triangles, NormalWeighting::Area);
+        let scan = TriangleMesh { triangles: Vec::new(), ..self.scan.clone() };
+        Self { scan, scan_normals: Some(normals), ..self.clone() }
+    }
+
+    /// Pushes the vertices of the scan by `push`, whose argument is where the template has the nearest true vertex.
+    fn pushed(&self, truth: &[Vec3], push: impl Fn(&Vec3) -> Vec3) -> Self {
+        let tree = ClosestVertices::new(truth).unwrap();
+        let mut task = self.clone();
+        for p in &mut task.scan.positions {
+            *p += push(&self.template.positions[tree.query(p).unwrap().vertex as usize]);
+        }
         task
     }
 }
@@ -154,7 +182,8 @@ fn the_rigid_models_find_the_closed_form_on_the_moved_template() {
         let pairs: Vec<(Vec3, Vec3)> = rig.neutral.iter().copied().zip(scan.positions.iter().copied()).collect();
         let closed: Pose = closest_pose(&pairs, kind).unwrap();
         let expected: Vec<Vec3> = rig.neutral.iter().map(|p| closed.apply(*p)).collect();
-        let task = Task { template: rig.mesh.clone(), shapes: ShapeBasis::none(), scan, landmarks: Vec::new() };
+        let template = rig.mesh.clone();
+        let task = Task { template, shapes: ShapeBasis::none(), scan, landmarks: Vec::new(), ..small_task() };
         let mut schedule = Schedule::default_for(&model.to_string()).unwrap();
         schedule.stop.energy = 0.0;
         schedule.stop.motion = 1e-9;
@@ -174,6 +203,147 @@ fn moving_scan_and_landmarks_moves_the_result() {
         let expected: Vec<Vec3> = task.fit(model).positions.into_iter().map(place).collect();
         let distance = farthest(&moved.fit(model).positions, &expected);
         assert!(distance < 1e-6, "{model}: {distance}");
+    }
+}
+
+/// A model's default schedule with the terms that are off by default.
+fn with_all_terms(model: ModelKind) -> Schedule {
+    let mut schedule = Schedule::default_for(&model.to_string()).unwrap();
+    for level in &mut schedule.levels {
+        (level.point_to_plane, level.symmetric, level.scan_to_template) = (0.3, 0.7, 0.5);
+    }
+    schedule
+}
+
+#[test]
+fn moving_everything_moves_the_result_also_with_all_terms_and_for_point_clouds() {
+    let mesh = small_task();
+    let turn = Rotation3::from_euler_angles(0.4, -1.0, 2.0);
+    let place = |p: Vec3| turn * p + Vec3::new(40.0, -300.0, 25.0);
+    for task in [&mesh, &mesh.as_cloud()] {
+        // Blendshapes turn with their template; the graph has none.
+        for (model, template_too) in [(ModelKind::Hybrid, false), (ModelKind::Graph, false), (ModelKind::Rigid, true)] {
+            let schedule = with_all_terms(model);
+            let mut moved = task.moved(place);
+            if template_too {
+                moved.template.positions.iter_mut().for_each(|p| *p = place(*p));
+            }
+            let result = task.fit_by(model, &schedule);
+            let used = |name: &str| result.history[0].energies.iter().any(|e| e.0.contains(name) && e.1 > 0.0);
+            assert!(used("symmetric") && used("scan to template"), "{model}: {:?}", result.history[0].energies);
+            let expected: Vec<Vec3> = result.positions.into_iter().map(place).collect();
+            let distance = farthest(&moved.fit_by(model, &schedule).positions, &expected);
+            println!("{model}: {distance}");
+            assert!(distance < 1e-6, "{model}: {distance}");
+        }
+    }
+}
+
+#[test]
+fn zz_debug() {
+    let mesh = small_task();
+    let turn = Rotation3::from_euler_angles(0.4, -1.0, 2.0);
+    let place = |p: Vec3| turn * p + Vec3::new(40.0, -300.0, 25.0);
+    for (n, task) in [&mesh, &mesh.as_cloud()].into_iter().enumerate() {
+        for w in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.5), (0.3, 0.7, 0.5), (1.0, 1.0, 1.0)] {
+            for model in [ModelKind::Hybrid, ModelKind::Graph] {
+                for levels in [2, 4, 8] {
+                    let mut schedule = with_all_terms(model);
+                    for level in &mut schedule.levels {
+                        (level.point_to_plane, level.symmetric, level.scan_to_template) = w;
+                    }
+                    schedule.levels.truncate(levels);
+                    let expected: Vec<Vec3> = task.fit_by(model, &schedule).positions.into_iter().map(place).collect();
+                    println!(
+                        "DEBUG {n} {w:?} {model} {levels} {:.2e}",
+                        farthest(&task.moved(place).fit_by(model, &schedule).positions, &expected)
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_at_any_number_of_threads_also_with_all_terms_and_for_point_clouds() {
+    let mesh = small_task();
+    for task in [&mesh, &mesh.as_cloud()] {
+        let [one, three] = [1, 3].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| task.fit_by(ModelKind::Hybrid, &with_all_terms(ModelKind::Hybrid)))
+        });
+        assert!(bits(&one.positions) == bits(&three.positions));
+        assert_eq!((one.history, one.accepted), (three.history, three.accepted));
+    }
+}
+
+#[test]
+fn a_point_cloud_is_worth_its_mesh() {
+    let (rig, case) = small();
+    let task = Task::new(&rig, &case, 5);
+    let triangles = rig.mesh.triangulate().triangles;
+    for model in [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Rigid] {
+        let fits = [task.fit(model), task.as_cloud().fit(model)];
+        let [mesh, cloud] =
+            fits.map(|f| TruthErrors::new(&f.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse);
+        println!("{model}: mesh {mesh:.3} mm, cloud {cloud:.3} mm");
+        assert!(cloud < 1.15 * mesh + 0.05, "{model}: mesh {mesh} mm, cloud {cloud} mm");
+    }
+}
+
+#[test]
+fn what_is_masked_out_does_not_feel_the_scan() {
+    let (rig, case) = small();
+    let mut task = Task::new(&rig, &case, 5);
+    let pushed =
+        |task: &Task| task.pushed(&case.truth, |p| if p.x < -12.0 { Vec3::new(-3.0, 0.0, 6.0) } else { Vec3::zeros() });
+    for model in [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape] {
+        let distance = farthest(&task.fit(model).positions, &pushed(&task).fit(model).positions);
+        assert!(distance > 2.0, "{model}: without a mask {distance} mm");
+    }
+    task.mask = Some(rig.neutral.iter().map(|p| if p.x > 0.0 { 1.0 } else { 0.0 }).collect());
+    for model in [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape] {
+        let (result, other) = (task.fit(model), pushed(&task).fit(model));
+        assert!(bits(&result.positions) == bits(&other.positions), "{model}");
+        let accepted = result.accepted.iter().zip(&rig.neutral).filter(|(a, _)| **a);
+        assert!(accepted.clone().all(|(_, p)| p.x > 0.0));
+        let (taken, of) = (accepted.count(), rig.neutral.iter().filter(|p| p.x > 0.0).count());
+        assert_eq!(result.history.last().unwrap().inliers, taken as f64 / of as f64, "{model}");
+    }
+    // Ones change nothing.
+    let plain = Task { mask: None, ..task.clone() };
+    task.mask = Some(vec![1.0; rig.neutral.len()]);
+    task.free_mask = Some(vec![0.0; rig.neutral.len()]);
+    assert!(bits(&task.fit(ModelKind::Hybrid).positions) == bits(&plain.fit(ModelKind::Hybrid).positions));
+}
+
+#[test]
+fn free_vertices_between_fitted_ones_stay_smooth() {
+    let (rig, case) = small();
+    let task = Task::new(&rig, &case, 5);
+    // A lump of 9 mm on a cheek.
+    let cheek = Vec3::new(30.0, -15.0, 0.0);
+    let off = |p: &Vec3| (p.xy() - cheek.xy()).norm();
+    let lump = task.pushed(&case.truth, |p| Vec3::z() * if off(p) < 14.0 { 9.0 } else { 0.0 });
+    let free = Task {
+        free_mask: Some(rig.neutral.iter().map(|p| f64::from(u8::from(off(p) < 18.0))).collect()),
+        ..lump.clone()
+    };
+    let chosen: Vec<usize> = (0..rig.neutral.len()).filter(|&i| off(&rig.neutral[i]) < 10.0).collect();
+    assert!(chosen.len() >= 3, "{}", chosen.len());
+    for model in [ModelKind::Hybrid, ModelKind::Graph] {
+        let schedule = with_all_terms(model);
+        let clean = task.fit_by(model, &schedule).positions;
+        let difference = |task: &Task| -> f64 {
+            let result = task.fit_by(model, &schedule);
+            let of = |i: &usize| (result.positions[*i] - clean[*i]).norm();
+            chosen.iter().map(of).sum::<f64>() / chosen.len() as f64
+        };
+        let (with_lump, with_free) = (difference(&lump), difference(&free));
+        println!("{model}: the lump lifts the cheek by {with_lump:.2} mm, by {with_free:.2} mm where it is free");
+        assert!(with_lump > 4.0 && with_free < 0.35 * with_lump, "{model}: {with_lump} mm, free {with_free} mm");
+        let result = free.fit_by(model, &schedule);
+        assert!(result.accepted.iter().zip(&rig.neutral).all(|(a, p)| !a || off(p) >= 18.0));
     }
 }
 

@@ -7,10 +7,9 @@ use serde::Serialize;
 
 use super::inputs::read_positions;
 use super::{Failure, Stage, check_output};
-use crate::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
-use crate::mesh::closest_point::ClosestPoint;
+use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
-use crate::registration::WITHIN_MM;
+use crate::registration::{RegistrationError, WITHIN_MM};
 use crate::render::{ColourScale, View, error_sheet, save_png};
 
 /// Arguments of `nonrigid eval`.
@@ -31,7 +30,7 @@ pub struct Arguments {
     /// Which vertices the scan shows (.npy, N booleans) [default: all]
     #[arg(long, value_name = "FILE", requires = "truth", conflicts_with = "target")]
     observed: Option<PathBuf>,
-    /// The scan, where there is no truth: surface distances both ways
+    /// The scan, a mesh or a point cloud with normals, where there is no truth: surface distances both ways
     #[arg(long, value_name = "MESH")]
     target: Option<PathBuf>,
     /// Print JSON
@@ -61,13 +60,12 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let (text, json, per_vertex, label) = match (&a.truth, &a.target) {
         (Some(truth), _) => against_truth(a, &template, &result, &read_positions(truth)?)?,
         (None, Some(target)) => {
-            let scan = io::read_scan(target).map_err(Failure::loading)?.mesh;
-            if scan.triangles.is_empty() {
-                let message =
-                    format!("{}: the scan has no triangles; there is no surface to measure to", target.display());
-                return Err(Failure::new(Stage::Loading, message));
+            let scan = io::read_scan(target).map_err(Failure::loading)?;
+            let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
+            if scan.mesh.triangles.is_empty() && !directed {
+                return Err(Failure::loading(format!("{}: {}", target.display(), RegistrationError::EmptyScan)));
             }
-            against_scan(&template, &result, &scan)?
+            against_scan(&template, &result, &scan.mesh, scan.normals.as_deref())?
         }
         (None, None) => return Err(Failure::new(Stage::Arguments, "give --truth or --target")),
     };
@@ -111,9 +109,14 @@ fn against_truth(
     ))
 }
 
-fn against_scan(template: &PolygonMesh, result: &PolygonMesh, scan: &TriangleMesh) -> Result<Outcome, Failure> {
-    let on_scan = ClosestPoint::new(scan).map_err(Failure::computation)?;
-    let on_result = ClosestPoint::new(&result.triangulate()).map_err(Failure::computation)?;
+fn against_scan(
+    template: &PolygonMesh,
+    result: &PolygonMesh,
+    scan: &TriangleMesh,
+    normals: Option<&[Vec3]>,
+) -> Result<Outcome, Failure> {
+    let on_scan = ScanDistance::new(scan, normals).map_err(Failure::computation)?;
+    let on_result = ScanDistance::new(&result.triangulate(), None).map_err(Failure::computation)?;
     let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
     let fit = Measured {
         distances: SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM),
@@ -136,8 +139,8 @@ fn against_scan(template: &PolygonMesh, result: &PolygonMesh, scan: &TriangleMes
     Ok((text, to_json(&fit)?, to_scan, "distance to the scan"))
 }
 
-fn distances(surface: &ClosestPoint, points: &[Vec3]) -> Vec<f64> {
-    points.iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect()
+fn distances(surface: &ScanDistance, points: &[Vec3]) -> Vec<f64> {
+    points.iter().map(|p| surface.of(p)).collect()
 }
 
 fn same_count(what: &str, found: usize, template: &PolygonMesh) -> Result<(), Failure> {

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, warn};
+use crate::mesh::PolygonMesh;
 use crate::mesh::Vec3;
 use crate::mesh::io;
-use crate::rig::{Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
+use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
 /// The rig and which of its shapes to use.
 #[derive(Debug, Args)]
@@ -36,12 +37,67 @@ pub enum ShapeKindArgument {
 }
 
 impl RigArguments {
-    /// Reads the rig and takes out the shapes that are asked for.
-    pub fn read(&self) -> Result<ShapeBasis, Failure> {
-        let Some(folder) = &self.rig else { return Ok(ShapeBasis::none()) };
+    /// Reads the rig and takes out the shapes that are asked for; with the rig's regions, if it has any.
+    pub fn read(&self) -> Result<(ShapeBasis, Option<Regions>), Failure> {
+        let Some(folder) = &self.rig else { return Ok((ShapeBasis::none(), None)) };
         let rig = read_rig(folder, self.identity_modes, self.shape_kind)?;
         let selection = ShapeSelection { names: self.shapes.as_deref(), identity_modes: self.identity_modes };
-        rig.select(selection).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))
+        let shapes = rig.select(selection).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
+        Ok((shapes, rig.regions().cloned()))
+    }
+}
+
+/// Where on the template the scan counts.
+#[derive(Debug, Args)]
+pub struct MaskArguments {
+    /// Weight of what the scan says at each template vertex (.npy, N numbers from 0 to 1) [default: 1 everywhere]
+    #[arg(long, value_name = "FILE")]
+    pub mask: Option<PathBuf>,
+    /// How free each template vertex is (.npy, N numbers from 0 to 1): 1 follows smoothness alone, as bags of eyes and mouth
+    /// should [default: 0 everywhere]
+    #[arg(long, value_name = "FILE")]
+    pub free_mask: Option<PathBuf>,
+    /// Look at the scan only in these regions of the rig (regions.json) or, without any, groups of the template
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    pub regions: Vec<String>,
+    /// Regions or groups that follow smoothness alone
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    pub free_regions: Vec<String>,
+}
+
+impl MaskArguments {
+    /// The mask and the free mask: files and regions together, where regions of the rig come before groups of the template.
+    pub fn read(&self, template: &PolygonMesh, regions: Option<Regions>) -> Result<[Option<Vec<f64>>; 2], Failure> {
+        let vertices = template.positions.len();
+        let regions = regions.unwrap_or_else(|| Regions::of_groups(template));
+        let region_mask = |option: &str, names: &[String]| -> Result<Option<Vec<f64>>, Failure> {
+            let mask = (!names.is_empty()).then(|| regions.mask(names)).transpose();
+            mask.map_err(|e| Failure::loading(format!("{option}: {e}")))
+        };
+        let read = |path: &Option<PathBuf>| path.as_deref().map(|p| read_mask(p, vertices)).transpose();
+        Ok([
+            combined(read(&self.mask)?, region_mask("--regions", &self.regions)?, |a, b| a * b),
+            combined(read(&self.free_mask)?, region_mask("--free-regions", &self.free_regions)?, f64::max),
+        ])
+    }
+}
+
+fn combined(a: Option<Vec<f64>>, b: Option<Vec<f64>>, with: impl Fn(f64, f64) -> f64) -> Option<Vec<f64>> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.into_iter().zip(b).map(|(a, b)| with(a, b)).collect()),
+        (a, b) => a.or(b),
+    }
+}
+
+/// Numbers from 0 to 1, one per vertex.
+fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
+    let mask = io::read_npy_vector(path, Some(vertices)).map_err(Failure::loading)?;
+    match mask.iter().position(|m| !(0.0..=1.0).contains(m)) {
+        None => Ok(mask),
+        Some(v) => {
+            let message = format!("{}: expected numbers from 0 to 1, found {} at vertex {v}", path.display(), mask[v]);
+            Err(Failure::loading(message))
+        }
     }
 }
 

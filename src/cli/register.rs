@@ -9,7 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::inputs::RigArguments;
+use super::inputs::{MaskArguments, RigArguments};
 use super::{Failure, Stage, check_output, on_threads, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
@@ -28,7 +28,7 @@ pub struct Arguments {
     /// Template mesh (.obj or .ply); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
-    /// Scan (.obj or .ply), millimetres
+    /// Scan (.obj or .ply), millimetres: a mesh, or a point cloud whose vertices have normals (.ply: nx, ny, nz)
     #[arg(long, value_name = "MESH")]
     target: PathBuf,
     /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
@@ -42,7 +42,9 @@ pub struct Arguments {
     /// What the landmarks' names mean on the template (.json)
     #[arg(long, value_name = "FILE", requires = "landmarks")]
     template_landmarks: Option<PathBuf>,
-    /// Deformation model: hybrid, graph, affine (N-ICP), blendshape, rigid or similarity
+    #[command(flatten)]
+    masks: MaskArguments,
+    /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), free, rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
     /// Schedule (.toml) [default: the model's own]
@@ -83,7 +85,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
     let scan = io::read_scan(&a.target).map_err(Failure::loading)?;
     let neutral = a.neutral.as_deref().map(super::inputs::read_positions).transpose()?;
-    let shapes = a.rig.read()?;
+    let (shapes, regions) = a.rig.read()?;
+    let [mask, free_mask] = a.masks.read(&template, regions)?;
     let landmarks = match &a.landmarks {
         None => Vec::new(),
         Some(path) => io::read_landmarks(path, a.template_landmarks.as_deref(), &template, Some(&scan.mesh))
@@ -97,6 +100,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         shapes: &shapes,
         scan_normals: scan.normals.as_deref(),
         landmarks: &landmarks,
+        mask: mask.as_deref(),
+        free_mask: free_mask.as_deref(),
         ..RegistrationInput::new(&template, &scan.mesh)
     };
     let reading = clock.elapsed().as_secs_f64();
@@ -113,7 +118,11 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
     let report = match &a.report {
-        Some(path) => Some((path, Report::new(a.model.name(), input_files(a)?, &result, quality.clone()))),
+        Some(path) => {
+            let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone());
+            let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
+            Some((path, Report { regions, free_regions, ..report }))
+        }
         None => None,
     };
     // Everything is computed; only writing can still fail, and what is printed is true.
@@ -187,6 +196,8 @@ fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
     files.extend(a.neutral.clone().map(|p| ("neutral", p)));
     files.extend(a.landmarks.clone().map(|p| ("landmarks", p)));
     files.extend(a.template_landmarks.clone().map(|p| ("template landmarks", p)));
+    files.extend(a.masks.mask.clone().map(|p| ("mask", p)));
+    files.extend(a.masks.free_mask.clone().map(|p| ("free mask", p)));
     files.extend(a.config.clone().map(|p| ("schedule", p)));
     if let Some(folder) = &a.rig.rig {
         let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));

@@ -6,12 +6,14 @@
 
 mod deformation;
 mod percentile;
+mod scan_distance;
 mod self_intersections;
 mod surface_distances;
 mod truth_errors;
 
 pub use deformation::{EdgeStretch, MeshQuality, flipped_triangles};
 pub use percentile::percentile;
+pub use scan_distance::ScanDistance;
 pub use self_intersections::self_intersections;
 pub use surface_distances::{DistanceSummary, SurfaceDistances};
 pub use truth_errors::{TruthErrors, VertexErrors};

@@ -6,6 +6,7 @@ mod error;
 pub mod geodesic;
 pub mod io;
 pub mod normals;
+mod oriented_points;
 mod polygon_mesh;
 mod pose;
 #[cfg(test)]
@@ -13,6 +14,7 @@ pub(crate) mod testing;
 mod triangle_mesh;
 
 pub use error::MeshError;
+pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};

@@ -54,6 +54,16 @@ impl PolygonMesh {
         &self.corners[self.starts[f] as usize..self.starts[f + 1] as usize]
     }
 
+    /// What each `g` statement says, and the polygons up to the next one.
+    pub fn groups(&self) -> impl Iterator<Item = (&str, std::ops::Range<usize>)> {
+        let named = self.metadata.statements.iter().filter_map(|(first, statement)| match statement {
+            ObjStatement::Group(names) => Some((names.as_str(), *first as usize)),
+            _ => None,
+        });
+        let ends = named.clone().skip(1).map(|g| g.1).chain([self.polygon_count()]);
+        named.zip(ends).map(|((names, first), end)| (names, first..end))
+    }
+
     /// Fan triangulation `(q0, q_i, q_i+1)` of every polygon, in order; vertices are shared with `self`.
     #[must_use]
     pub fn triangulate(&self) -> TriangleMesh {

@@ -1,69 +1,11 @@
-//! Correspondences: for every vertex of the template, the closest point of the scan's surface, and whether to believe it.
+//! Correspondences: for every vertex of the template, the closest point of the scan, and whether to believe it.
 
 use rayon::prelude::*;
 
-use super::{Level, RegistrationError, ScanOptions};
-use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
-use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
-use crate::mesh::normals::{NormalWeighting, vertex_normals, vertex_normals_into};
+use super::{Level, ScanPoints, ScanSurface, VertexMasks};
+use crate::mesh::normals::{NormalWeighting, vertex_normals_into};
 use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
-
-/// A scan prepared for closest-point queries.
-#[derive(Debug)]
-pub struct ScanSurface {
-    mesh: TriangleMesh,
-    normals: Vec<Vec3>,
-    boundary: OpenBoundary,
-    surface: ClosestPoint,
-    /// Positions of the vertices that triangles use, and their tree.
-    corners: Vec<Vec3>,
-    vertices: ClosestVertices,
-    reject_boundary: bool,
-}
-
-impl ScanSurface {
-    /// Prepares a scan. `normals` are the file's own, if it had any: unit length or zero; otherwise they are computed.
-    ///
-    /// # Errors
-    /// When a coordinate is not finite or there is no triangle.
-    pub fn new(mesh: TriangleMesh, normals: Option<&[Vec3]>, options: &ScanOptions) -> Result<Self, RegistrationError> {
-        let unusable = |e: MeshError| RegistrationError::Scan(e.to_string());
-        let surface = ClosestPoint::new(&mesh).map_err(unusable)?;
-        let mut used = vec![false; mesh.positions.len()];
-        mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-        let corners: Vec<Vec3> = mesh.positions.iter().zip(&used).filter(|p| *p.1).map(|p| *p.0).collect();
-        let vertices = ClosestVertices::new(&corners).map_err(unusable)?;
-        let mut normals = match normals {
-            Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
-            None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
-        };
-        let edges = EdgeGraph::of(&mesh);
-        for _ in 0..options.normal_smoothing {
-            normals = smooth_normals(&edges, &normals);
-        }
-        let boundary = OpenBoundary::of(&mesh);
-        Ok(Self { mesh, normals, boundary, surface, corners, vertices, reject_boundary: options.reject_boundary })
-    }
-}
-
-impl ScanSurface {
-    /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
-    #[must_use]
-    pub fn closest_within(&self, p: Vec3, reach: f64) -> Option<Vec3> {
-        let hit = self.surface.query_within(&p, reach * reach)?;
-        let corners = self.mesh.triangles[hit.triangle as usize];
-        (!self.boundary.holds(hit.triangle as usize, corners, hit.barycentric)).then_some(hit.point)
-    }
-}
-
-/// Each normal averaged with its neighbours'.
-fn smooth_normals(edges: &EdgeGraph, normals: &[Vec3]) -> Vec<Vec3> {
-    let average = |i: usize| {
-        let sum = edges.neighbours(i).iter().fold(normals[i], |sum, &j| sum + normals[j as usize]);
-        sum.try_normalize(0.0).unwrap_or_default()
-    };
-    (0..normals.len()).into_par_iter().map(average).collect()
-}
+use crate::term::ScanToTemplate;
 
 /// One correspondence per template vertex, in the model's frame.
 #[derive(Debug, Clone, Default)]
@@ -74,21 +16,27 @@ pub struct Correspondences {
     pub normals: Vec<Vec3>,
     /// Scan vertex nearest to the template's vertex.
     pub nearest_vertices: Vec<Vec3>,
-    /// One for an accepted correspondence, zero for a rejected one.
+    /// One for an accepted correspondence, zero for a rejected one, less where a mask says so.
     pub weights: Vec<f64>,
+    /// Weight of each prediction: one where nothing was accepted, less where a mask says so.
+    pub prediction_weights: Vec<f64>,
+    /// Unit normal of the template at each vertex.
+    pub template_normals: Vec<Vec3>,
+    /// Points of the scan and their places on the template, where a level weights them.
+    pub from_scan: ScanToTemplate,
     /// Where the model's shapes predict each vertex, in the rigid pose that fits the accepted ones best.
     pub predictions: Vec<Vec3>,
     /// Points of the scan that close the template's [`Seams`](super::Seams), and where there is one.
     pub seam_points: Vec<Vec3>,
     /// One where [`seam_points`](Self::seam_points) has one.
     pub seam_weights: Vec<f64>,
-    template_normals: Vec<Vec3>,
     found: Vec<Found>,
+    counted: usize,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Found {
-    triangle: Option<u32>,
+    feature: Option<u32>,
     corner: Option<u32>,
     point: Vec3,
     normal: Vec3,
@@ -99,19 +47,19 @@ struct Found {
 impl Default for Found {
     fn default() -> Self {
         let zero = Vec3::zeros();
-        Self { triangle: None, corner: None, point: zero, normal: zero, nearest: zero, accepted: false }
+        Self { feature: None, corner: None, point: zero, normal: zero, nearest: zero, accepted: false }
     }
 }
 
 impl Correspondences {
     /// Finds the correspondences of `positions`, whose triangles are those of `template`. The last ones serve as hints.
-    /// Vertices marked in `ignored` take none.
+    /// Vertices take none on the rim and where their data weigh nothing.
     pub fn find(
         &mut self,
         scan: &ScanSurface,
         positions: &[Vec3],
         template: &TriangleMesh,
-        ignored: &[bool],
+        masks: &VertexMasks,
         level: &Level,
     ) {
         self.template_normals.resize(positions.len(), Vec3::zeros());
@@ -129,8 +77,28 @@ impl Correspondences {
         self.nearest_vertices.clear();
         self.nearest_vertices.extend(self.found.iter().map(|f| f.nearest));
         self.weights.clear();
-        self.found.iter_mut().zip(ignored).for_each(|(f, ignored)| f.accepted &= !ignored);
-        self.weights.extend(self.found.iter().map(|f| f64::from(u8::from(f.accepted))));
+        for ((found, data), on_rim) in self.found.iter_mut().zip(&masks.data).zip(&masks.rim) {
+            found.accepted &= !on_rim && *data > 0.0;
+            self.weights.push(if found.accepted { *data } else { 0.0 });
+        }
+        self.prediction_weights.clear();
+        self.prediction_weights.extend(masks.bound.iter().zip(&self.weights).map(|(bound, weight)| bound - weight));
+        self.counted = masks.counted();
+    }
+
+    /// Finds the places of scan points on the template, after [`find`](Self::find) with the same arguments.
+    ///
+    /// # Errors
+    /// When a position is not finite.
+    pub fn find_from_scan(
+        &mut self,
+        scan: &ScanPoints,
+        positions: &[Vec3],
+        template: &TriangleMesh,
+        masks: &VertexMasks,
+        level: &Level,
+    ) -> Result<(), MeshError> {
+        scan.find(positions, &self.template_normals, template, masks, level, &mut self.from_scan)
     }
 
     /// Moves [`predictions`](Self::predictions), as the model wrote them, into the rigid pose that fits `positions` best
@@ -149,7 +117,7 @@ impl Correspondences {
     #[must_use]
     pub fn vertex_coincidence(&self, scan: &ScanSurface) -> VertexCoincidence {
         let accepted: Vec<usize> = (0..self.found.len()).filter(|&i| self.found[i].accepted).collect();
-        let to_nearest = |p: &Vec3| scan.vertices.query(p).map_or(f64::INFINITY, |c| c.squared_distance.sqrt());
+        let to_nearest = |p: &Vec3| scan.nearest_vertex(p, f64::INFINITY).map_or(f64::INFINITY, |c| c.1.sqrt());
         let mut spacing: Vec<f64> = accepted.iter().map(|&i| to_nearest(&self.found[i].point)).collect();
         let observed = spacing.clone();
         spacing.sort_unstable_by(f64::total_cmp);
@@ -159,10 +127,8 @@ impl Correspondences {
             let u = found.normal.cross(&Vec3::ith(found.normal.iamin(), 1.0)).normalize();
             let (sin, cos) = (GOLDEN_ANGLE * i as f64).sin_cos();
             let aside = found.point + (u * cos + found.normal.cross(&u) * sin) * offset;
-            let hit = scan.surface.query_from(&aside, found.triangle?)?;
-            let corners = scan.mesh.triangles[hit.triangle as usize];
-            let on_rim = scan.boundary.holds(hit.triangle as usize, corners, hit.barycentric);
-            (!on_rim).then(|| observed < to_nearest(&hit.point))
+            let hit = scan.closest(&aside, found.feature, f64::INFINITY)?;
+            (!hit.on_boundary).then(|| observed < to_nearest(&hit.point))
         });
         let outcomes: Vec<bool> = nearer.collect();
         VertexCoincidence { nearer: outcomes.iter().filter(|&&n| n).count(), of: outcomes.len() }
@@ -174,10 +140,10 @@ impl Correspondences {
         self.weights.iter().any(|&w| w > 0.0)
     }
 
-    /// Share of accepted correspondences.
+    /// Share of accepted correspondences, of the vertices that no mask takes out.
     #[must_use]
     pub fn inlier_share(&self) -> f64 {
-        self.weights.iter().filter(|&&w| w > 0.0).count() as f64 / self.weights.len().max(1) as f64
+        self.weights.iter().filter(|&&w| w > 0.0).count() as f64 / self.counted.max(1) as f64
     }
 }
 
@@ -220,25 +186,21 @@ impl Found {
     fn update(&mut self, scan: &ScanSurface, position: Vec3, normal: Vec3, level: &Level, cosine: f64) {
         self.accepted = false;
         let cap = level.distance_cap * level.distance_cap;
-        let hit = match self.triangle {
-            Some(hint) => scan.surface.query_from_within(&position, hint, cap),
-            None => scan.surface.query_within(&position, cap),
-        };
-        let Some(hit) = hit else { return };
-        self.triangle = Some(hit.triangle);
+        let Some(hit) = scan.closest(&position, self.feature, cap) else { return };
+        self.feature = Some(hit.feature);
         self.point = hit.point;
-        let corners = scan.mesh.triangles[hit.triangle as usize];
-        let interpolated: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| scan.normals[v as usize] * b).sum();
-        let Some(scan_normal) = interpolated.try_normalize(0.0) else { return };
-        self.normal = scan_normal;
-        let on_rim = scan.reject_boundary && scan.boundary.holds(hit.triangle as usize, corners, hit.barycentric);
-        self.accepted = !on_rim && scan_normal.dot(&normal) > cosine;
+        if hit.normal == Vec3::zeros() {
+            return;
+        }
+        self.normal = hit.normal;
+        let on_rim = scan.rejects_boundary() && hit.on_boundary;
+        self.accepted = !on_rim && hit.normal.dot(&normal) > cosine;
         if self.accepted && level.point_to_point > 0.0 {
             // The last one bounds the search.
-            let limit = self.corner.map_or(f64::INFINITY, |c| (scan.corners[c as usize] - position).norm_squared());
-            if let Some(found) = scan.vertices.query_within(&position, limit) {
-                self.corner = Some(found.vertex);
-                self.nearest = scan.corners[found.vertex as usize];
+            let limit = self.corner.map_or(f64::INFINITY, |c| (scan.vertex(c) - position).norm_squared());
+            if let Some((vertex, _)) = scan.nearest_vertex(&position, limit) {
+                self.corner = Some(vertex);
+                self.nearest = scan.vertex(vertex);
             }
         }
     }
@@ -246,6 +208,7 @@ impl Found {
 
 #[cfg(test)]
 mod tests {
+    use super::super::ScanOptions;
     use super::*;
     use crate::mesh::Pose;
     use crate::mesh::testing::{noise, sheet};
@@ -265,7 +228,7 @@ mod tests {
 
     fn find(scan: &ScanSurface, template: &TriangleMesh, level: &Level) -> Correspondences {
         let mut found = Correspondences::default();
-        found.find(scan, &template.positions, template, &vec![false; template.positions.len()], level);
+        found.find(scan, &template.positions, template, &VertexMasks::all(template.positions.len()), level);
         found
     }
 
@@ -368,15 +331,15 @@ mod tests {
     fn ignored_vertices_and_stale_hints_do_no_harm() {
         let scan = scan_of(flat(9, 9), true);
         let mut template = sheet(5, 5, |c, r| Vec3::new(2.0 + c, 2.0 + r, 0.3));
-        let ignored: Vec<bool> = (0..25).map(|i| i % 3 == 0).collect();
+        let masks = VertexMasks::new(None, None, (0..25).map(|i| i % 3 == 0).collect());
         let mut found = Correspondences::default();
         for shift in [0.0, 0.7, -0.9] {
             template.positions.iter_mut().for_each(|p| p.x += shift);
-            found.find(&scan, &template.positions, &template, &ignored, &level());
+            found.find(&scan, &template.positions, &template, &masks, &level());
             let mut fresh = Correspondences::default();
-            fresh.find(&scan, &template.positions, &template, &ignored, &level());
+            fresh.find(&scan, &template.positions, &template, &masks, &level());
             assert_eq!((&found.points, &found.weights), (&fresh.points, &fresh.weights));
-            for (i, (weight, ignored)) in found.weights.iter().zip(&ignored).enumerate() {
+            for (i, (weight, ignored)) in found.weights.iter().zip(&masks.rim).enumerate() {
                 assert_eq!(*weight == 0.0, *ignored, "vertex {i}");
             }
         }

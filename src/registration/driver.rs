@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 use serde::Serialize;
 
 use super::{
-    Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanSurface,
-    Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence,
+    Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
+    ScanSurface, Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence, VertexMasks, masks, scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -24,12 +24,18 @@ pub struct RegistrationInput<'a> {
     pub neutral: Option<&'a [Vec3]>,
     /// Blendshapes on the template's vertices; [`ShapeBasis::none`] for models without.
     pub shapes: &'a ShapeBasis,
-    /// The scan.
+    /// The scan: triangles, or a point cloud without any.
     pub scan: &'a TriangleMesh,
-    /// The scan's own vertex normals, where it has any; computed from the triangles otherwise.
+    /// The scan's own vertex normals, where it has any; computed from the triangles otherwise. A point cloud needs them.
     pub scan_normals: Option<&'a [Vec3]>,
     /// Landmarks. Three or more start the registration; all of them take part in it where the schedule weights them.
     pub landmarks: &'a [Landmark],
+    /// Weight of the data terms at each template vertex, 0 to 1: what the scan says there counts as much. Landmarks keep
+    /// their own weight, and where the mask is 0 the prediction takes over.
+    pub mask: Option<&'a [f64]>,
+    /// Share by which each template vertex is free, 0 to 1: 1 for a vertex that follows smoothness alone, without
+    /// correspondences, prediction and seams, such as the bags of eyes and mouth.
+    pub free_mask: Option<&'a [f64]>,
 }
 
 impl<'a> RegistrationInput<'a> {
@@ -39,7 +45,16 @@ impl<'a> RegistrationInput<'a> {
     #[must_use]
     pub fn new(template: &'a PolygonMesh, scan: &'a TriangleMesh) -> Self {
         static NO_SHAPES: std::sync::LazyLock<ShapeBasis> = std::sync::LazyLock::new(ShapeBasis::none);
-        Self { template, neutral: None, shapes: &NO_SHAPES, scan, scan_normals: None, landmarks: &[] }
+        Self {
+            template,
+            neutral: None,
+            shapes: &NO_SHAPES,
+            scan,
+            scan_normals: None,
+            landmarks: &[],
+            mask: None,
+            free_mask: None,
+        }
     }
 
     /// The positions that the registration deforms: `neutral`, or else the template's.
@@ -164,6 +179,8 @@ pub fn register_with(
     let scan_normals: Option<Vec<Vec3>> =
         input.scan_normals.map(|n| n.iter().map(|&n| start.rotation.tr_mul(&n)).collect());
     let scan = ScanSurface::new(scan_in_rest, scan_normals.as_deref(), &schedule.scan)?;
+    let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
+    let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
 
     let mut samples = Samples::vertices(template.mesh.positions.len());
     let mut landmarks = Vec::new();
@@ -190,6 +207,7 @@ pub fn register_with(
     }
     let mut run = Run {
         vertices_coincide: false,
+        scan_points,
         correspondences: Correspondences::default(),
         minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(DAMPING_FLOOR))
             .expect("proven: the defaults and these two values are in bounds"),
@@ -251,8 +269,7 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 struct Rest {
     mesh: TriangleMesh,
-    /// Vertices that take no correspondence.
-    ignored: Vec<bool>,
+    masks: VertexMasks,
     seams: Seams,
     centre: Vec3,
     /// Length of one of the schedule's millimetres.
@@ -271,10 +288,11 @@ impl Rest {
         let size = (mesh.positions.iter().map(Vec3::norm_squared).sum::<f64>() / count).sqrt();
         let unit = size / schedule.reference_size;
         let finer = (count / schedule.reference_vertices).sqrt();
-        let ignored = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
+        let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim);
         let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
         let density = schedule.reference_vertices / count;
-        Ok(Self { mesh, ignored, seams, centre, unit, density })
+        Ok(Self { mesh, masks, seams, centre, unit, density })
     }
 }
 
@@ -294,9 +312,7 @@ fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Resul
     if input.template.polygon_count() == 0 {
         return Err(RegistrationError::EmptyTemplate);
     }
-    if input.scan.triangles.is_empty() {
-        return Err(RegistrationError::EmptyScan);
-    }
+    scan::check_normals(input.scan, input.scan_normals)?;
     if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
         return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
     }
@@ -306,6 +322,11 @@ fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Resul
     }
     if model.needs_shapes() && input.shapes.is_empty() {
         return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
+    }
+    masks::check_mask("mask", input.mask, vertices)?;
+    masks::check_mask("free mask", input.free_mask, vertices)?;
+    if VertexMasks::new(input.mask, input.free_mask, vec![false; vertices]).counted() == 0 {
+        return Err(RegistrationError::EmptyMask);
     }
     Ok(())
 }
@@ -326,6 +347,8 @@ fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -
 struct Run {
     /// Whether a level has found the scan's vertices to coincide with the template's; it is not asked again.
     vertices_coincide: bool,
+    /// Points of the scan that look for the template, where a level asks for them.
+    scan_points: Option<ScanPoints>,
     correspondences: Correspondences,
     minimizer: Minimizer,
     workspace: Workspace,
@@ -375,7 +398,7 @@ impl Run {
         problem.model.set_level(&level);
         let mut coincidence = None;
         if level.point_to_point > 0.0 && schedule.scan.test_vertices && !self.vertices_coincide {
-            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
+            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.masks, &level);
             let test = self.correspondences.vertex_coincidence(scan);
             self.vertices_coincide = test.is_evident();
             if !self.vertices_coincide {
@@ -386,7 +409,7 @@ impl Run {
         problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps {
-            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.ignored, &level);
+            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.masks, &level);
             if !self.correspondences.any() {
                 return Err(RegistrationError::NoOverlap {
                     level: self.level_names[number].clone(),
@@ -398,6 +421,12 @@ impl Run {
             let c = &mut self.correspondences;
             let widest = schedule.seam.widest * rest.unit;
             rest.seams.targets(scan, &self.vertices, widest, &mut c.seam_points, &mut c.seam_weights);
+            c.seam_weights.iter_mut().zip(&rest.masks.data).for_each(|(weight, data)| *weight *= data);
+            if let Some(points) = self.scan_points.as_ref().filter(|_| level.scan_to_template > 0.0) {
+                c.find_from_scan(points, &self.vertices, &rest.mesh, &rest.masks, &level).map_err(|_| {
+                    RegistrationError::Diverged { level: self.level_names[number].clone(), step: step + 1 }
+                })?;
+            }
             problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
             let summary = self.minimizer.minimize_with(problem, x, &mut self.workspace, &mut Silent);
             let final_energy = summary.final_energy;

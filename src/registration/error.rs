@@ -25,9 +25,27 @@ pub enum RegistrationError {
     /// The template has no faces.
     #[error("the template has no faces; a registration needs its surface")]
     EmptyTemplate,
-    /// The scan has no triangles.
-    #[error("the scan has no triangles; a registration needs its surface")]
+    /// The scan has neither triangles nor normals.
+    #[error(
+        "the scan has no triangles and no normals, so its surface is not known; give a mesh, or a PLY file whose vertices have \
+         normals nx, ny, nz (point cloud programs compute them)"
+    )]
     EmptyScan,
+    /// A mask is no share.
+    #[error("the {what} is {value} at vertex {vertex}; it must be from 0 to 1")]
+    MaskValue {
+        /// Which mask.
+        what: &'static str,
+        /// The vertex.
+        vertex: usize,
+        /// What it holds.
+        value: f64,
+    },
+    /// Nothing of the template is left to register.
+    #[error(
+        "the masks take out every vertex of the template; at least one must have mask above 0 and free mask below 1"
+    )]
+    EmptyMask,
     /// Something does not belong to the template.
     #[error(
         "the {what} has {found} vertices, the template has {template}; both must have the same vertices in the same order"

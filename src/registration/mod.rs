@@ -3,20 +3,26 @@
 mod correspondence;
 mod driver;
 mod error;
+mod masks;
 mod model_kind;
 mod report;
+mod scan;
+mod scan_points;
 mod schedule;
 mod seam;
 mod terms;
 
-pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
+pub use correspondence::{Correspondences, VertexCoincidence};
 pub use driver::{
     NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register,
     register_with,
 };
 pub use error::RegistrationError;
+pub use masks::VertexMasks;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
+pub use scan::ScanSurface;
+pub use scan_points::ScanPoints;
 pub use schedule::{
     AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule,
     ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,

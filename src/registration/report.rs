@@ -7,9 +7,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
-use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
-use crate::mesh::closest_point::ClosestPoint;
+use super::{NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, VertexMasks};
+use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
 /// A file that was read.
@@ -38,7 +37,8 @@ impl InputFile {
 /// How well the result fits, without any ground truth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quality {
-    /// Distances of the result's vertices to the scan's surface; `share_within` counts those within 3 mm.
+    /// Distances to the scan's surface of the result's vertices, without those that masks take out; `share_within` counts
+    /// those within 3 mm.
     pub to_scan: DistanceSummary,
     /// Median distance of the vertices within 3 mm.
     pub median_within: f64,
@@ -56,11 +56,19 @@ impl Quality {
     /// Measures a result.
     ///
     /// # Errors
-    /// When the scan has no usable triangle or the vertex counts differ.
+    /// When the scan has an unusable triangle or the vertex counts differ.
     pub fn measure(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
-        let surface = ClosestPoint::new(input.scan)?;
+        for (what, mask) in [("the mask", input.mask), ("the free mask", input.free_mask)] {
+            let (expected, found) = (positions.len(), mask.map_or(positions.len(), <[f64]>::len));
+            if found != expected {
+                return Err(EvaluationError::VertexCount { what, expected, found }.into());
+            }
+        }
+        let surface = ScanDistance::new(input.scan, input.scan_normals)?;
+        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+        let vertices = positions.par_iter().zip(&masks.data);
         let distances: Vec<f64> =
-            positions.par_iter().map(|p| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt())).collect();
+            vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect();
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
         let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();
@@ -97,13 +105,17 @@ pub struct Report {
     pub model: String,
     /// What was read.
     pub inputs: Vec<InputFile>,
+    /// Regions outside of which the scan was not looked at; none for everywhere.
+    pub regions: Vec<String>,
+    /// Regions that followed smoothness alone.
+    pub free_regions: Vec<String>,
     /// The schedule as it was used.
     pub schedule: Schedule,
     /// Where the registration started.
     pub start: Pose,
     /// Why it ended.
     pub stop: RegistrationStop,
-    /// Share of the template's vertices with an accepted correspondence at the end.
+    /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
     pub inliers: f64,
     /// Directions that nothing observed and damping held still, in the last step.
     pub weak_directions: usize,
@@ -123,6 +135,8 @@ impl Report {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             model: model.to_owned(),
             inputs,
+            regions: Vec::new(),
+            free_regions: Vec::new(),
             schedule: result.schedule.clone(),
             start: result.start,
             stop: result.stop,

@@ -4,7 +4,7 @@ use super::{Correspondences, Level};
 use crate::energy::{DataTerm, Pointwise, QuadricField};
 use crate::mesh::{Pose, Vec3};
 use crate::nlls::Kernel;
-use crate::term::{Landmarks, PointToPlane, PointToPoint};
+use crate::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
 
 /// A data term that follows the levels and correspondences of a registration.
 pub trait RegistrationTerm: DataTerm {
@@ -37,6 +37,10 @@ pub trait TermFactory: Send + Sync {
 pub enum TermKind {
     /// Distance to the plane through the closest point of the scan's surface.
     PointToPlane,
+    /// The same along the mean of both normals.
+    Symmetric,
+    /// Distance of the template to planes through points of the scan.
+    ScanToTemplate,
     /// Distance to the nearest scan vertex.
     PointToPoint,
     /// Distance to landmarks.
@@ -49,7 +53,15 @@ pub enum TermKind {
 
 impl TermKind {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::PointToPlane, Self::PointToPoint, Self::Landmarks, Self::Prediction, Self::Seam];
+    pub const ALL: [Self; 7] = [
+        Self::PointToPlane,
+        Self::Symmetric,
+        Self::ScanToTemplate,
+        Self::PointToPoint,
+        Self::Landmarks,
+        Self::Prediction,
+        Self::Seam,
+    ];
 }
 
 impl TermFactory for TermKind {
@@ -60,6 +72,10 @@ impl TermFactory for TermKind {
         };
         match self {
             Self::PointToPlane => Box::new(Pointwise::new("point to plane (3)", PointToPlane::default(), Kernel::None)),
+            Self::Symmetric => Box::new(Pointwise::new("symmetric point to plane", Symmetric::default(), Kernel::None)),
+            Self::ScanToTemplate => {
+                Box::new(Pointwise::new("scan to template", ScanToTemplate::default(), Kernel::None))
+            }
             Self::PointToPoint => pull("point to point (2)", Towards::NearestVertex),
             Self::Prediction => pull("prediction", Towards::Prediction),
             Self::Seam => pull("seams", Towards::Seam),
@@ -83,6 +99,33 @@ impl RegistrationTerm for Pointwise<PointToPlane, Kernel, 1> {
         self.residuals.targets.clone_from(&correspondences.points);
         self.residuals.normals.clone_from(&correspondences.normals);
         self.residuals.weights.clone_from(&correspondences.weights);
+    }
+}
+
+impl RegistrationTerm for Pointwise<Symmetric, Kernel, 1> {
+    fn set_level(&mut self, level: &Level, density: f64) {
+        self.residuals.scale = level.symmetric * density;
+        self.kernel = level.kernel;
+    }
+
+    fn update(&mut self, correspondences: &Correspondences) {
+        self.residuals.targets.clone_from(&correspondences.points);
+        self.residuals.source_normals.clone_from(&correspondences.template_normals);
+        self.residuals.target_normals.clone_from(&correspondences.normals);
+        self.residuals.weights.clone_from(&correspondences.weights);
+    }
+}
+
+impl RegistrationTerm for Pointwise<ScanToTemplate, Kernel, 1> {
+    fn set_level(&mut self, level: &Level, density: f64) {
+        self.residuals.scale = level.scan_to_template * density;
+        self.kernel = level.kernel;
+    }
+
+    fn update(&mut self, correspondences: &Correspondences) {
+        let scale = self.residuals.scale;
+        self.residuals.clone_from(&correspondences.from_scan);
+        self.residuals.scale = scale;
     }
 }
 
@@ -148,8 +191,7 @@ impl RegistrationTerm for Pull {
             }
             Towards::Prediction => {
                 targets.clone_from(&correspondences.predictions);
-                weights.clear();
-                weights.extend(correspondences.weights.iter().map(|w| 1.0 - w));
+                weights.clone_from(&correspondences.prediction_weights);
             }
             Towards::Seam => {
                 targets.clone_from(&correspondences.seam_points);

@@ -62,6 +62,14 @@ pub enum RigError {
         /// What was asked for.
         name: String,
     },
+    /// No region of that name.
+    #[error("no region {name:?}; known regions: {known}")]
+    UnknownRegion {
+        /// What was asked for.
+        name: String,
+        /// All names.
+        known: String,
+    },
     /// Fewer identity modes than asked for.
     #[error("{asked} identity modes asked for, the rig has {found}")]
     IdentityModes {

@@ -10,6 +10,7 @@ mod error;
 mod pca;
 mod population;
 mod read;
+mod regions;
 mod write;
 
 pub use basis::ShapeBasis;
@@ -17,6 +18,7 @@ pub use error::{RigError, RigWarning};
 pub use pca::ShapePca;
 pub use population::{Population, PopulationError};
 pub use read::{RigReadOptions, ShapeKind};
+pub use regions::Regions;
 
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
@@ -55,6 +57,7 @@ pub struct Rig {
     deltas: Vec<f32>,
     motionless: Vec<String>,
     landmarks: Option<Vec<u32>>,
+    regions: Option<Regions>,
 }
 
 /// Which shapes a fit uses.
@@ -114,7 +117,7 @@ impl Rig {
             let what = format!("shape {:?}", shapes[i / width].name);
             return Err(RigError::NotFinite { what, vertex: i % width / 3 });
         }
-        let mut rig = Self { neutral, mesh, shapes, deltas, motionless: Vec::new(), landmarks: None };
+        let mut rig = Self { neutral, mesh, shapes, deltas, motionless: Vec::new(), landmarks: None, regions: None };
         let warnings = rig.drop_motionless();
         Ok((rig, warnings))
     }
@@ -167,6 +170,12 @@ impl Rig {
     #[must_use]
     pub fn landmarks(&self) -> Option<&[u32]> {
         self.landmarks.as_deref()
+    }
+
+    /// Named regions of the rig's vertices, if it came with them.
+    #[must_use]
+    pub fn regions(&self) -> Option<&Regions> {
+        self.regions.as_ref()
     }
 
     /// Differences of shape `k` to the neutral, vertex by vertex, x y z: millimetres.

@@ -7,12 +7,14 @@
 //! **Meshes**: one OBJ or PLY file a shape, named after it. `neutral` is the neutral and `template` gives the polygons;
 //! if only one of them is there it does both. The others are whole shapes, or differences: option, or `rig.json` with
 //! `{"kind": "full"}` or `{"kind": "delta"}`.
+//!
+//! Either may have `regions.json`, `{"name": [vertex, ...], ...}`.
 
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::{Family, MOTIONLESS_SHARE, Rig, RigError, RigWarning, Shape};
+use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
 use crate::mesh::io::{NpyArray, Place, ReadError, read_npy_points, read_polygon_mesh};
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
@@ -49,11 +51,16 @@ impl Rig {
     /// a coordinate is not finite.
     pub fn read(folder: &Path, options: &RigReadOptions) -> Result<(Self, Vec<RigWarning>), RigError> {
         let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
-        if arrays.iter().any(|name| folder.join(name).exists()) {
-            read_arrays(folder, options)
+        let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
+            read_arrays(folder, options)?
         } else {
-            read_meshes(folder, options)
+            read_meshes(folder, options)?
+        };
+        let regions = folder.join("regions.json");
+        if regions.exists() {
+            rig.regions = Some(Regions::read(&regions, rig.neutral.len())?);
         }
+        Ok((rig, warnings))
     }
 }
 
@@ -128,7 +135,7 @@ fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigErro
     Err(RigError::VertexCount { what: path.display().to_string(), found, expected })
 }
 
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
+pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
     let bytes = std::fs::read(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
     serde_json::from_slice(&bytes)
         .map_err(|e| ReadError::malformed(path, Place::Line(e.line().max(1)), expected, e.to_string()))

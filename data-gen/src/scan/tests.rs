@@ -1,7 +1,7 @@
 //! Laws of scans.
 
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
-use nonrigid::registration::{Correspondences, Level, ScanOptions as Reading, ScanSurface, Schedule};
+use nonrigid::registration::{Correspondences, Level, ScanOptions as Reading, ScanSurface, Schedule, VertexMasks};
 use rand::Rng;
 
 use super::*;
@@ -139,7 +139,7 @@ fn the_library_finds_no_coincidence_of_vertices() {
         let case = scan(&rig, &ScanOptions::default(), seed);
         let surface = ScanSurface::new(case.scan, None, &Reading::default()).unwrap();
         let mut found = Correspondences::default();
-        found.find(&surface, &case.truth, &template, &vec![false; case.truth.len()], &level);
+        found.find(&surface, &case.truth, &template, &VertexMasks::all(case.truth.len()), &level);
         let coincidence = found.vertex_coincidence(&surface);
         assert!(coincidence.of > 3000 && coincidence.significance().abs() < 4.0, "{coincidence:?}");
     }

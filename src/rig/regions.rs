@@ -1,0 +1,166 @@
+//! Named regions of a template: `regions.json` of a rig, `{"name": [vertex, ...], ...}`, or the groups of an OBJ file.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
+
+use super::RigError;
+use super::read::read_json;
+use crate::mesh::PolygonMesh;
+use crate::mesh::io::{Place, ReadError};
+
+/// Sets of a template's vertices by name. A vertex may belong to any number of them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Regions {
+    vertex_count: usize,
+    regions: Vec<(String, Vec<u32>)>,
+}
+
+impl Regions {
+    /// Reads a file of regions of a template with `vertex_count` vertices.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not of the form above, a name comes twice, or there is no such vertex.
+    pub fn read(path: &Path, vertex_count: usize) -> Result<Self, ReadError> {
+        let File(regions) = read_json(path, "{\"name\": [vertex, ...], ...}")?;
+        let malformed = |expected: String, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
+        for (i, (name, vertices)) in regions.iter().enumerate() {
+            if regions[..i].iter().any(|r| r.0 == *name) {
+                return malformed("every region once".into(), format!("{name:?} twice"));
+            }
+            if let Some(v) = vertices.iter().find(|v| **v as usize >= vertex_count) {
+                return malformed(format!("vertex indices below {vertex_count} in region {name:?}"), v.to_string());
+            }
+        }
+        Ok(Self { vertex_count, regions })
+    }
+
+    /// The groups of a mesh (`g` of an OBJ file, which may name several at once) with the vertices of their polygons.
+    #[must_use]
+    pub fn of_groups(mesh: &PolygonMesh) -> Self {
+        let mut regions: Vec<(String, Vec<u32>)> = Vec::new();
+        for (names, polygons) in mesh.groups() {
+            for name in names.split_whitespace() {
+                let at = regions.iter().position(|r| r.0 == name).unwrap_or(regions.len());
+                if at == regions.len() {
+                    regions.push((name.to_owned(), Vec::new()));
+                }
+                regions[at].1.extend(polygons.clone().flat_map(|f| mesh.polygon(f)));
+            }
+        }
+        for (_, vertices) in &mut regions {
+            vertices.sort_unstable();
+            vertices.dedup();
+        }
+        Self { vertex_count: mesh.positions.len(), regions }
+    }
+
+    /// Names, in the order of the file.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.regions.iter().map(|r| r.0.as_str())
+    }
+
+    /// Vertices of a region, if there is one of that name.
+    #[must_use]
+    pub fn vertices(&self, name: &str) -> Option<&[u32]> {
+        self.regions.iter().find(|r| r.0 == name).map(|r| r.1.as_slice())
+    }
+
+    /// A mask, one number per vertex: 1 in the regions of these names, 0 elsewhere.
+    ///
+    /// # Errors
+    /// When there is no region of a name: the message lists those there are.
+    pub fn mask(&self, names: &[String]) -> Result<Vec<f64>, RigError> {
+        let mut mask = vec![0.0; self.vertex_count];
+        for name in names {
+            let Some(vertices) = self.vertices(name) else {
+                let known = match self.names().collect::<Vec<_>>().join(", ") {
+                    known if known.is_empty() => "none, neither in a rig's regions.json nor as groups".to_owned(),
+                    known => known,
+                };
+                return Err(RigError::UnknownRegion { name: name.clone(), known });
+            };
+            vertices.iter().for_each(|&v| mask[v as usize] = 1.0);
+        }
+        Ok(mask)
+    }
+}
+
+/// The file as it stands, a name that comes twice included.
+struct File(Vec<(String, Vec<u32>)>);
+
+impl<'de> Deserialize<'de> for File {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Entries;
+        impl<'de> Visitor<'de> for Entries {
+            type Value = File;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object of named arrays of vertex indices")
+            }
+
+            fn visit_map<M: MapAccess<'de>>(self, mut map: M) -> Result<File, M::Error> {
+                let mut entries = Vec::new();
+                while let Some(entry) = map.next_entry()? {
+                    entries.push(entry);
+                }
+                Ok(File(entries))
+            }
+        }
+        deserializer.deserialize_map(Entries)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::io::parse_obj;
+
+    fn read(text: &str) -> Result<Regions, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("regions.json");
+        std::fs::write(&path, text).unwrap();
+        Regions::read(&path, 5).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn files_give_masks() {
+        let regions = read("{\"nose\": [0, 2], \"empty\": [], \"mouth\": [2, 4]}").unwrap();
+        assert_eq!(regions.names().collect::<Vec<_>>(), ["nose", "empty", "mouth"]);
+        assert_eq!(regions.vertices("mouth"), Some(&[2, 4][..]));
+        assert_eq!(regions.mask(&["nose".into(), "mouth".into()]).unwrap(), [1.0, 0.0, 1.0, 0.0, 1.0]);
+        assert_eq!(regions.mask(&[]).unwrap(), [0.0; 5]);
+        let message = regions.mask(&["nose".into(), "nosee".into()]).unwrap_err().to_string();
+        assert!(message.contains("nosee") && message.contains("nose, empty, mouth"), "{message}");
+        let message = Regions::default().mask(&["nose".into()]).unwrap_err().to_string();
+        assert!(message.contains("known regions: none"), "{message}");
+    }
+
+    #[test]
+    fn malformed_files_are_named() {
+        for (text, word) in [
+            ("", "line 1"),
+            ("[1, 2]", "named arrays"),
+            ("{\"nose\": 3}", "line 1"),
+            ("{\"nose\": [-3]}", "-3"),
+            ("{\"nose\": [0.5]}", "0.5"),
+            ("{\"nose\": [1, 5]}", "below 5 in region \"nose\""),
+            ("{\"nose\": [1], \"nose\": [2]}", "\"nose\" twice"),
+        ] {
+            let message = read(text).unwrap_err();
+            assert!(message.contains("regions.json") && message.contains(word), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn groups_of_an_obj_are_regions() {
+        let text =
+            "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 2 2\nf 1 2 3\ng skin lip\nf 1 3 4\ng eye\ng skin\nf 1 4 5\n";
+        let regions = Regions::of_groups(&parse_obj(text.as_bytes(), Path::new("t.obj")).unwrap());
+        assert_eq!(regions.names().collect::<Vec<_>>(), ["skin", "lip", "eye"]);
+        assert_eq!(regions.vertices("skin"), Some(&[0, 2, 3, 4][..]));
+        assert_eq!(regions.vertices("lip"), Some(&[0, 2, 3][..]));
+        assert_eq!((regions.vertices("eye"), regions.vertices("nose")), (Some(&[][..]), None));
+    }
+}

@@ -1,0 +1,48 @@
+//! Points of the scan towards the template: `r = n_q . (v_s - (q + o))`.
+//!
+//! The closest point c of a scan point q on the template lies inside a triangle, but terms act on samples. So the residual acts
+//! on the vertex s of that triangle nearest to c, less its offset `o = v_s - c` when c was found: there the residual is
+//! `n_q . (c - q)`, the distance of c to the scan's plane, and the vertex is not pulled to q itself. Along the scan's normal,
+//! not towards the point: which point of the template belongs to q is not known better than up to sliding.
+//!
+//! What it adds to the other direction: a scan's spike, the tip of a nose, that is no template vertex' closest point.
+
+use crate::energy::SampleResidual;
+use crate::mesh::Vec3;
+use crate::nlls::Scalar;
+
+/// Pulls sample `samples[m]` towards the plane through `targets[m]` with unit normal `normals[m]`, weight
+/// `scale * weights[m]`.
+#[derive(Debug, Clone, Default)]
+pub struct ScanToTemplate {
+    /// `s`: the sample of each scan point; several may share one.
+    pub samples: Vec<usize>,
+    /// `q + o`, millimetres.
+    pub targets: Vec<Vec3>,
+    /// `n_q`, unit length.
+    pub normals: Vec<Vec3>,
+    /// Confidence in each; zero switches a scan point off.
+    pub weights: Vec<f64>,
+    /// `alpha` of the whole term, changed from level to level.
+    pub scale: f64,
+}
+
+impl SampleResidual<1> for ScanToTemplate {
+    fn len(&self) -> usize {
+        self.targets.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        self.samples[m]
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.scale * self.weights[m]
+    }
+
+    #[inline(always)]
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
+        let (c, n) = (self.targets[m], self.normals[m]);
+        [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
+    }
+}

@@ -1,0 +1,68 @@
+//! Symmetric point-to-plane distance (Rusinkiewicz, "A symmetric objective function for ICP", 2019), with the normal of the
+//! source frozen: `r = (v - c) . (n_source + n_target) / 2`.
+//!
+//! It is zero not only where v lies in the target's plane, but wherever v and c with their normals lie on one circle: sliding
+//! along a curved surface costs less than with point-to-plane.
+
+use crate::energy::SampleResidual;
+use crate::mesh::Vec3;
+use crate::nlls::Scalar;
+
+/// Pulls sample `m` towards `targets[m]` along the mean of both normals, weight `scale * weights[m]`.
+#[derive(Debug, Clone, Default)]
+pub struct Symmetric {
+    /// `c`, millimetres.
+    pub targets: Vec<Vec3>,
+    /// `n_source`: unit normal at the sample when the target was found.
+    pub source_normals: Vec<Vec3>,
+    /// `n_target`: unit normal at `c`.
+    pub target_normals: Vec<Vec3>,
+    /// Confidence in each target; zero switches a sample off.
+    pub weights: Vec<f64>,
+    /// `alpha` of the whole term, changed from level to level.
+    pub scale: f64,
+}
+
+impl SampleResidual<1> for Symmetric {
+    fn len(&self) -> usize {
+        self.targets.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        m
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.scale * self.weights[m]
+    }
+
+    #[inline(always)]
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
+        let (c, n) = (self.targets[m], (self.source_normals[m] + self.target_normals[m]) / 2.0);
+        [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_one_circle_cost_nothing() {
+        let on = |angle: f64| Vec3::new(angle.cos(), angle.sin(), 0.0);
+        let term = |v: f64, c: f64| Symmetric {
+            targets: vec![on(c) * 5.0],
+            source_normals: vec![on(v)],
+            target_normals: vec![on(c)],
+            weights: vec![1.0],
+            scale: 1.0,
+        };
+        for (v, c) in [(0.1, 0.9), (2.0, 1.2), (0.0, 0.0)] {
+            let [r] = term(v, c).residual::<f64>(0, (on(v) * 5.0).into());
+            approx::assert_abs_diff_eq!(r, 0.0, epsilon = 1e-14);
+            // One millimetre off the circle: less than one along the mean of the normals, by half their angle, twice.
+            let [r] = term(v, c).residual::<f64>(0, (on(v) * 6.0).into());
+            approx::assert_abs_diff_eq!(r, (0.5 + 0.5 * (v - c).cos()), epsilon = 1e-14);
+        }
+    }
+}
