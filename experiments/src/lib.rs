@@ -1,7 +1,7 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
 pub mod first;
-mod generated;
+pub mod generated;
 pub mod random_pose;
 pub mod rig_statistics;
 pub mod scan_bench;

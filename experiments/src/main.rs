@@ -7,12 +7,11 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use comfy_table::{CellAlignment, Table, presets};
 use experiments::first;
 use experiments::random_pose::random_pose;
 use experiments::rig_statistics::RigStatistics;
-use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
-use experiments::tables::write_tables;
+use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, Scheduled, scan_bench, summarize};
+use experiments::tables::{summary_table, table, table_of, write_tables};
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationError, Schedule, TermFactory, TermKind};
@@ -174,39 +173,4 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
     println!("{}", summary_table(&rows));
     println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
     Ok(())
-}
-
-fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Table {
-    let mut table = Table::new();
-    table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header).add_rows(rows);
-    table.column_iter_mut().skip(1).for_each(|c| c.set_cell_alignment(CellAlignment::Right));
-    table
-}
-
-fn table_of(rows: &[BenchRow]) -> Table {
-    let header = ["case / mm", "model", "rmse", "off", "slide", "median", "p95", "unobserved", "flips", "steps", "s"];
-    table(
-        &header,
-        rows.iter().map(|r| {
-            let e = &r.errors;
-            let mut cells = vec![r.case.clone(), r.model.clone()];
-            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
-            cells.extend([e.flipped.to_string(), r.iterations.to_string(), format!("{:.2}", r.seconds)]);
-            cells
-        }),
-    )
-}
-
-fn summary_table(rows: &[BenchRow]) -> Table {
-    let header = ["model / mm", "mean rmse", "worst rmse", "mean off", "mean slide", "worst unobserved", "mean s"];
-    table(
-        &header,
-        summarize(rows).into_iter().map(|s| {
-            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
-            let mut cells = vec![s.model];
-            cells.extend(numbers.map(|x| format!("{x:.3}")));
-            cells.push(format!("{:.2}", s.mean_seconds));
-            cells
-        }),
-    )
 }

@@ -1,6 +1,8 @@
-//! Deformation models, one file each, all on the one assembly in `assembly.rs`.
+//! Deformation models, one file each, all on the one assembly in `assembly.rs`; and, in `autodiff`, any model that is stated
+//! as a formula for vertex positions.
 
 mod assembly;
+mod autodiff;
 mod blendshape;
 mod graph;
 mod hybrid;
@@ -10,6 +12,7 @@ mod similarity;
 mod transform;
 
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
+pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
 pub use blendshape::{Blendshape, blendshape};
 pub use graph::{Graph, graph};
 pub use hybrid::{Hybrid, hybrid};

@@ -3,6 +3,7 @@
 mod correspondence;
 mod driver;
 mod error;
+mod level_term;
 mod model_kind;
 mod report;
 mod schedule;
@@ -14,6 +15,7 @@ pub use driver::{
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register, register_with,
 };
 pub use error::RegistrationError;
+pub use level_term::LevelTerm;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use schedule::{

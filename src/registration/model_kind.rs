@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{GraphDistance, Level, RegistrationError, Schedule, ScheduleError};
 use crate::energy::DeformationModel;
 use crate::mesh::{TriangleMesh, Vec3};
-use crate::model::{NodeAssembly, NodeGraph, NodeTransform, Stiffness, blendshape, graph, hybrid, rigid, similarity};
+use crate::model::{
+    Autodiff, NodeAssembly, NodeGraph, NodeTransform, PositionFunction, Stiffness, blendshape, graph, hybrid, rigid,
+    similarity,
+};
 use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
@@ -145,5 +148,11 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, 
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
         self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
+    }
+}
+
+impl<F: PositionFunction> RegistrationModel for Autodiff<F> {
+    fn set_level(&mut self, level: &Level) {
+        self.stiffness = level.lambda_smooth;
     }
 }
