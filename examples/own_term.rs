@@ -7,20 +7,19 @@ use std::error::Error;
 use std::ops::ControlFlow;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::energy::{DataTerm, Pointwise, QuadricField, SampleResidual};
+use nonrigid::energy::SampleResidual;
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Landmark, TemplatePoint};
 use nonrigid::nlls::{Kernel, Scalar};
 use nonrigid::registration::{
-    Correspondences, Level, ModelFactory, ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TermFactory,
-    TermInput, TermKind, register_with,
+    LevelTerm, ModelFactory, ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TermFactory, TermInput,
+    TermKind, register_with,
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Vertices and unit directions from the camera in which they are seen.
-#[derive(Clone)]
 struct Rays {
     camera: Vec3,
     seen: Vec<(usize, Vec3)>,
@@ -50,43 +49,6 @@ impl SampleResidual<3> for Rays {
     }
 }
 
-/// The residuals under a kernel, following the levels of a schedule.
-struct Freckles(Pointwise<Rays, Kernel, 3>);
-
-impl DataTerm for Freckles {
-    fn name(&self) -> &str {
-        self.0.name()
-    }
-
-    fn energy(&self, positions: &[Vec3]) -> f64 {
-        self.0.energy(positions)
-    }
-
-    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
-        self.0.linearize(positions, field)
-    }
-}
-
-impl RegistrationTerm for Freckles {
-    fn set_level(&mut self, level: &Level, _density: f64) {
-        self.0.residuals.weight = level.landmarks;
-    }
-
-    fn update(&mut self, _correspondences: &Correspondences) {}
-}
-
-/// The photograph, in the scan's frame.
-struct Photograph(Rays);
-
-impl TermFactory for Photograph {
-    fn build(&self, input: &TermInput<'_>) -> Box<dyn RegistrationTerm> {
-        let mut rays = self.0.clone();
-        rays.camera = input.frame.apply_inverse(rays.camera);
-        rays.seen.iter_mut().for_each(|(_, d)| *d = input.frame.rotation.tr_mul(d));
-        Box::new(Freckles(Pointwise::new("freckles", rays, Kernel::Huber { delta: 1.0 })))
-    }
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
     let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
     let case = simulate_scan(&rig, &ScanOptions::default(), 4)?;
@@ -102,18 +64,26 @@ fn main() -> Result<(), Box<dyn Error>> {
         let error = Vec3::from_fn(|_, _| rng.random_range(-0.3..0.3));
         (v, (case.truth[v] + error - camera).normalize())
     });
-    let photograph = Photograph(Rays { camera, seen: seen.collect(), weight: 0.0 });
+    let seen: Vec<(usize, Vec3)> = seen.collect();
+    let count = seen.len();
+    // The term: brought to the frame in which models solve, under a kernel, weighted like landmarks level by level.
+    let freckles = move |input: &TermInput<'_>| -> Box<dyn RegistrationTerm> {
+        let camera = input.frame.apply_inverse(camera);
+        let seen = seen.iter().map(|(v, d)| (*v, input.frame.rotation.tr_mul(d))).collect();
+        let rays = Rays { camera, seen, weight: 0.0 };
+        let kernel = Kernel::Huber { delta: 1.0 };
+        Box::new(LevelTerm::new("freckles", rays, kernel, |term, level, _| term.residuals.weight = level.landmarks))
+    };
 
     let model = ModelKind::Graph;
     let schedule = model.schedule()?;
     let mut terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let triangles = rig.mesh.triangulate().triangles;
-    for (name, own) in [("without", None), ("with", Some(&photograph))] {
-        terms.extend(own.map(|p| p as &dyn TermFactory));
+    for (name, own) in [("without", None), ("with", Some(&freckles))] {
+        terms.extend(own.map(|f| f as &dyn TermFactory));
         let mut steps = |_: &StepRecord| ControlFlow::Continue(());
         let result = register_with(&input, &model, &terms, &schedule, &mut steps)?;
         let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
-        let count = photograph.0.seen.len();
         println!(
             "{name} {count} freckles: rmse {:.2} mm, off the surface {:.2} mm, along it {:.2} mm",
             errors.rmse, errors.off, errors.slide

@@ -1,4 +1,4 @@
-//! Laws that every deformation model obeys.
+//! Laws that every deformation model obeys: those that come with the crate, and those stated as a formula.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -7,12 +7,13 @@ use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Affine, Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph,
-    NodeTransform, Smoothness, Stiffness, Sumner,
+    Affine, Arap, ArapOptions, ArapSolver, Autodiff, AutodiffError, EdgeWeights, Free, FreeOptions, Linearisation,
+    NodeAssembly, NodeGraph, NodeTransform, PositionFunction, Smoothness, Stiffness, Sumner,
 };
 use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use nonrigid::nlls::{
-    GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, check_gradient,
+    Euclidean, GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Scalar, Se3,
+    check_gradient,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
@@ -137,6 +138,11 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn DeformationModel>
             visit(&mut rng, Box::new(move || Box::new(build())), mesh.positions.clone());
         }
     }
+    let (r, of) = (mesh.positions.clone(), nodes(&mut rng, &mesh.positions));
+    visit(&mut rng, Box::new(move || Box::new(stated_graph(&r, &of, 0.7))), mesh.positions.clone());
+    let r = mesh.positions.clone();
+    let swirl = move || Autodiff::new(Swirl { rest: r.clone() }).expect("a sound formula");
+    visit(&mut rng, Box::new(move || Box::new(swirl())), mesh.positions.clone());
 }
 
 /// The models on the assembly of blendshapes inside a graph.
@@ -174,6 +180,193 @@ fn affine(rest: &[Vec3]) -> Affine {
     let corner = |k: usize| (k % (VERTICES - 4)) as u32;
     let triangles = (0..VERTICES - 4).map(|k| [corner(k), corner(5 * k + 1), corner(7 * k + 3)]).collect();
     Affine::new(&TriangleMesh { positions: rest.to_vec(), triangles }, 0.7, 1.3).expect("a finite mesh")
+}
+
+/// The deformation graph, eqs. (6) and (7), as a formula.
+struct StatedGraph {
+    rest: Vec<Vec3>,
+    graph: NodeGraph,
+}
+
+impl PositionFunction for StatedGraph {
+    type Block = Se3;
+
+    fn name(&self) -> &'static str {
+        "stated graph"
+    }
+
+    fn rest_blocks(&self) -> Vec<[f64; 12]> {
+        vec![Se3::IDENTITY; self.graph.nodes().len()]
+    }
+
+    fn vertex_blocks(&self) -> Vec<Vec<usize>> {
+        (0..self.rest.len()).map(|i| self.graph.influences(i).iter().map(|i| i.0 as usize).collect()).collect()
+    }
+
+    fn position<D: Scalar>(&self, vertex: usize, p: &[[D; 12]]) -> [D; 3] {
+        let mut v = [D::from(0.0); 3];
+        for (&(j, omega), p) in self.graph.influences(vertex).iter().zip(p) {
+            let x_j = self.graph.nodes()[j as usize];
+            let moved = Se3::transform(p, std::array::from_fn(|a| D::from(self.rest[vertex][a] - x_j[a])));
+            for a in 0..3 {
+                v[a] += (moved[a] + x_j[a]) * omega;
+            }
+        }
+        v
+    }
+
+    fn smoothness_blocks(&self) -> Vec<Vec<usize>> {
+        self.graph.edges().iter().map(|&(i, j)| vec![i as usize, j as usize]).collect()
+    }
+
+    fn smoothness<D: Scalar>(&self, m: usize, p: &[[D; 12]]) -> [D; 3] {
+        let (i, j) = self.graph.edges()[m];
+        let (x_i, x_j) = (self.graph.nodes()[i as usize], self.graph.nodes()[j as usize]);
+        let moved = Se3::transform(&p[0], std::array::from_fn(|a| D::from(x_j[a] - x_i[a])));
+        std::array::from_fn(|a| moved[a] + x_i[a] - p[1][9 + a] - x_j[a])
+    }
+}
+
+fn stated_graph(rest: &[Vec3], graph: &NodeGraph, stiffness: f64) -> Autodiff<StatedGraph> {
+    let mut model = Autodiff::new(StatedGraph { rest: rest.to_vec(), graph: graph.clone() }).unwrap();
+    model.stiffness = stiffness;
+    model
+}
+
+/// A curved model with all that a statement may contain: blocks in any order and named twice, as at a clamped end, lists of
+/// different lengths, more tangent coordinates than a stride of duals, residuals of one entry, and a block of nobody's.
+struct Swirl {
+    rest: Vec<Vec3>,
+}
+
+impl Swirl {
+    const BLOCKS: usize = 14;
+}
+
+impl PositionFunction for Swirl {
+    type Block = Euclidean<2>;
+
+    fn name(&self) -> &'static str {
+        "swirl"
+    }
+
+    fn rest_blocks(&self) -> Vec<[f64; 2]> {
+        vec![[0.0; 2]; Self::BLOCKS]
+    }
+
+    /// All but the last.
+    fn vertex_blocks(&self) -> Vec<Vec<usize>> {
+        let blocks =
+            |i: usize| (0..=i % 11).map(move |k| (5 * i + 9 * k) % (Self::BLOCKS - 1)).chain([i % 3]).collect();
+        (0..self.rest.len()).map(blocks).collect()
+    }
+
+    fn position<D: Scalar>(&self, vertex: usize, p: &[[D; 2]]) -> [D; 3] {
+        let mut v: [D; 3] = std::array::from_fn(|a| D::from(self.rest[vertex][a]));
+        for (k, [turn, push]) in p.iter().enumerate() {
+            let (sin, cos) = (*turn * (0.5 + 0.1 * k as f64)).sin_cos();
+            v = [cos * v[1] - sin * v[2], sin * v[1] + cos * v[2], v[0] + *push * *turn + push.exp()];
+        }
+        v
+    }
+
+    fn smoothness_blocks(&self) -> Vec<Vec<usize>> {
+        (2..Self::BLOCKS - 1).map(|k| vec![k, k - 1, k - 2]).collect()
+    }
+
+    fn smoothness<D: Scalar>(&self, m: usize, p: &[[D; 2]]) -> [D; 3] {
+        let bend = p[0][0] - p[1][0] * 2.0 + p[2][0];
+        [bend, if m % 2 == 0 { p[0][1] * p[2][1] } else { D::from(0.0) }, D::from(0.0)]
+    }
+}
+
+#[test]
+fn a_graph_stated_as_a_formula_is_the_graph() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let rest = rest(&mut rng);
+    let nodes = nodes(&mut rng, &rest);
+    let start = random_step(&mut rng, 6 * NODES);
+    let near = rng.clone();
+    fn run<M: DeformationModel>(
+        model: M,
+        rest: &[Vec3],
+        mut rng: ChaCha8Rng,
+        start: &[f64],
+    ) -> (Vec<(String, f64)>, NormalEquations, Vec<f64>) {
+        let mut problem = Deformation::new(model, samples());
+        problem.terms = terms(&mut rng, rest, Kernel::GemanMcClure { delta: 2.0 });
+        let x0 = problem.model.rest_parameters();
+        let mut x = x0.clone();
+        problem.retract(&x0, start, &mut x);
+        let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+        problem.linearize(&x, &mut equations);
+        let energies = problem.energies(&x);
+        let step = Options::gauss_newton().with_max_iterations(1);
+        Minimizer::new(step).unwrap().minimize(&mut problem, &mut x);
+        (energies, equations, x)
+    }
+    let (stated, built) = (stated_graph(&rest, &nodes, 0.7), graph(rest.clone(), nodes.clone(), 0.7));
+    let (energies, equations, x) = run(stated, &rest, near.clone(), &start);
+    let (expected_energies, expected, expected_x) = run(built, &rest, near, &start);
+    assert_eq!(energies.len(), expected_energies.len());
+    for ((name, found), (_, expected)) in energies.iter().zip(&expected_energies) {
+        approx::assert_relative_eq!(*found, *expected, max_relative = 1e-13);
+        assert!(*expected > 0.0, "{name}");
+    }
+    let largest = expected.to_dense().amax();
+    assert!((equations.to_dense() - expected.to_dense()).amax() < 1e-13 * largest);
+    let largest = expected.gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+    for (found, expected) in equations.gradient.iter().zip(&expected.gradient) {
+        assert!((found - expected).abs() < 1e-12 * largest);
+    }
+    for (found, expected) in x.iter().zip(&expected_x) {
+        approx::assert_abs_diff_eq!(*found, *expected, epsilon = 1e-9);
+    }
+}
+
+#[test]
+fn a_block_of_nobodys_stays_where_it_is() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let rest = rest(&mut rng);
+    let mut problem = Deformation::new(Autodiff::new(Swirl { rest: rest.clone() }).unwrap(), samples());
+    problem.terms = terms(&mut rng, &rest, Kernel::None);
+    let mut x = problem.model.rest_parameters();
+    let own = x.len() - 2..x.len();
+    x[own.clone()].copy_from_slice(&[0.25, -0.5]);
+    let before = problem.energy(&x);
+    let options = Options::gauss_newton().with_damping_floor(1e-9).with_max_iterations(3);
+    let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+    assert!(summary.final_energy < 0.9 * before, "{summary}");
+    assert_eq!(x[own], [0.25, -0.5]);
+    assert_eq!(summary.weak_directions(), 2, "{summary}");
+}
+
+#[test]
+fn a_block_that_does_not_exist_is_named() {
+    struct Wrong;
+    impl PositionFunction for Wrong {
+        type Block = Euclidean<1>;
+
+        fn name(&self) -> &'static str {
+            "wrong"
+        }
+
+        fn rest_blocks(&self) -> Vec<[f64; 1]> {
+            vec![[0.0]; 5]
+        }
+
+        fn vertex_blocks(&self) -> Vec<Vec<usize>> {
+            (0..9).map(|vertex| vec![0, vertex]).collect()
+        }
+
+        fn position<D: Scalar>(&self, _: usize, p: &[[D; 1]]) -> [D; 3] {
+            [p[0][0]; 3]
+        }
+    }
+    let error = Autodiff::new(Wrong).err().unwrap();
+    let AutodiffError::BlockOutOfRange { index, block, blocks, .. } = error;
+    assert_eq!((index, block, blocks), (5, 5, 5));
+    assert_eq!(error.to_string(), "wrong: vertex 5 names block 5, but there are 5 blocks");
 }
 
 trait TestModel: DeformationModel {

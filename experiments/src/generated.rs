@@ -1,11 +1,16 @@
-//! Generated data, as a first run needs it: a rig and one scan with its truth, on disk. All use of `data-gen` is here.
+//! Generated data: a rig and one scan with its truth on disk, as a first run needs it; the standard cases in memory. All use of
+//! `data-gen` is here.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use data_gen::{FaceOptions, FaceRig, STANDARD_CASES, ScanOptions, simulate_scan, write_case, write_rig};
+use data_gen::{FaceOptions, FaceRig, STANDARD_CASES, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::Pose;
+use nonrigid::mesh::io::{Landmark, Scan, TemplatePoint};
+use nonrigid::rig::{Family, Rig, Shape, ShapeSelection};
+
+use crate::scan_bench::BenchCase;
 
 /// Where the data is, and what the files do not say.
 pub struct Generated {
@@ -27,7 +32,7 @@ pub struct Generated {
 /// # Errors
 /// When a file cannot be written.
 pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Generated> {
-    let rig = face_rig(vertices);
+    let rig = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
     let [standard, ..] = STANDARD_CASES;
     let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
     let scan = simulate_scan(&rig, &options, seed)?;
@@ -40,23 +45,45 @@ pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Genera
     Ok(Generated { rig: rig_folder, case: case_folder, pose: scan.pose, mouth, identity_modes: rig.identities.len() })
 }
 
-/// Writes a rig of about `vertices` vertices and all standard cases to `folder`/rig and `folder`/cases; returns both folders.
+/// The standard cases on a template of about `vertices` vertices, scans of about `triangles` triangles; as `data-gen` writes them
+/// to files, but for its rounding to 32 bits.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn standard_cases(folder: &Path, vertices: usize, seed: u64) -> Result<(PathBuf, PathBuf)> {
-    let rig = face_rig(vertices);
-    let (rig_folder, cases) = (folder.join("rig"), folder.join("cases"));
-    let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
-    write_rig(&rig_folder, &rig).map_err(unwritten)?;
-    for (standard, seed) in STANDARD_CASES.iter().zip(seed..) {
-        let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
-        let scan = simulate_scan(&rig, &options, seed)?;
-        write_case(&cases.join(standard.name), &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
+/// When `triangles` is too few for a scan.
+pub fn standard_cases(vertices: usize, triangles: usize, seed: u64) -> Result<Vec<BenchCase>> {
+    let face = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
+    let expressions = face.expressions.iter().map(|(name, d)| (name.clone(), Family::Expression, d));
+    let identities = face.identities.iter().enumerate().map(|(k, d)| (format!("identity{k:03}"), Family::Identity, d));
+    let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
+    for (name, family, delta) in expressions.chain(identities) {
+        shapes.push(Shape { name, family });
+        deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
     }
-    Ok((rig_folder, cases))
-}
-
-fn face_rig(vertices: usize) -> FaceRig {
-    FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() })
+    let (rig, _) = Rig::new(face.neutral.clone(), Some(face.mesh.clone()), shapes, deltas)?;
+    let case = |(k, standard): (usize, &data_gen::StandardCase)| -> Result<BenchCase> {
+        let options = ScanOptions { expressions: Some(standard.expressions()), triangles, ..ScanOptions::default() };
+        let scan = simulate_scan(&face, &options, seed + k as u64)?;
+        let (withheld, identity_modes) = match standard.subject(&face)? {
+            Subject::Same { withheld } => (withheld, 0),
+            Subject::New { identity_modes } => (Vec::new(), identity_modes),
+        };
+        let offered = rig.shapes().iter().filter(|s| s.family == Family::Expression).map(|s| s.name.clone());
+        let names: Vec<String> = offered.filter(|name| !withheld.contains(name)).collect();
+        let landmark = |&(vertex, target): &(u32, _)| Landmark {
+            name: vertex.to_string(),
+            template: TemplatePoint::Vertex(vertex),
+            target,
+        };
+        Ok(BenchCase {
+            name: standard.name.to_owned(),
+            template: face.mesh.clone(),
+            neutral: standard.withheld.map(|_| face.pose(&[], &scan.identity_weights)),
+            shapes: rig.select(ShapeSelection { names: Some(&names), identity_modes })?,
+            landmarks: scan.landmarks.iter().map(landmark).collect(),
+            scan: Scan { mesh: scan.scan, normals: None, colors: None },
+            truth: scan.truth,
+            observed: scan.observed,
+        })
+    };
+    STANDARD_CASES.iter().enumerate().map(case).collect()
 }

@@ -2,7 +2,7 @@
 
 pub mod compare_rigs;
 pub mod first;
-mod generated;
+pub mod generated;
 pub mod random_pose;
 pub mod real_scans;
 pub mod remesh;

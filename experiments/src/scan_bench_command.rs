@@ -4,14 +4,13 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use comfy_table::Table;
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 
 use crate::random_pose::random_pose;
-use crate::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
-use crate::tables::{table, write_tables};
+use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, Scheduled, scan_bench, summarize};
+use crate::tables::{summary_table, table_of, write_tables};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -97,61 +96,4 @@ pub fn run(a: &Arguments) -> Result<()> {
     println!("{}", summary_table(&rows));
     println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
     Ok(())
-}
-
-fn table_of(rows: &[BenchRow]) -> Table {
-    let header = [
-        "case / mm",
-        "model",
-        "rmse",
-        "off",
-        "slide",
-        "median",
-        "p95",
-        "unobserved",
-        "flips",
-        "self-int.",
-        "(at rest)",
-        "stretch 1 %",
-        "99 %",
-        "steps",
-        "s",
-    ];
-    table(
-        &header,
-        rows.iter().map(|r| {
-            let e = &r.errors;
-            let mut cells = vec![r.case.clone(), r.model.clone()];
-            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
-            cells.extend(
-                [e.flipped, r.mesh.self_intersections, r.mesh.self_intersections_at_rest].map(|n| n.to_string()),
-            );
-            cells.extend([r.mesh.stretch.p1, r.mesh.stretch.p99].map(|x| format!("{x:.2}")));
-            cells.extend([r.iterations.to_string(), format!("{:.2}", r.seconds)]);
-            cells
-        }),
-    )
-}
-
-fn summary_table(rows: &[BenchRow]) -> Table {
-    let header = [
-        "model / mm",
-        "mean rmse",
-        "worst rmse",
-        "mean off",
-        "mean slide",
-        "worst unobserved",
-        "worst self-int.",
-        "mean s",
-    ];
-    table(
-        &header,
-        summarize(rows).into_iter().map(|s| {
-            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
-            let mut cells = vec![s.model];
-            cells.extend(numbers.map(|x| format!("{x:.3}")));
-            cells.extend([s.worst_self_intersections.to_string(), format!("{:.2}", s.mean_seconds)]);
-            cells
-        }),
-    )
 }

@@ -12,7 +12,6 @@
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
-use std::path::Path;
 
 use anyhow::Result;
 use nonrigid::cli::Failure;
@@ -21,7 +20,7 @@ use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;
 
 use crate::generated::standard_cases;
-use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case};
+use crate::scan_bench::{BenchCase, LandmarkUse, run_case};
 
 /// What all models share, level by level.
 pub const LADDER: [Rung; 8] = [
@@ -51,6 +50,9 @@ const STAY: usize = 2;
 
 /// The rung on which the second stage of a sequence starts.
 const SECOND_STAGE: usize = 2;
+
+/// Triangles of each scan, about.
+const TRIANGLES: usize = 60_000;
 
 /// Steps of each level.
 const STEPS: usize = 5;
@@ -198,15 +200,6 @@ pub struct Found {
     pub evaluations: usize,
 }
 
-/// Reads the cases of the search, or makes them below `folder` first.
-///
-/// # Errors
-/// When a file cannot be written or read back.
-pub fn search_cases(folder: &Path, vertices: usize, seed: u64) -> Result<Vec<BenchCase>> {
-    let (rig, cases) = standard_cases(folder, vertices, seed)?;
-    BenchCase::read_all(&cases, &BenchRig::read(&rig)?)
-}
-
 /// Searches the schedule of one model; `log` sees every evaluation: its values by axis and its objective.
 ///
 /// # Errors
@@ -294,7 +287,7 @@ pub struct Options {
     /// Evaluations for each model
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
     budget: u32,
-    /// Where cases, log and schedules go
+    /// Where log and schedules go
     #[arg(long, value_name = "DIR", default_value = "out/schedule-search")]
     out: std::path::PathBuf,
     /// Threads [default: all cores]
@@ -309,7 +302,8 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     let Options { models, seed, vertices, budget, out, .. } = options;
     println!("{} models, six cases of seed {seed}, {vertices} vertices, {budget} evaluations each", models.len());
-    let cases = search_cases(&out.join("data"), *vertices as usize, *seed)?;
+    let cases = standard_cases(*vertices as usize, TRIANGLES, *seed)?;
+    std::fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
     let mut rows = "model,evaluation,axes,mean_rmse\n".to_owned();
     for &model in models {
         let mut count = 0;

@@ -1,4 +1,4 @@
-//! Rows of results as files and as text: what two equal runs have in common apart from what they have not.
+//! Rows of results on the terminal, and as files: what two equal runs have in common apart from what they have not.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -9,7 +9,7 @@ use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
 use serde_json::Value;
 
-use crate::scan_bench::BenchRow;
+use crate::scan_bench::{BenchRow, summarize};
 
 /// Writes `name`.csv with all rows, `name`.json with `json`, and `name`.timing.csv with their times.
 ///
@@ -74,4 +74,65 @@ pub fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Ta
     table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header).add_rows(rows);
     table.column_iter_mut().skip(1).for_each(|c| c.set_cell_alignment(CellAlignment::Right));
     table
+}
+
+/// Every row of [`scan_bench`](crate::scan_bench::scan_bench): errors in millimetres, seconds.
+#[must_use]
+pub fn table_of(rows: &[BenchRow]) -> Table {
+    let header = [
+        "case / mm",
+        "model",
+        "rmse",
+        "off",
+        "slide",
+        "median",
+        "p95",
+        "unobserved",
+        "flips",
+        "self-int.",
+        "(at rest)",
+        "stretch 1 %",
+        "99 %",
+        "steps",
+        "s",
+    ];
+    table(
+        &header,
+        rows.iter().map(|r| {
+            let e = &r.errors;
+            let mut cells = vec![r.case.clone(), r.model.clone()];
+            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
+            cells.extend(
+                [e.flipped, r.mesh.self_intersections, r.mesh.self_intersections_at_rest].map(|n| n.to_string()),
+            );
+            cells.extend([r.mesh.stretch.p1, r.mesh.stretch.p99].map(|x| format!("{x:.2}")));
+            cells.extend([r.iterations.to_string(), format!("{:.2}", r.seconds)]);
+            cells
+        }),
+    )
+}
+
+/// One line for each model: means and worst over its rows.
+#[must_use]
+pub fn summary_table(rows: &[BenchRow]) -> Table {
+    let header = [
+        "model / mm",
+        "mean rmse",
+        "worst rmse",
+        "mean off",
+        "mean slide",
+        "worst unobserved",
+        "worst self-int.",
+        "mean s",
+    ];
+    table(
+        &header,
+        summarize(rows).into_iter().map(|s| {
+            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
+            let mut cells = vec![s.model];
+            cells.extend(numbers.map(|x| format!("{x:.3}")));
+            cells.extend([s.worst_self_intersections.to_string(), format!("{:.2}", s.mean_seconds)]);
+            cells
+        }),
+    )
 }

@@ -1,9 +1,11 @@
 //! Deformation models, one file each: those made of nodes and blendshapes on the assembly in `assembly/`, models of free
-//! vertices on the one in `vertex_assembly.rs`, per-vertex affine maps on their own.
+//! vertices on the one in `vertex_assembly.rs`, per-vertex affine maps on their own; and, in `autodiff`, any model that is
+//! stated as a formula for vertex positions.
 
 mod affine;
 mod arap;
 mod assembly;
+mod autodiff;
 mod blendshape;
 mod edge_weights;
 mod free;
@@ -20,6 +22,7 @@ mod vertex_assembly;
 pub use affine::Affine;
 pub use arap::{Arap, ArapOptions, ArapSolver};
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
+pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
 pub use blendshape::{Blendshape, blendshape};
 pub use edge_weights::EdgeWeights;
 pub use free::{Free, FreeOptions, Smoothness};

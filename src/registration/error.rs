@@ -5,6 +5,7 @@ use thiserror::Error;
 use super::ScheduleError;
 use crate::energy::SampleError;
 use crate::mesh::PoseError;
+use crate::model::AutodiffError;
 use crate::nlls::BoundsError;
 
 /// Why a registration could not be run or did not succeed.
@@ -61,6 +62,9 @@ pub enum RegistrationError {
     /// The model cannot move without blendshapes.
     #[error("model '{0}' needs blendshapes; give a rig")]
     NeedsShapes(String),
+    /// A model of one's own is stated wrongly.
+    #[error("model {0}")]
+    Model(#[from] AutodiffError),
     /// The template's geometry cannot be used.
     #[error("template: {0}")]
     Template(String),

@@ -3,6 +3,7 @@
 mod correspondence;
 mod driver;
 mod error;
+mod level_term;
 mod masks;
 mod model_kind;
 mod report;
@@ -18,6 +19,7 @@ pub use driver::{
     register_with,
 };
 pub use error::RegistrationError;
+pub use level_term::LevelTerm;
 pub use masks::VertexMasks;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};

@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError, SmoothOptions};
 use crate::energy::DeformationModel;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::model::{Affine, Arap, ArapOptions, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, Stiffness};
+use crate::model::{
+    Affine, Arap, ArapOptions, Autodiff, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, PositionFunction,
+    Stiffness,
+};
 use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
 
@@ -237,5 +240,11 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, 
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
         self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
+    }
+}
+
+impl<F: PositionFunction> RegistrationModel for Autodiff<F> {
+    fn set_level(&mut self, level: &Level) {
+        self.stiffness = level.lambda_smooth;
     }
 }

@@ -61,12 +61,12 @@ pub trait Manifold: 'static {
 }
 
 /// Arrays `[D; N]` as storage of a point.
-pub trait PointArray<D>: AsRef<[D]> + AsMut<[D]> + Copy {
+pub trait PointArray<D>: AsRef<[D]> + AsMut<[D]> + Copy + Send + Sync {
     /// The array filled with one value.
     fn filled(value: D) -> Self;
 }
 
-impl<D: Copy, const N: usize> PointArray<D> for [D; N] {
+impl<D: Copy + Send + Sync, const N: usize> PointArray<D> for [D; N] {
     fn filled(value: D) -> Self {
         [value; N]
     }
