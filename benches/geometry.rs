@@ -1,4 +1,4 @@
-//! Closest points, distances along surfaces, and reading of files, on a generated face and a scan of it.
+//! Closest points, self-intersections, distances along surfaces, and reading of files, on a generated face and a scan of it.
 //!
 //! `cargo bench --bench geometry`
 #![allow(missing_docs)] // of what `criterion_group` makes
@@ -7,6 +7,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
+use nonrigid::evaluation::self_intersections;
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
@@ -34,6 +35,20 @@ fn closest_point(c: &mut Criterion) {
     for (name, offset) in [("with hint", Vec3::zeros()), ("with hint, moved 2 mm", Vec3::new(0.5, -1.0, 1.7))] {
         let query = |(p, &hint): (&Vec3, &u32)| tree.query_from(&(p + offset), hint).unwrap().squared_distance;
         group.bench_function(name, |b| b.iter(|| queries.iter().zip(&hints).map(query).sum::<f64>()));
+    }
+    group.finish();
+}
+
+fn self_intersection(c: &mut Criterion) {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 51_000, ..FaceOptions::default() });
+    let mesh = rig.mesh.triangulate();
+    let open = &rig.expressions[0].1; // any of them: lips and eyelids come close to each other
+    let moved: Vec<Vec3> = mesh.positions.iter().zip(open).map(|(p, d)| p + d).collect();
+    let mut group = c.benchmark_group(format!("self-intersections of {} triangles", mesh.triangles.len()));
+    for (name, positions) in [("at rest", &mesh.positions), ("an expression", &moved)] {
+        group.bench_function(name, |b| {
+            b.iter(|| self_intersections(black_box(positions), &mesh.triangles).unwrap().len());
+        });
     }
     group.finish();
 }
@@ -79,5 +94,5 @@ fn files(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, closest_point, surface, files);
+criterion_group!(benches, closest_point, self_intersection, surface, files);
 criterion_main!(benches);

@@ -133,8 +133,10 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
     }
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     println!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads());
-    let (mut rows, mut sheet) =
-        (Vec::new(), Sheet::new("Real scans, every model: clay is the result, no truth is known"));
+    let (mut rows, mut sheet) = (
+        Vec::new(),
+        Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),
+    );
     for (name, target) in targets {
         let (found, panels) = match target {
             Ok(target) => every_model(a, &template, name, &target)?,
@@ -248,7 +250,7 @@ impl Upright {
     /// With the template placed on the scan by `pose`, and framed so that `points` fill the picture.
     fn new(pose: Pose, points: &[Vec3]) -> Self {
         let points: Vec<Vec3> = points.iter().map(|p| pose.apply_inverse(*p)).collect();
-        Self { pose, camera: Camera::framing(&Frame::of(&points).scaled(1.05), View::Front, PANEL) }
+        Self { pose, camera: Camera::framing(&Frame::of(&points).scaled(0.85), View::Front, PANEL) }
     }
 
     fn picture(&self, mesh: &TriangleMesh) -> RgbImage {
@@ -263,7 +265,7 @@ fn caption(fit: &Fit) -> [String; 4] {
     [
         format!("{:.0} % accepted", 100.0 * fit.accepted),
         format!("median {:.2} mm", to_scan.median),
-        format!("self-int. {} ({})", mesh.self_intersections, mesh.self_intersections_at_rest),
+        format!("self-int {}({})", mesh.self_intersections, mesh.self_intersections_at_rest),
         format!("stretch {:.2}-{:.2}", mesh.stretch.p1, mesh.stretch.p99),
     ]
 }
