@@ -94,8 +94,8 @@ impl BlockStructure {
     }
 
     /// The same blocks, said to hold the parameters of each coordinate of space side by side, `[x: k | y: k | z: k]` in a block
-    /// of size `3 k`, and to couple the coordinates weakly or not at all. Without a border, such equations are solved by
-    /// [`DecoupledCg`](super::linear::DecoupledCg) unless another solver is asked for.
+    /// of size `3 k`, and to change little from a block to those that it meets. Without a border, such equations are solved by
+    /// [`SplitCg`](super::linear::SplitCg) unless another solver is asked for.
     ///
     /// # Errors
     /// When the size of a block is no multiple of three.

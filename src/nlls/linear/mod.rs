@@ -5,7 +5,7 @@
 //! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
 //! | [`SparseCholesky`] | blocks, no (or a narrow) border | supernodal `P H P' = L L'`, AMD on the block graph |
 //! | [`BorderedCholesky`] | blocks and a dense border | Schur complement of the border by a forward solve |
-//! | [`DecoupledCg`] | blocks split by coordinate | conjugate gradients after a sparse Cholesky that forgets the coupling of x, y, z |
+//! | [`SplitCg`] | blocks split by coordinate | conjugate gradients, preconditioned by the coordinates' common factor or two levels |
 //!
 //! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
 //! of threads. faer is used in here and nowhere else.
@@ -25,16 +25,18 @@ mod dense;
 mod pcg;
 mod scratch;
 mod sparse;
+mod split_cg;
 mod supernodal;
+mod two_level;
 mod vector;
 
 pub use bordered::{BorderedCholesky, ReducedSystem};
 pub(super) use bounded::{BoundedStep, inverse_of_reduced};
 pub(super) use box_qp::Side;
-pub use decoupled::DecoupledCg;
 pub use dense::DenseCholesky;
 pub use pcg::Pcg;
 pub use sparse::SparseCholesky;
+pub use split_cg::SplitCg;
 pub(crate) use vector::dot;
 
 /// A pivot that keeps less than this share of its diagonal entry is rounding error, and the matrix numerically singular.
@@ -167,8 +169,8 @@ pub enum LinearSolverKind {
     Sparse,
     /// [`BorderedCholesky`].
     Bordered,
-    /// [`DecoupledCg`].
-    DecoupledCg,
+    /// [`SplitCg`].
+    SplitCg,
 }
 
 impl LinearSolverKind {
@@ -180,7 +182,7 @@ impl LinearSolverKind {
             Self::Dense => Box::new(DenseCholesky::new(structure)),
             Self::Sparse => Box::new(SparseCholesky::new(structure)),
             Self::Bordered => Box::new(BorderedCholesky::new(structure)),
-            Self::DecoupledCg => Box::new(DecoupledCg::new(structure)),
+            Self::SplitCg => Box::new(SplitCg::new(structure)),
         }
     }
 }
@@ -193,7 +195,7 @@ pub fn choose(structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
     let kind = if structure.sparse_dimension() == 0 || structure.dimension() <= DENSE_DIMENSION {
         LinearSolverKind::Dense
     } else if structure.border() == 0 && structure.coordinates() > 1 {
-        LinearSolverKind::DecoupledCg
+        LinearSolverKind::SplitCg
     } else if structure.border() == 0 {
         LinearSolverKind::Sparse
     } else {

@@ -99,7 +99,7 @@ fn structures() -> Vec<Arc<BlockStructure>> {
 
 fn solvers(structure: &Arc<BlockStructure>) -> Vec<Box<dyn LinearSolver>> {
     use LinearSolverKind::*;
-    [Dense, Sparse, Bordered, DecoupledCg, Auto].map(|kind| kind.build(structure)).into()
+    [Dense, Sparse, Bordered, SplitCg, Auto].map(|kind| kind.build(structure)).into()
 }
 
 /// Residual that a solver may leave: rounding, or what its tolerance allows.
@@ -253,7 +253,7 @@ fn blocks_split_by_coordinate_have_sizes_that_three_divides() {
     assert_eq!(error, crate::nlls::StructureError::UnevenBlock { block: 2, size: 4 });
     let structure = Arc::new(split_structure());
     assert_eq!(structure.coordinates(), 3);
-    assert_eq!(choose(&structure).name(), "decoupled conjugate gradients");
+    assert_eq!(choose(&structure).name(), "conjugate gradients");
     // Said of a structure, it is part of it: a solver must not take one for the other.
     let plain = BlockStructure::new(&[3, 3], [(0, 1)], 0).unwrap();
     assert_ne!(plain, plain.clone().split_by_coordinate().unwrap());
@@ -288,7 +288,7 @@ fn decoupled_coordinates_are_solved_in_one_iteration() {
     let structure = Arc::new(split_structure());
     let n = structure.dimension();
     let mut equations = isotropic_equations(&structure);
-    let mut solver = DecoupledCg::with_pcg(&structure, Pcg::default().with_tolerance(1e-13));
+    let mut solver = SplitCg::with_pcg(&structure, Pcg::default().with_tolerance(1e-13));
     let mut step = vec![0.0; n];
     let mut solve = |equations: &NormalEquations, damping: &[f64]| {
         solver.solve(equations, damping, &mut step).unwrap();
@@ -300,7 +300,7 @@ fn decoupled_coordinates_are_solved_in_one_iteration() {
     };
     assert_eq!(solve(&equations, &[]), 1);
     assert_eq!(solve(&equations, &vec![0.5; n]), 1);
-    // Damping that differs from coordinate to coordinate, or one coupled block, is more than P.
+    // Damping that differs from coordinate to coordinate is more than P; one coupled block takes two levels.
     let uneven: Vec<f64> = (0..n).map(|i| (i % 5) as f64).collect();
     assert!(solve(&equations, &uneven) > 1);
     let diagonal = structure.slot(3, 3).unwrap();
@@ -308,15 +308,15 @@ fn decoupled_coordinates_are_solved_in_one_iteration() {
     for at in [last, last * structure.size(3)] {
         equations.block_mut(diagonal)[at] += 0.05;
     }
-    assert!((2..10).contains(&solve(&equations, &[])));
+    assert!((2..100).contains(&solve(&equations, &[])));
     equations.gradient.fill(0.0);
     assert_eq!(solve(&equations, &[]), 0);
 }
 
 #[test]
-fn decoupled_conjugate_gradients_count_and_name_like_the_others() {
+fn conjugate_gradients_on_split_blocks_count_and_name_like_the_others() {
     let structure = Arc::new(split_structure());
-    let mut solver = DecoupledCg::new(&structure);
+    let mut solver = SplitCg::new(&structure);
     let mut step = vec![0.0; structure.dimension()];
     // A block that nothing observes, in any coordinate.
     let mut equations = random_equations(&structure, 3);
@@ -333,9 +333,10 @@ fn decoupled_conjugate_gradients_count_and_name_like_the_others() {
     assert!(matches!(error, LinearError::NotPositiveDefinite { at: Coordinate::Block { block: 13, .. } }), "{error}");
     solver.solve(&equations, &vec![1e-9; structure.dimension()], &mut step).unwrap();
     assert_eq!(solver.weak_pivots(), unseen.len());
-    assert!(step[unseen].iter().all(|d| *d == 0.0));
+    // The coarse problem moves it with its neighbours, until the damping is all that is left to tell.
+    assert!(step[unseen].iter().all(|d| d.abs() < 1e-3));
 
-    // Coupling so strong that H is indefinite although P is not.
+    // Coupling so strong that a diagonal block is indefinite although P is not.
     let mut equations = isotropic_equations(&structure);
     let diagonal = structure.slot(3, 3).unwrap();
     let last = structure.size(3) - 1;
@@ -343,7 +344,7 @@ fn decoupled_conjugate_gradients_count_and_name_like_the_others() {
         equations.block_mut(diagonal)[at] += 1e4;
     }
     let error = solver.solve(&equations, &[], &mut step).unwrap_err();
-    assert!(matches!(error, LinearError::NoCurvature { iteration: 1..20 }), "{error}");
+    assert_eq!(error, LinearError::NotPositiveDefinite { at: Coordinate::Block { block: 3, component: last } });
 
     // P does not see what couples the coordinates.
     equations.block_mut(diagonal)[last] = f64::NAN;
@@ -400,14 +401,14 @@ fn conjugate_gradients_name_what_stops_them() {
 }
 
 #[test]
-fn conjugate_gradients_give_the_same_bits_at_any_thread_count() {
+fn conjugate_gradients_on_split_blocks_give_the_same_bits_at_any_thread_count() {
     let structure = Arc::new(split_structure());
     let equations = random_equations(&structure, 21);
     let solve = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut step = vec![0.0; structure.dimension()];
-            DecoupledCg::new(&structure).solve(&equations, &[], &mut step).unwrap();
+            SplitCg::new(&structure).solve(&equations, &[], &mut step).unwrap();
             step
         })
     };
