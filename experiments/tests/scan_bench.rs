@@ -79,7 +79,7 @@ fn every_model_gets_a_row_for_every_case() {
         assert!(row.errors.finite && row.errors.rmse > 0.0 && row.errors.rmse < 8.0, "{row:?}");
     }
     let summary = summarize(&rows);
-    assert_eq!(summary.len(), 5);
+    assert_eq!(summary.len(), ModelKind::ALL.len());
     let hybrid = &summary[0];
     assert_eq!(hybrid.model, "hybrid");
     for other in &summary[1..] {
