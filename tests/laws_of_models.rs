@@ -336,7 +336,7 @@ fn a_block_of_nobodys_stays_where_it_is() {
     let before = problem.energy(&x);
     let options = Options::gauss_newton().with_damping_floor(1e-9).with_max_iterations(3);
     let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
-    assert!(summary.final_energy < 0.9 * before, "{summary}");
+    assert!(summary.final_energy < 0.95 * before, "{summary}");
     assert_eq!(x[own], [0.25, -0.5]);
     assert_eq!(summary.weak_directions(), 2, "{summary}");
 }
