@@ -5,4 +5,5 @@ mod generated;
 pub mod random_pose;
 pub mod rig_statistics;
 pub mod scan_bench;
+pub mod start_bench;
 pub mod tables;

@@ -12,9 +12,11 @@ use experiments::first;
 use experiments::random_pose::random_pose;
 use experiments::rig_statistics::RigStatistics;
 use experiments::scan_bench::{BenchCase, BenchRig, BenchRow, LandmarkUse, Scheduled, scan_bench, summarize};
+use experiments::start_bench::{StartCase, start_case};
 use experiments::tables::write_tables;
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::mesh::{Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationError, Schedule, TermFactory, TermKind};
 use nonrigid::rig::{Rig, RigReadOptions};
 
@@ -37,6 +39,8 @@ struct Cli {
 enum Command {
     /// Register every case below DIR with every model and compare with the ground truth
     ScanBench(ScanBench),
+    /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
+    StartBench(StartBench),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs {
         /// Rig folders
@@ -65,7 +69,7 @@ struct ScanBench {
     /// Schedule (.toml) for every model instead of its own
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Landmarks: all, align (for the start only), or how many
+    /// Landmarks: all, align (for the start only), none (the start is searched), or how many
     #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
     landmarks: LandmarkUse,
     /// Turn every scan by this many degrees about a random axis
@@ -73,6 +77,31 @@ struct ScanBench {
     turn: f64,
     /// Move every scan by this many millimetres in a random direction
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    shift: f64,
+    /// Seed of the random poses
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+#[derive(clap::Args)]
+struct StartBench {
+    /// Folders of cases, and scans (.ply or .obj); landmarks.json beside a scan is its reference
+    #[arg(value_name = "DIR_OR_SCAN", required = true)]
+    scans: Vec<PathBuf>,
+    /// Rig folder; its polygons are the template
+    #[arg(long, value_name = "DIR")]
+    rig: PathBuf,
+    /// Turns about random axes, degrees
+    #[arg(long, value_delimiter = ',', default_value = "0,30,90,180")]
+    turns: Vec<f64>,
+    /// Turn about the vertical axis instead
+    #[arg(long)]
+    vertical: bool,
+    /// Shift with every turn but 0, millimetres
+    #[arg(long, default_value_t = 500.0)]
     shift: f64,
     /// Seed of the random poses
     #[arg(long, default_value_t = 7)]
@@ -93,6 +122,7 @@ fn main() -> ExitCode {
     let outcome = match &cli.command {
         None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
         Some(Command::ScanBench(arguments)) => on_threads(arguments.threads).and_then(|()| run_scan_bench(arguments)),
+        Some(Command::StartBench(arguments)) => on_threads(arguments.threads).and_then(|()| run_start_bench(arguments)),
         Some(Command::CompareRigs { rigs, json }) => compare_rigs(rigs, *json),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
@@ -175,6 +205,55 @@ fn run_scan_bench(a: &ScanBench) -> Result<()> {
     println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
     Ok(())
 }
+
+fn run_start_bench(a: &StartBench) -> Result<()> {
+    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
+    let rig = BenchRig::read(&a.rig).map_err(unread)?;
+    let mut cases: Vec<StartCase> = Vec::new();
+    for path in &a.scans {
+        if path.is_dir() {
+            cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?.into_iter().map(StartCase::from));
+        } else {
+            let marks = Some(path.with_file_name("landmarks.json")).filter(|p| p.exists());
+            cases.push(StartCase::read(path, marks.as_ref(), rig.template()).map_err(unread)?);
+        }
+    }
+    let schedule = ModelKind::Hybrid.schedule()?;
+    let header = ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
+    let (mut rows, mut found, mut of) = (Vec::new(), 0, 0);
+    for case in &cases {
+        for (i, &turn) in a.turns.iter().enumerate() {
+            let moved = if turn == 0.0 {
+                Pose::identity()
+            } else if a.vertical {
+                Pose::rigid(Vec3::y() * turn.to_radians(), Vec3::zeros())
+            } else {
+                random_pose(turn, a.shift, a.seed, i as u64)
+            };
+            let head = vec![case.name.clone(), format!("{turn}")];
+            let cells: Vec<String> = match start_case(case, &moved, &schedule) {
+                Ok(row) => {
+                    of += usize::from(!row.turn.is_nan());
+                    found += usize::from(row.turn < FOUND_DEGREES);
+                    let (fit, next) = (row.search.fit, row.search.runner_up.map_or(1.0, |f| f.loss));
+                    let numbers = [row.turn, row.distance, fit.loss, fit.share, fit.residual, next, row.seconds];
+                    numbers.map(|x| format!("{x:.2}")).to_vec()
+                }
+                Err(e) => {
+                    of += 1;
+                    vec![format!("{e:#}")]
+                }
+            };
+            rows.push([head, cells].concat());
+        }
+    }
+    println!("{}", table(&header, rows));
+    println!("{found} of {of} within {FOUND_DEGREES} degrees of the start by landmarks");
+    Ok(())
+}
+
+/// A start nearer than this to that by landmarks is found, degrees.
+const FOUND_DEGREES: f64 = 5.0;
 
 fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Table {
     let mut table = Table::new();

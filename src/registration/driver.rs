@@ -4,14 +4,15 @@ use std::ops::ControlFlow;
 
 use serde::Serialize;
 
+use super::start::{self, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanSurface,
-    Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence,
+    Schedule, Seams, StartSearch, TermFactory, TermInput, TermKind, VertexCoincidence,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::{MeshError, PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3};
 use crate::nlls::{Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 
@@ -28,7 +29,7 @@ pub struct RegistrationInput<'a> {
     pub scan: &'a TriangleMesh,
     /// The scan's own vertex normals, where it has any; computed from the triangles otherwise.
     pub scan_normals: Option<&'a [Vec3]>,
-    /// Landmarks. Three or more start the registration; all of them take part in it where the schedule weights them.
+    /// Landmarks. Three or more start the registration, fewer hold the search of a start; all of them take part in it where the schedule weights them.
     pub landmarks: &'a [Landmark],
 }
 
@@ -100,6 +101,8 @@ pub struct RegistrationResult {
     pub positions: Vec<Vec3>,
     /// Where the registration started.
     pub start: Pose,
+    /// How the start was found, where fewer than three landmarks gave it.
+    pub start_search: Option<StartSearch>,
     /// Blendshape weights by name.
     pub weights: Vec<(String, f64)>,
     /// Which vertices had an accepted correspondence at the end.
@@ -136,7 +139,7 @@ pub fn register_with(
     schedule.validate()?;
     check_input(input, model)?;
     let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    let start = start_pose(input, &template, schedule)?;
+    let (start, start_search) = start_of(input, &template, schedule)?;
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
     let scan_in_rest = TriangleMesh {
         positions: input.scan.positions.iter().map(|&p| to_rest(p)).collect(),
@@ -186,6 +189,7 @@ pub fn register_with(
     Ok(RegistrationResult {
         positions,
         start,
+        start_search,
         weights: problem.model.named_weights(&x),
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
         weak_directions: run.workspace.summary().weak_directions(),
@@ -193,6 +197,39 @@ pub fn register_with(
         stop,
         schedule: schedule.clone(),
     })
+}
+
+/// Where [`register`] starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
+///
+/// # Errors
+/// Those of [`register`] before its first step.
+pub fn find_start(
+    input: &RegistrationInput<'_>,
+    schedule: &Schedule,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    schedule.validate()?;
+    check_surfaces(input)?;
+    let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
+    start_of(input, &template, schedule)
+}
+
+fn start_of(
+    input: &RegistrationInput<'_>,
+    rest: &Rest,
+    schedule: &Schedule,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
+    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    let search = StartInput {
+        template: &rest.mesh,
+        ignored: &rest.ignored,
+        centre: rest.centre,
+        unit: rest.unit,
+        scan: input.scan,
+        scan_normals: input.scan_normals,
+        landmarks: &landmarks,
+    };
+    start::find_start(&search, schedule.start, &schedule.search)
 }
 
 /// The rest shape, centred, and how the schedule's units translate to it.
@@ -238,15 +275,7 @@ fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
 
 fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
     let vertices = input.template.positions.len();
-    if input.template.polygon_count() == 0 {
-        return Err(RegistrationError::EmptyTemplate);
-    }
-    if input.scan.triangles.is_empty() {
-        return Err(RegistrationError::EmptyScan);
-    }
-    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
-        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
-    }
+    check_surfaces(input)?;
     if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
         let found = input.shapes.vertex_count();
         return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
@@ -257,17 +286,18 @@ fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Resul
     Ok(())
 }
 
-fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -> Result<Pose, RegistrationError> {
-    if input.landmarks.is_empty() {
-        return Ok(Pose::identity());
+fn check_surfaces(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
+    let vertices = input.template.positions.len();
+    if input.template.polygon_count() == 0 {
+        return Err(RegistrationError::EmptyTemplate);
     }
-    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
-    let pairs: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
-    let free = closest_pose(&pairs, PoseKind::Similarity)?;
-    if schedule.start == PoseKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
-        return Err(RegistrationError::Scale { scale: free.scale });
+    if input.scan.triangles.is_empty() {
+        return Err(RegistrationError::EmptyScan);
     }
-    Ok(closest_pose(&pairs, schedule.start)?)
+    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
+        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
+    }
+    Ok(())
 }
 
 struct Run {

@@ -7,11 +7,13 @@ mod model_kind;
 mod report;
 mod schedule;
 mod seam;
+mod start;
+mod surfels;
 mod terms;
 
 pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
 pub use driver::{
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register, register_with,
+    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start, register, register_with,
 };
 pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
@@ -20,6 +22,7 @@ pub use schedule::{
     GraphDistance, GraphOptions, Level, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, StopOptions,
 };
 pub use seam::Seams;
+pub use start::{StartFit, StartOptions, StartSearch};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord};
+use super::{RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord};
 use crate::evaluation::{DistanceSummary, EdgeStretch, EvaluationError, flipped_triangles};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
@@ -100,6 +100,8 @@ pub struct Report {
     pub schedule: Schedule,
     /// Where the registration started.
     pub start: Pose,
+    /// How the start was found, where fewer than three landmarks gave it.
+    pub start_search: Option<StartSearch>,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// Share of the template's vertices with an accepted correspondence at the end.
@@ -124,6 +126,7 @@ impl Report {
             inputs,
             schedule: result.schedule.clone(),
             start: result.start,
+            start_search: result.start_search,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,

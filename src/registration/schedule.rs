@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::StartOptions;
 use crate::mesh::PoseKind;
 use crate::nlls::Kernel;
 use crate::rig::Family;
@@ -18,6 +19,9 @@ pub struct Schedule {
     /// Whether the start may scale the template.
     #[serde(default)]
     pub start: PoseKind,
+    /// How a start is searched where fewer than three landmarks give it.
+    #[serde(default)]
+    pub search: StartOptions,
     /// Root-mean-square distance of the template's vertices from their centroid that the lengths below are meant for,
     /// millimetres.
     pub reference_size: f64,
@@ -307,6 +311,13 @@ impl Schedule {
             |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
         positive("reference_size".into(), self.reference_size)?;
         positive("reference_vertices".into(), self.reference_vertices)?;
+        positive("search.rotations".into(), self.search.rotations as f64)?;
+        positive("search.spacing".into(), self.search.spacing)?;
+        positive("search.coarse".into(), self.search.coarse as f64)?;
+        positive("search.fine".into(), self.search.fine as f64)?;
+        positive("search.reach".into(), self.search.reach)?;
+        positive("search.least_share".into(), self.search.least_share)?;
+        positive("search.greatest_loss".into(), self.search.greatest_loss)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
         positive("graph.influences".into(), self.graph.influences as f64)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
