@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{ScheduleError, StartFit};
+use super::{ScheduleError, StartFit, StartSearch};
 use crate::energy::SampleError;
 use crate::mesh::PoseError;
 
@@ -75,6 +75,16 @@ pub enum RegistrationError {
         /// The best one's fit.
         fit: StartFit,
     },
+    /// Several poses fit alike.
+    #[error(
+        "no start found: {tried} poses were tried, and two in different places fit alike, with losses of {loss:.2} and {other:.2}; \
+         give three landmarks, or bring the scan near the template",
+        tried = search.tried, loss = search.fit.loss, other = search.runner_up.map_or(1.0, |f| f.loss)
+    )]
+    AmbiguousStart {
+        /// What was found.
+        search: Box<StartSearch>,
+    },
     /// No vertex found a correspondence.
     #[error(
         "level {level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
@@ -110,6 +120,9 @@ impl RegistrationError {
     /// Whether the inputs, as opposed to the computation on them, are at fault.
     #[must_use]
     pub fn is_input(&self) -> bool {
-        !matches!(self, Self::NoStart { .. } | Self::NoOverlap { .. } | Self::Solver { .. } | Self::Diverged { .. })
+        !matches!(
+            self,
+            Self::NoStart { .. } | Self::AmbiguousStart { .. } | Self::NoOverlap { .. } | Self::Solver { .. } | Self::Diverged { .. }
+        )
     }
 }

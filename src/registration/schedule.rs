@@ -318,6 +318,7 @@ impl Schedule {
         positive("search.reach".into(), self.search.reach)?;
         positive("search.least_share".into(), self.search.least_share)?;
         positive("search.greatest_loss".into(), self.search.greatest_loss)?;
+        positive("search.greatest_rival".into(), self.search.greatest_rival)?;
         positive("graph.nodes".into(), self.graph.nodes as f64)?;
         positive("graph.influences".into(), self.graph.influences as f64)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;

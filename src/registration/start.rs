@@ -14,6 +14,11 @@
 //! with `h` the distance to the nearest surfel of the scan along its normal `m`, and `n` the template's normal. A surfel without
 //! a match (past an edge or a hole of the scan, facing elsewhere) counts 1, so that neither a perfect fit of a small part nor a
 //! poor one of everything wins. The normals' part tells a face from a smooth shoulder or the back of a head.
+//!
+//! Whether the winner is right cannot be read off its loss alone: half a face has more than the back of a head. But on smooth
+//! things many poses are as good as the best. So a start is refused where its loss is high or a pose elsewhere comes close.
+
+use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion};
 use rayon::prelude::*;
@@ -22,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use super::RegistrationError;
 use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
 use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::normals::face_areas;
 use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 
 /// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
@@ -42,6 +48,8 @@ pub struct StartOptions {
     pub least_share: f64,
     /// Loss, from 0 to 1, above which a pose is no start.
     pub greatest_loss: f64,
+    /// [`StartSearch::rival`] above which a pose other than the given one is no start.
+    pub greatest_rival: f64,
 }
 
 impl Default for StartOptions {
@@ -53,7 +61,8 @@ impl Default for StartOptions {
             fine: 12,
             reach: 8.0,
             least_share: 0.3,
-            greatest_loss: 0.8,
+            greatest_loss: 0.7,
+            greatest_rival: 0.95,
         }
     }
 }
@@ -83,6 +92,26 @@ pub struct StartSearch {
     /// The best fit in another place, if there was any.
     pub runner_up: Option<StartFit>,
 }
+
+impl StartSearch {
+    /// How close the best pose elsewhere comes: its gain (one minus the loss) over that of the start. Measured: up to 0.8 for
+    /// right starts, from 0.93 for wrong ones.
+    #[must_use]
+    pub fn rival(&self) -> f64 {
+        self.runner_up.map_or(0.0, |other| (1.0 - other.loss) / (1.0 - self.fit.loss).max(f64::MIN_POSITIVE))
+    }
+
+    /// Whether the start deserves a look: another pose comes close, or much of the template sees no scan.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.rival() > DOUBTFUL_RIVAL || self.fit.share < DOUBTFUL_SHARE
+    }
+}
+
+/// [`StartSearch::rival`] above which a start is doubtful.
+const DOUBTFUL_RIVAL: f64 = 0.88;
+/// Share of the template below which a start is doubtful.
+const DOUBTFUL_SHARE: f64 = 0.4;
 
 /// The template and scan that a start is searched for.
 pub(super) struct StartInput<'a> {
@@ -118,16 +147,23 @@ pub(super) fn find_start(
     Ok((closest_pose(input.landmarks, kind)?, None))
 }
 
-/// Size of a surfel, millimetres.
-const SURFEL: f64 = 4.0;
-/// Surfels of the template in a first look, in coarse and in fine refinement.
+/// Sizes of the scan's surfels in the first look and in the end, millimetres.
+const COARSE_SURFEL: f64 = 8.0;
+const FINE_SURFEL: f64 = 4.0;
+/// Surfels of the template in a glance at every pose, in a look at the better ones, in coarse and in fine refinement.
+const GLANCE: usize = 24;
 const LOOK: usize = 60;
 const COARSE: usize = 150;
 const FINE: usize = 500;
+/// Poses of each rotation that are looked at, and that are kept.
+const LOOKED_AT: usize = 16;
+const KEPT: usize = 4;
 /// Reach of the first look and of the coarse refinement, millimetres.
 const LOOK_REACH: f64 = 20.0;
 /// Places tried on a scan at most.
 const MOST_PLACES: usize = 800;
+/// Least cosine between the normals of template and scan at a place.
+const FACING: f64 = 0.3;
 /// Poses nearer than this, millimetres at the template's surfels, are one.
 const SAME: f64 = 20.0;
 /// How much better, as a share of the loss, another pose has to be than the given one.
@@ -140,11 +176,20 @@ const SIZES: std::ops::RangeInclusive<f64> = 0.35..=9.0;
 /// Prior standard deviation of a similarity's scale.
 const SCALE_SIGMA: f64 = 0.15;
 
+/// Parts of a scan farther from its middle than this many times the median distance are none of it.
+const FAR: f64 = 20.0;
+/// Weight of a landmark in the search, as a share of the template.
+const LANDMARK_WEIGHT: f64 = 0.1;
+/// Lever arm that turns radians into millimetres where a step is measured.
+const ARM: f64 = 67.0;
+
+/// Template and scan in the scan's frame, in the schedule's millimetres.
 struct Problem {
     /// Surfels of the template about its centroid, spread: any first part of them covers all of it.
     template: Vec<Surfel>,
-    scan: Vec<Surfel>,
+    coarse: Vec<Surfel>,
     lattice: Lattice,
+    fine: Vec<Surfel>,
     tree: ClosestVertices,
     /// Landmarks: on the template, about its centroid, and on the scan.
     landmarks: Vec<(Vec3, Vec3)>,
@@ -174,18 +219,18 @@ struct Match {
 impl Problem {
     #[inline]
     fn find(&self, point: Vec3, normal: Vec3, how: Matching) -> Option<Match> {
-        let nearest = if how.exact {
-            self.tree.query_within(&point, 4.0 * how.reach * how.reach)?.vertex as usize
+        let at = if how.exact {
+            &self.fine[self.tree.query_within(&point, 4.0 * how.reach * how.reach)?.vertex as usize]
         } else {
-            self.lattice.near(point)?
+            &self.coarse[self.lattice.near(point)?]
         };
-        let at = &self.scan[nearest];
         let away = point - at.point;
         let height = away.dot(&at.normal);
         let squared = away.norm_squared();
         let distance = if how.exact {
             let aside = (squared - height * height).max(0.0).sqrt();
-            if aside > 1.5 * SURFEL + 0.5 * height.abs() {
+            // The way to the nearest point of a surface is along its normal, except past its edge.
+            if aside > 1.5 * FINE_SURFEL + 0.5 * height.abs() {
                 return None;
             }
             height * height
@@ -277,7 +322,7 @@ impl Problem {
         pose.rotation = Rotation3::new(turn * shorter).into_inner() * pose.rotation;
         pose.translation += shift * shorter;
         pose.scale *= (step[6] * shorter).exp();
-        Some(shorter * (turn.norm() * 67.0 + shift.norm() + step[6].abs() * 67.0))
+        Some(shorter * (turn.norm() * ARM + shift.norm() + step[6].abs() * ARM))
     }
 
     /// Trimmed ICP until it moves less than `still`, for `steps` at most.
@@ -294,9 +339,6 @@ impl Problem {
         self.template.iter().take(16).all(|s| (a.apply(s.point) - b.apply(s.point)).norm() < SAME)
     }
 }
-
-/// Weight of a landmark in the search, as a share of the template.
-const LANDMARK_WEIGHT: f64 = 0.1;
 
 #[derive(Clone, Copy)]
 struct Candidate {
@@ -317,14 +359,18 @@ fn search_start(
     kind: PoseKind,
     options: &StartOptions,
 ) -> Result<(Pose, StartSearch), RegistrationError> {
-    let size = |mesh: &TriangleMesh| {
-        let cross = |&t: &[u32; 3]| crate::mesh::normals::face_cross(&mesh.positions, t).norm();
-        (0.5 * mesh.triangles.iter().map(cross).sum::<f64>()).sqrt()
-    };
-    let ratio = size(input.scan) / size(input.template);
-    if !(ratio.is_finite() && ratio > 0.0) {
-        return Err(RegistrationError::Scan("its surface has no area, or a coordinate is not finite".into()));
+    let near = without_far(input.scan);
+    let input = &StartInput { scan: &near, ..*input };
+    let size = |mesh: &TriangleMesh| face_areas(&mesh.positions, &mesh.triangles).iter().sum::<f64>().sqrt();
+    let usable = |size: f64| size.is_finite() && size > 0.0;
+    let (scan, template) = (size(input.scan), size(input.template));
+    if !usable(template) {
+        return Err(RegistrationError::Template(NO_AREA.into()));
     }
+    if !usable(scan) {
+        return Err(RegistrationError::Scan(NO_AREA.into()));
+    }
+    let ratio = scan / template;
     // Powers of ten that bring the scan to the template's size; a rigid start has only the first.
     let powers = if kind == PoseKind::Rigid { 0..=0 } else { -6..=6 };
     let factors = powers.map(|k| 10f64.powi(k)).filter(|f| SIZES.contains(&(ratio / f)));
@@ -334,7 +380,31 @@ fn search_start(
     if search.fit.share < options.least_share || search.fit.loss > options.greatest_loss {
         return Err(RegistrationError::NoStart { tried: search.tried, fit: search.fit });
     }
+    if !search.given && search.rival() > options.greatest_rival {
+        return Err(RegistrationError::AmbiguousStart { search: Box::new(search) });
+    }
     Ok((pose, search))
+}
+
+/// What is wrong with a mesh that no pose can be searched for.
+const NO_AREA: &str = "its surface has no area, or a coordinate is not finite";
+
+/// The scan without triangles that lie far out, as stray points of a scanner do: they would decide its frame and size.
+fn without_far(scan: &TriangleMesh) -> Cow<'_, TriangleMesh> {
+    let median = |mut x: Vec<f64>| {
+        let middle = x.len() / 2;
+        *x.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let centres: Vec<Vec3> =
+        scan.triangles.iter().map(|t| t.iter().map(|&v| scan.positions[v as usize]).sum::<Vec3>() / 3.0).collect();
+    let middle = Vec3::from_fn(|axis, _| median(centres.iter().map(|c| c[axis]).collect()));
+    let limit = FAR * median(centres.iter().map(|c| (c - middle).norm()).collect());
+    let is_near = |t: &[u32; 3]| t.iter().all(|&v| (scan.positions[v as usize] - middle).norm() <= limit);
+    if scan.triangles.iter().all(is_near) {
+        return Cow::Borrowed(scan);
+    }
+    let triangles = scan.triangles.iter().copied().filter(is_near).collect();
+    Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles })
 }
 
 /// The search on the scan divided by `factor`.
@@ -346,24 +416,25 @@ fn search_at(
 ) -> Result<(Pose, StartSearch), RegistrationError> {
     let frame = Frame::principal(input.scan, input.unit * factor);
     let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
-    let even = surfels(input.template, None, input.ignored, own, SURFEL);
-    let scan = surfels(input.scan, input.scan_normals, &[], frame, SURFEL);
-    if even.is_empty() || scan.is_empty() {
-        let empty = |what: &str| format!("the {what} has no surface that a start could be searched on");
-        return Err(RegistrationError::Scan(empty(if scan.is_empty() { "scan" } else { "template" })));
+    let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
+    let of_scan = |size: f64| surfels(input.scan, input.scan_normals, &[], frame, size);
+    let (coarse, fine) = (of_scan(COARSE_SURFEL), of_scan(FINE_SURFEL));
+    if even.is_empty() {
+        return Err(RegistrationError::Template(NO_NORMALS.into()));
+    }
+    if coarse.is_empty() || fine.is_empty() {
+        return Err(RegistrationError::Scan(NO_NORMALS.into()));
     }
     let template: Vec<Surfel> = farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect();
-    let points: Vec<Vec3> = scan.iter().map(|s| s.point).collect();
+    let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
+    let local = |(p, q): &(Vec3, Vec3)| ((p - input.centre) / input.unit, frame.to_local(*q));
     let problem = Problem {
-        lattice: Lattice::new(&scan, SURFEL, LOOK_REACH),
+        lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
+        coarse,
         tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
-        landmarks: input
-            .landmarks
-            .iter()
-            .map(|(p, q)| ((p - input.centre) / input.unit, frame.to_local(*q)))
-            .collect(),
+        fine,
+        landmarks: input.landmarks.iter().map(local).collect(),
         template,
-        scan,
         kind,
     };
     let given = Pose {
@@ -371,10 +442,9 @@ fn search_at(
         rotation: frame.axes.transpose(),
         translation: frame.to_local(input.centre),
     };
-    let (tried, mut poses) = look(&problem, &given, options);
-
+    let (tried, poses) = look(&problem, &given, options);
     let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
-    let refined: Vec<Candidate> = std::mem::take(&mut poses)
+    let refined: Vec<Candidate> = poses
         .into_par_iter()
         .map(|mut pose| {
             problem.descend(&mut pose, coarse, 12, 0.5);
@@ -382,8 +452,7 @@ fn search_at(
         })
         .collect();
     let mut chosen = distinct(&problem, refined, options.fine);
-    let is_unit = (factor - 1.0).abs() < 1e-12;
-    if is_unit {
+    if factor == 1.0 {
         chosen.push(Candidate { pose: given, fit: problem.fit(&given, coarse), given: true });
     }
     let fine = |reach: f64| Matching { count: FINE, reach, exact: true };
@@ -417,6 +486,8 @@ fn search_at(
     Ok((found, search))
 }
 
+const NO_NORMALS: &str = "its surface is folded everywhere, so that it faces nowhere";
+
 /// The surfel with the least sum of distances to all others.
 fn medoid(surfels: &[Surfel]) -> usize {
     let few: Vec<Vec3> = surfels.iter().step_by(surfels.len() / 500 + 1).map(|s| s.point).collect();
@@ -439,31 +510,34 @@ fn distinct(problem: &Problem, mut candidates: Vec<Candidate>, most: usize) -> V
 
 /// Tries all rotations at all places; how many there were, and the best of them.
 fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<Pose>) {
-    let how = Matching { count: LOOK, reach: LOOK_REACH, exact: false };
     let anchor = problem.template[0];
-    let places: Vec<Surfel> = farthest_points(&problem.scan, 0, MOST_PLACES, options.spacing)
-        .into_iter()
-        .map(|i| problem.scan[i])
-        .collect();
-    let rotations = rotations(given, options.rotations);
-    let best: Vec<(usize, Vec<Candidate>)> = rotations
+    let places = farthest_points(&problem.coarse, 0, MOST_PLACES, options.spacing);
+    let count = problem.landmarks.len() as f64;
+    let (p, q) = problem.landmarks.iter().fold((Vec3::zeros(), Vec3::zeros()), |(p, q), l| (p + l.0, q + l.1));
+    let sorted = |poses: Vec<Pose>, surfels: usize, most: usize| -> Vec<Candidate> {
+        let how = Matching { count: surfels, reach: LOOK_REACH, exact: false };
+        let fitted = poses.into_iter().map(|pose| Candidate { fit: problem.fit(&pose, how), pose, given: false });
+        let mut fitted: Vec<Candidate> = fitted.collect();
+        fitted.sort_by(|a, b| a.fit.loss.total_cmp(&b.fit.loss));
+        fitted.truncate(most);
+        fitted
+    };
+    let poses = |rotation: Matrix3<f64>| -> Vec<Pose> {
+        let onto = |p: Vec3, q: Vec3| Pose { scale: 1.0, rotation, translation: q - rotation * p };
+        if count > 0.0 {
+            return vec![onto(p / count, q / count)];
+        }
+        let normal = rotation * anchor.normal;
+        let facing = places.iter().map(|&i| &problem.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);
+        facing.map(|s| onto(anchor.point, s.point)).collect()
+    };
+    let best: Vec<(usize, Vec<Candidate>)> = rotations(given, options.rotations)
         .into_par_iter()
         .map(|rotation| {
-            let pose = |p: Vec3, q: Vec3| Pose { scale: 1.0, rotation, translation: q - rotation * p };
-            let poses: Vec<Pose> = if problem.landmarks.is_empty() {
-                let normal = rotation * anchor.normal;
-                places.iter().filter(|s| s.normal.dot(&normal) > 0.3).map(|s| pose(anchor.point, s.point)).collect()
-            } else {
-                let count = problem.landmarks.len() as f64;
-                let (p, q) = problem.landmarks.iter().fold((Vec3::zeros(), Vec3::zeros()), |(a, b), (p, q)| (a + p, b + q));
-                vec![pose(p / count, q / count)]
-            };
-            let tried = poses.len();
-            let fits = poses.into_iter().map(|pose| Candidate { fit: problem.fit(&pose, how), pose, given: false });
-            let mut fits: Vec<Candidate> = fits.collect();
-            fits.sort_by(|a, b| a.fit.loss.total_cmp(&b.fit.loss));
-            fits.truncate(PER_ROTATION);
-            (tried, fits)
+            let all = poses(rotation);
+            let tried = all.len();
+            let better = sorted(all, GLANCE, LOOKED_AT).into_iter().map(|c| c.pose).collect();
+            (tried, sorted(better, LOOK, KEPT))
         })
         .collect();
     let tried = best.iter().map(|b| b.0).sum();
@@ -471,9 +545,6 @@ fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<
     all.sort_by(|a, b| a.fit.loss.total_cmp(&b.fit.loss));
     (tried, all.into_iter().take(options.coarse).map(|c| c.pose).collect())
 }
-
-/// Places kept of each rotation.
-const PER_ROTATION: usize = 4;
 
 /// The given rotation, it turned about the template's vertical, and `count` rotations spread evenly.
 fn rotations(given: &Pose, count: usize) -> Vec<Matrix3<f64>> {
