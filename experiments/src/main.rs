@@ -219,7 +219,8 @@ fn run_start_bench(a: &StartBench) -> Result<()> {
         }
     }
     let schedule = ModelKind::Hybrid.schedule()?;
-    let header = ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
+    let header =
+        ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
     let (mut rows, mut found, mut of) = (Vec::new(), 0, 0);
     for case in &cases {
         for (i, &turn) in a.turns.iter().enumerate() {

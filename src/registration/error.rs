@@ -122,7 +122,11 @@ impl RegistrationError {
     pub fn is_input(&self) -> bool {
         !matches!(
             self,
-            Self::NoStart { .. } | Self::AmbiguousStart { .. } | Self::NoOverlap { .. } | Self::Solver { .. } | Self::Diverged { .. }
+            Self::NoStart { .. }
+                | Self::AmbiguousStart { .. }
+                | Self::NoOverlap { .. }
+                | Self::Solver { .. }
+                | Self::Diverged { .. }
         )
     }
 }

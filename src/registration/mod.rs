@@ -13,7 +13,8 @@ mod terms;
 
 pub use correspondence::{Correspondences, ScanSurface, VertexCoincidence};
 pub use driver::{
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start, register, register_with,
+    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start, register,
+    register_with,
 };
 pub use error::RegistrationError;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};

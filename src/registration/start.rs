@@ -437,11 +437,8 @@ fn search_at(
         template,
         kind,
     };
-    let given = Pose {
-        scale: 1.0 / factor,
-        rotation: frame.axes.transpose(),
-        translation: frame.to_local(input.centre),
-    };
+    let given =
+        Pose { scale: 1.0 / factor, rotation: frame.axes.transpose(), translation: frame.to_local(input.centre) };
     let (tried, poses) = look(&problem, &given, options);
     let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
     let refined: Vec<Candidate> = poses
@@ -548,7 +545,8 @@ fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<
 
 /// The given rotation, it turned about the template's vertical, and `count` rotations spread evenly.
 fn rotations(given: &Pose, count: usize) -> Vec<Matrix3<f64>> {
-    let about_vertical = (0..12).map(|k| Rotation3::from_axis_angle(&Vec3::y_axis(), f64::from(k) * 30f64.to_radians()));
+    let about_vertical =
+        (0..12).map(|k| Rotation3::from_axis_angle(&Vec3::y_axis(), f64::from(k) * 30f64.to_radians()));
     let mut all: Vec<Matrix3<f64>> = about_vertical.map(|r| given.rotation * r.into_inner()).collect();
     // Alexa 2022: phi = sqrt 2, psi the real root of psi^4 = psi + 4.
     let (phi, psi) = (std::f64::consts::SQRT_2, 1.533_751_168_755_204_3);

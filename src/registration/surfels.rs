@@ -164,9 +164,7 @@ impl Lattice {
 
     /// Each cell takes the nearest of its neighbours' surfels, in waves from the surface outwards.
     fn fill(&mut self, surfels: &[Surfel], reach: f64) {
-        let centre = |place: [usize; 3]| {
-            self.low + Vec3::from_fn(|a, _| place[a] as f64 + 0.5) * self.cell
-        };
+        let centre = |place: [usize; 3]| self.low + Vec3::from_fn(|a, _| place[a] as f64 + 0.5) * self.cell;
         let [nx, ny, nz] = self.size;
         let mut squared = vec![f32::INFINITY; self.nearest.len()];
         let mut wave: Vec<([usize; 3], u32)> = Vec::with_capacity(surfels.len());
