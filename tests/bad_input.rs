@@ -295,7 +295,7 @@ const ROWS: &[Row] = &[
     ("register", "--template nan.obj", LOADING, &["nan.obj", "line 2", "finite"]),
     ("register", "--template past.obj", LOADING, &["past.obj", "line 4", "9"]),
     ("register", "--template points.obj --rig - --neutral - --landmarks -", LOADING, &["template", "no faces"]),
-    ("register", "--template one_point.obj --rig - --neutral - --landmarks -", COMPUTATION, &["template"]),
+    ("register", "--template one_point.obj --rig - --neutral - --landmarks -", LOADING, &["template", "no area"]),
     ("register", "--template triangle.obj --landmarks -", LOADING, &["neutral", "the template has 3"]),
     ("register", "--template -", ARGUMENTS, &["--template"]),
     // the scan
@@ -356,7 +356,6 @@ const ROWS: &[Row] = &[
     ("register", "--landmarks garbage.json", LOADING, &["garbage.json", "line 1"]),
     ("register", "--landmarks past.json", LOADING, &["past.json", "99999"]),
     ("register", "--landmarks line.json", LOADING, &["line"]),
-    ("register", "--landmarks two.json", LOADING, &["2 point pairs", "at least 3"]),
     ("register", "--landmarks nan.json", LOADING, &["nan.json"]),
     ("register", "--landmarks huge.json", LOADING, &["huge.json"]),
     ("register", "--landmarks named.json", LOADING, &["named.json", "nose_tip", "vertex indices"]),

@@ -10,4 +10,5 @@ pub mod rig_statistics;
 pub mod scan_bench;
 pub mod scan_bench_command;
 pub mod schedule_search;
+pub mod start_bench;
 pub mod tables;

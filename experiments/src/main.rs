@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use experiments::{compare_rigs, first, real_scans, scan_bench_command, schedule_search};
+use experiments::{compare_rigs, first, real_scans, scan_bench_command, schedule_search, start_bench};
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::registration::RegistrationError;
 
@@ -28,6 +28,8 @@ struct Cli {
 enum Command {
     /// Register every case below DIR with every model and compare with the ground truth
     ScanBench(scan_bench_command::Arguments),
+    /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
+    StartBench(start_bench::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Search the default schedules: the same search for every model
@@ -47,6 +49,7 @@ fn main() -> ExitCode {
     let outcome = match &cli.command {
         None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
         Some(Command::ScanBench(a)) => on_threads(a.threads).and_then(|()| scan_bench_command::run(a)),
+        Some(Command::StartBench(a)) => on_threads(a.threads).and_then(|()| start_bench::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads).and_then(|()| real_scans::run(a).map(drop)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads).and_then(|()| schedule_search::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),

@@ -58,6 +58,12 @@ impl BenchRig {
         let template = rig.mesh().with_context(|| format!("{}: the rig has no template mesh", folder.display()))?;
         Ok(Self { template: template.clone(), rig })
     }
+
+    /// The template.
+    #[must_use]
+    pub fn template(&self) -> &PolygonMesh {
+        &self.template
+    }
 }
 
 impl BenchCase {
@@ -138,6 +144,8 @@ pub enum LandmarkUse {
     All,
     /// All in the start, none in the energy.
     Align,
+    /// None: the start is searched.
+    None,
     /// This many, spread over the face, in the start and in the energy.
     Some(usize),
 }
@@ -149,8 +157,9 @@ impl std::str::FromStr for LandmarkUse {
         match (s, s.parse()) {
             ("all", _) => Ok(Self::All),
             ("align", _) => Ok(Self::Align),
+            ("none", _) => Ok(Self::None),
             (_, Ok(n)) if n >= 3 => Ok(Self::Some(n)),
-            _ => Err(format!("'{s}' is neither 'all' nor 'align' nor a number of at least 3")),
+            _ => Err(format!("'{s}' is neither 'all', 'align' nor 'none', nor a number of at least 3")),
         }
     }
 }
@@ -161,6 +170,7 @@ impl LandmarkUse {
         let mut schedule = schedule.clone();
         let landmarks = match self {
             Self::All => case.landmarks.clone(),
+            Self::None => Vec::new(),
             Self::Some(n) => spread(&case.landmarks, &case.template, n),
             Self::Align => {
                 schedule.levels.iter_mut().for_each(|level| level.landmarks = 0.0);

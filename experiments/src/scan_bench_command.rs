@@ -30,7 +30,7 @@ pub struct Arguments {
     /// Schedule (.toml) for every model instead of its own
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Landmarks: all, align (for the start only), or how many
+    /// Landmarks: all, align (for the start only), none (the start is searched), or how many
     #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
     landmarks: LandmarkUse,
     /// Turn every scan by this many degrees about a random axis

@@ -14,7 +14,7 @@ use super::{Failure, Stage, check_output, on_threads, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
     InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
-    Schedule, StepRecord, WITHIN_MM, register,
+    Schedule, StartSearch, StepRecord, WITHIN_MM, register,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -36,7 +36,8 @@ pub struct Arguments {
     neutral: Option<PathBuf>,
     #[command(flatten)]
     rig: RigArguments,
-    /// Landmarks (.json): template vertex or name -> point on the scan, or Wrap's [triangle, u, v]
+    /// Landmarks (.json): template vertex or name -> point on the scan, or Wrap's [triangle, u, v]. With fewer than three, the
+    /// start is searched all over the scan; where nothing fits, or several poses fit alike, that is an error
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
     /// What the landmarks' names mean on the template (.json)
@@ -216,6 +217,17 @@ fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
 
 /// Says so when a result is probably wrong, instead of leaving it to be found out.
 fn warn_of_doubtful(result: &RegistrationResult, quality: &Quality, triangles: usize) {
+    if let Some(search) = result.start_search.filter(StartSearch::is_doubtful) {
+        warn(format!(
+            "the start is doubtful: of {} poses tried, the best matches {:.0} % of the template to {:.1} mm (loss {:.2}), one in \
+             another place comes to {:.0} % of its gain; look at the picture, or give three landmarks",
+            search.tried,
+            100.0 * search.fit.share,
+            search.fit.residual,
+            search.fit.loss,
+            100.0 * search.rival()
+        ));
+    }
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);
     if inliers < FEW_INLIERS {
         warn(format!(

@@ -4,14 +4,16 @@ use std::ops::ControlFlow;
 
 use serde::Serialize;
 
+use super::start::{self, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
-    ScanSurface, Schedule, Seams, TermFactory, TermInput, TermKind, VertexCoincidence, VertexMasks, masks, scan,
+    ScanSurface, Schedule, Seams, StartSearch, TermFactory, TermInput, TermKind, VertexCoincidence, VertexMasks, masks,
+    scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::{MeshError, PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3};
 use crate::nlls::{Minimizer, Options, Problem as _, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 
@@ -28,7 +30,7 @@ pub struct RegistrationInput<'a> {
     pub scan: &'a TriangleMesh,
     /// The scan's own vertex normals, where it has any; computed from the triangles otherwise. A point cloud needs them.
     pub scan_normals: Option<&'a [Vec3]>,
-    /// Landmarks. Three or more start the registration; all of them take part in it where the schedule weights them.
+    /// Landmarks. Three or more start the registration, fewer hold the search of a start; all of them take part in it where the schedule weights them.
     pub landmarks: &'a [Landmark],
     /// Weight of the data terms at each template vertex, 0 to 1: what the scan says there counts as much. Landmarks keep
     /// their own weight, and where the mask is 0 the prediction takes over.
@@ -133,6 +135,8 @@ pub struct RegistrationResult {
     pub positions: Vec<Vec3>,
     /// Where the registration started.
     pub start: Pose,
+    /// How the start was found, where fewer than three landmarks gave it.
+    pub start_search: Option<StartSearch>,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
     pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.
@@ -170,7 +174,7 @@ pub fn register_with(
     schedule.validate()?;
     check_input(input, model)?;
     let mut template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    let start = start_pose(input, &template, schedule)?;
+    let (start, start_search) = start_of(input, &template, schedule)?;
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
     let scan_in_rest = TriangleMesh {
         positions: input.scan.positions.iter().map(|&p| to_rest(p)).collect(),
@@ -236,6 +240,7 @@ pub fn register_with(
     Ok(RegistrationResult {
         positions,
         start,
+        start_search,
         weights,
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
         weak_directions: problem.model.weak_directions().unwrap_or_else(|| run.workspace.summary().weak_directions()),
@@ -264,6 +269,45 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
         NamedWeight { name, value, deviation, at_bound }
     };
     named.into_iter().enumerate().map(weight).collect()
+}
+
+/// Where [`register`] starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
+///
+/// # Errors
+/// Those of [`register`] before its first step.
+pub fn find_start(
+    input: &RegistrationInput<'_>,
+    schedule: &Schedule,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    schedule.validate()?;
+    check_geometry(input)?;
+    let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
+    start_of(input, &template, schedule)
+}
+
+fn start_of(
+    input: &RegistrationInput<'_>,
+    rest: &Rest,
+    schedule: &Schedule,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
+    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    let discs =
+        input.scan.triangles.is_empty().then(|| start::discs(input.scan, input.scan_normals.unwrap_or_default()));
+    let (scan, scan_normals) = match &discs {
+        Some((mesh, normals)) => (mesh, Some(&normals[..])),
+        None => (input.scan, input.scan_normals),
+    };
+    let search = StartInput {
+        template: &rest.mesh,
+        ignored: &rest.masks.unseen(),
+        centre: rest.centre,
+        unit: rest.unit,
+        scan,
+        scan_normals,
+        landmarks: &landmarks,
+    };
+    start::find_start(&search, schedule.start, &schedule.search)
 }
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
@@ -309,13 +353,7 @@ fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
 
 fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
     let vertices = input.template.positions.len();
-    if input.template.polygon_count() == 0 {
-        return Err(RegistrationError::EmptyTemplate);
-    }
-    scan::check_normals(input.scan, input.scan_normals)?;
-    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
-        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
-    }
+    check_geometry(input)?;
     if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
         let found = input.shapes.vertex_count();
         return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
@@ -323,25 +361,24 @@ fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Resul
     if model.needs_shapes() && input.shapes.is_empty() {
         return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
     }
+    Ok(())
+}
+
+fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
+    let vertices = input.template.positions.len();
+    if input.template.polygon_count() == 0 {
+        return Err(RegistrationError::EmptyTemplate);
+    }
+    scan::check_normals(input.scan, input.scan_normals)?;
+    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
+        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
+    }
     masks::check_mask("mask", input.mask, vertices)?;
     masks::check_mask("free mask", input.free_mask, vertices)?;
     if VertexMasks::new(input.mask, input.free_mask, vec![false; vertices]).counted() == 0 {
         return Err(RegistrationError::EmptyMask);
     }
     Ok(())
-}
-
-fn start_pose(input: &RegistrationInput<'_>, rest: &Rest, schedule: &Schedule) -> Result<Pose, RegistrationError> {
-    if input.landmarks.is_empty() {
-        return Ok(Pose::identity());
-    }
-    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
-    let pairs: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
-    let free = closest_pose(&pairs, PoseKind::Similarity)?;
-    if schedule.start == PoseKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
-        return Err(RegistrationError::Scale { scale: free.scale });
-    }
-    Ok(closest_pose(&pairs, schedule.start)?)
 }
 
 struct Run {

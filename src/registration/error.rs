@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::ScheduleError;
+use super::{ScheduleError, StartFit, StartSearch};
 use crate::energy::SampleError;
 use crate::mesh::PoseError;
 use crate::model::AutodiffError;
@@ -80,6 +80,37 @@ pub enum RegistrationError {
         /// Scan over template.
         scale: f64,
     },
+    /// Template and scan differ too much in size for a start to be searched.
+    #[error(
+        "by the areas of their surfaces the scan is {ratio:.4} times the template's size, so the template cannot lie on it; \
+         bring both to the same unit (millimetres), give landmarks, or set start = \"similarity\" in the schedule"
+    )]
+    Size {
+        /// Scan over template.
+        ratio: f64,
+    },
+    /// No pose fits.
+    #[error(
+        "no start found: in the best of {tried} poses {share:.0} % of the template match the scan, with a loss of {loss:.2}; \
+         give three landmarks, and check that the scan shows the template's subject and is not turned inside out",
+        share = 100.0 * fit.share, loss = fit.loss
+    )]
+    NoStart {
+        /// Poses tried.
+        tried: usize,
+        /// The best one's fit.
+        fit: StartFit,
+    },
+    /// Several poses fit alike.
+    #[error(
+        "no start found: {tried} poses were tried, and two in different places fit alike, with losses of {loss:.2} and {other:.2}; \
+         give three landmarks, or bring the scan near the template",
+        tried = search.tried, loss = search.fit.loss, other = search.runner_up.map_or(1.0, |f| f.loss)
+    )]
+    AmbiguousStart {
+        /// What was found.
+        search: Box<StartSearch>,
+    },
     /// No vertex found a correspondence.
     #[error(
         "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
@@ -115,6 +146,13 @@ impl RegistrationError {
     /// Whether the inputs, as opposed to the computation on them, are at fault.
     #[must_use]
     pub fn is_input(&self) -> bool {
-        !matches!(self, Self::NoOverlap { .. } | Self::Solver { .. } | Self::Diverged { .. })
+        !matches!(
+            self,
+            Self::NoStart { .. }
+                | Self::AmbiguousStart { .. }
+                | Self::NoOverlap { .. }
+                | Self::Solver { .. }
+                | Self::Diverged { .. }
+        )
     }
 }

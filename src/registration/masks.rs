@@ -39,6 +39,12 @@ impl VertexMasks {
         Self { data, bound, rim }
     }
 
+    /// Vertices that the scan has no say in.
+    #[must_use]
+    pub fn unseen(&self) -> Vec<bool> {
+        self.rim.iter().zip(&self.data).map(|(rim, data)| *rim || *data == 0.0).collect()
+    }
+
     /// Number of vertices that the scan may have a say in, on the rim or not: what shares of vertices are taken of.
     #[must_use]
     pub fn counted(&self) -> usize {

@@ -11,12 +11,14 @@ mod scan;
 mod scan_points;
 mod schedule;
 mod seam;
+mod start;
+mod surfels;
 mod terms;
 
 pub use correspondence::{Correspondences, VertexCoincidence};
 pub use driver::{
-    NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, register,
-    register_with,
+    NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start,
+    register, register_with,
 };
 pub use error::RegistrationError;
 pub use level_term::LevelTerm;
@@ -30,6 +32,7 @@ pub use schedule::{
     ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,
 };
 pub use seam::Seams;
+pub use start::{StartFit, StartOptions, StartSearch};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 
 /// The default schedules, by model.

@@ -7,7 +7,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StepRecord, VertexMasks};
+use super::{
+    NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
+    VertexMasks,
+};
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
@@ -113,6 +116,8 @@ pub struct Report {
     pub schedule: Schedule,
     /// Where the registration started.
     pub start: Pose,
+    /// How the start was found, where fewer than three landmarks gave it.
+    pub start_search: Option<StartSearch>,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
@@ -139,6 +144,7 @@ impl Report {
             free_regions: Vec::new(),
             schedule: result.schedule.clone(),
             start: result.start,
+            start_search: result.start_search,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,

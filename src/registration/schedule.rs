@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::ModelKind;
+use super::{ModelKind, StartOptions};
 use crate::mesh::PoseKind;
 use crate::model::{ArapSolver, EdgeWeights, Smoothness};
 use crate::nlls::Kernel;
@@ -20,6 +20,9 @@ pub struct Schedule {
     /// Whether the start may scale the template.
     #[serde(default)]
     pub start: PoseKind,
+    /// How a start is searched where fewer than three landmarks give it.
+    #[serde(default)]
+    pub search: StartOptions,
     /// Root-mean-square distance of the template's vertices from their centroid that the lengths below are meant for,
     /// millimetres.
     pub reference_size: f64,
@@ -454,6 +457,14 @@ impl Schedule {
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
         }
         positive("affine.gamma".into(), self.affine.gamma)?;
+        positive("search.rotations".into(), self.search.rotations as f64)?;
+        positive("search.spacing".into(), self.search.spacing)?;
+        positive("search.coarse".into(), self.search.coarse as f64)?;
+        positive("search.fine".into(), self.search.fine as f64)?;
+        positive("search.reach".into(), self.search.reach)?;
+        positive("search.least_share".into(), self.search.least_share)?;
+        positive("search.greatest_loss".into(), self.search.greatest_loss)?;
+        positive("search.greatest_rival".into(), self.search.greatest_rival)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;

@@ -1,0 +1,171 @@
+//! `start-bench`: in how many poses is the start found without landmarks?
+//!
+//! Varied: the pose of the scan. Held: the scan, the template's rest shape, the schedule. Measured: turn and distance at the
+//! template's centroid between the start that is searched and the one by all landmarks.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Result;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::io::{self, Landmark, Scan};
+use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
+use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
+
+use crate::random_pose::random_pose;
+use crate::scan_bench::{BenchCase, BenchRig};
+use crate::tables::table;
+
+/// What to run.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Folders of cases, and scans (.ply or .obj); landmarks.json beside a scan is its reference
+    #[arg(value_name = "DIR_OR_SCAN", required = true)]
+    scans: Vec<PathBuf>,
+    /// Rig folder; its polygons are the template
+    #[arg(long, value_name = "DIR")]
+    rig: PathBuf,
+    /// Turns about random axes, degrees
+    #[arg(long, value_delimiter = ',', default_value = "0,30,90,180")]
+    turns: Vec<f64>,
+    /// Turn about the vertical axis instead
+    #[arg(long)]
+    vertical: bool,
+    /// Shift with every turn but 0, millimetres
+    #[arg(long, default_value_t = 500.0)]
+    shift: f64,
+    /// Seed of the random poses
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// A start nearer than this to that by landmarks is found, degrees.
+const FOUND_DEGREES: f64 = 5.0;
+
+/// A scan whose pose the landmarks tell.
+pub struct StartCase {
+    /// Name.
+    pub name: String,
+    /// The template's rest shape.
+    pub template: PolygonMesh,
+    /// The scan.
+    pub scan: Scan,
+    /// Landmarks that give the reference.
+    pub landmarks: Vec<Landmark>,
+}
+
+impl StartCase {
+    /// A scan with its landmarks.
+    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, template: &PolygonMesh) -> Result<Self> {
+        let name = scan.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let scan = io::read_scan(scan)?;
+        let landmarks = match landmarks {
+            Some(path) => io::read_landmarks(path, None, template, Some(&scan.mesh))?,
+            None => Vec::new(),
+        };
+        Ok(Self { name, template: template.clone(), scan, landmarks })
+    }
+}
+
+impl From<BenchCase> for StartCase {
+    fn from(case: BenchCase) -> Self {
+        let template = match case.neutral {
+            Some(neutral) => case.template.with_positions(neutral),
+            None => case.template,
+        };
+        Self { name: case.name, template, scan: case.scan, landmarks: case.landmarks }
+    }
+}
+
+/// What came out.
+pub struct StartRow {
+    /// Turn against the start by landmarks, degrees.
+    pub turn: f64,
+    /// Distance of the template's centroid to where the landmarks put it, millimetres.
+    pub distance: f64,
+    /// The start.
+    pub pose: Pose,
+    /// The search.
+    pub search: StartSearch,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// Searches the start of the case moved by `moved`.
+pub fn start_case(case: &StartCase, moved: &Pose, schedule: &Schedule) -> Result<StartRow> {
+    let mut scan = case.scan.mesh.clone();
+    scan.positions.iter_mut().for_each(|p| *p = moved.apply(*p));
+    let mut normals = case.scan.normals.clone();
+    normals.iter_mut().flatten().for_each(|n| *n = moved.rotation * *n);
+    let landmarks: Vec<Landmark> =
+        case.landmarks.iter().map(|l| Landmark { target: moved.apply(l.target), ..l.clone() }).collect();
+    let without =
+        RegistrationInput { scan_normals: normals.as_deref(), ..RegistrationInput::new(&case.template, &scan) };
+    let clock = Instant::now();
+    let (pose, search) = find_start(&without, schedule)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    let search = search.expect("proven: no landmarks were given");
+    let (turn, distance) = if landmarks.len() < 3 {
+        (f64::NAN, f64::NAN)
+    } else {
+        let (reference, _) = find_start(&RegistrationInput { landmarks: &landmarks, ..without }, schedule)?;
+        let cosine = 0.5 * ((reference.rotation.transpose() * pose.rotation).trace() - 1.0);
+        let centre = case.template.positions.iter().sum::<Vec3>() / case.template.positions.len() as f64;
+        (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (reference.apply(centre) - pose.apply(centre)).norm())
+    };
+    Ok(StartRow { turn, distance, pose, search, seconds })
+}
+
+/// Searches the start of every scan in every pose and prints a table.
+///
+/// # Errors
+/// A [`Failure`] when something cannot be read.
+pub fn run(a: &Arguments) -> Result<()> {
+    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
+    let rig = BenchRig::read(&a.rig).map_err(unread)?;
+    let mut cases: Vec<StartCase> = Vec::new();
+    for path in &a.scans {
+        if path.is_dir() {
+            cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?.into_iter().map(StartCase::from));
+        } else {
+            let marks = Some(path.with_file_name("landmarks.json")).filter(|p| p.exists());
+            cases.push(StartCase::read(path, marks.as_ref(), rig.template()).map_err(unread)?);
+        }
+    }
+    let schedule = ModelKind::Hybrid.schedule()?;
+    let header =
+        ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
+    let (mut rows, mut found, mut of) = (Vec::new(), 0, 0);
+    for case in &cases {
+        for (i, &turn) in a.turns.iter().enumerate() {
+            let moved = if turn == 0.0 {
+                Pose::identity()
+            } else if a.vertical {
+                Pose::rigid(Vec3::y() * turn.to_radians(), Vec3::zeros())
+            } else {
+                random_pose(turn, a.shift, a.seed, i as u64)
+            };
+            let head = vec![case.name.clone(), format!("{turn}")];
+            let cells: Vec<String> = match start_case(case, &moved, &schedule) {
+                Ok(row) => {
+                    of += usize::from(!row.turn.is_nan());
+                    found += usize::from(row.turn < FOUND_DEGREES);
+                    let (fit, next) = (row.search.fit, row.search.runner_up.map_or(1.0, |f| f.loss));
+                    let numbers = [row.turn, row.distance, fit.loss, fit.share, fit.residual, next, row.seconds];
+                    numbers.map(|x| format!("{x:.2}")).to_vec()
+                }
+                Err(e) => {
+                    of += 1;
+                    vec![format!("{e:#}")]
+                }
+            };
+            rows.push([head, cells].concat());
+        }
+    }
+    println!("{}", table(&header, rows));
+    println!("{found} of {of} within {FOUND_DEGREES} degrees of the start by landmarks");
+    Ok(())
+}

@@ -1,0 +1,585 @@
+//! Where a registration starts: by landmarks in closed form, and without them by a search over poses.
+//!
+//! The search: the template, as a few hundred surfels, is put on the scan in many rotations (spread evenly over all of them
+//! by the spiral of Alexa, "Super-Fibonacci spirals", 2022) and at many places, and each pose gets a loss. The best are refined
+//! by a robust trimmed ICP (symmetric point-to-plane, Rusinkiewicz 2019; weights of Tukey's biweight on the loss; reach falling
+//! from coarse to fine), and the lowest loss wins. The given pose is one of them and wins if it is as good.
+//!
+//! The loss of a pose is the mean over the template's surfels of
+//!
+//! ```text
+//! min(1, h^2 / reach^2 + (1 - n.m) / (1 - cos 60))
+//! ```
+//!
+//! with `h` the distance to the nearest surfel of the scan along its normal `m`, and `n` the template's normal. A surfel without
+//! a match (past an edge or a hole of the scan, facing elsewhere) counts 1, so that neither a perfect fit of a small part nor a
+//! poor one of everything wins. The normals' part tells a face from a smooth shoulder or the back of a head.
+//!
+//! Whether the winner is right cannot be read off its loss alone: half a face has more than the back of a head. But on smooth
+//! things many poses are as good as the best. So a start is refused where its loss is high or a pose elsewhere comes close.
+
+use std::borrow::Cow;
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::RegistrationError;
+use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
+use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::normals::face_areas;
+use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+
+/// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StartOptions {
+    /// Rotations tried.
+    pub rotations: usize,
+    /// Distance between the places tried, millimetres.
+    pub spacing: f64,
+    /// Poses refined coarsely.
+    pub coarse: usize,
+    /// Poses refined to the end.
+    pub fine: usize,
+    /// Longest match in the end, millimetres.
+    pub reach: f64,
+    /// Share of the template's surface that has to be matched.
+    pub least_share: f64,
+    /// Loss, from 0 to 1, above which a pose is no start.
+    pub greatest_loss: f64,
+    /// [`StartSearch::rival`] above which a pose other than the given one is no start.
+    pub greatest_rival: f64,
+}
+
+impl Default for StartOptions {
+    fn default() -> Self {
+        Self {
+            rotations: 600,
+            spacing: 20.0,
+            coarse: 300,
+            fine: 12,
+            reach: 8.0,
+            least_share: 0.3,
+            greatest_loss: 0.7,
+            greatest_rival: 0.95,
+        }
+    }
+}
+
+/// How well a pose fits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StartFit {
+    /// Mean loss over the template, from 0 to 1.
+    pub loss: f64,
+    /// Share of the template's surface with a match.
+    pub share: f64,
+    /// Root mean square distance of the matched part along the scan's normals, millimetres on the template.
+    pub residual: f64,
+}
+
+/// What the search of a start found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StartSearch {
+    /// Poses tried.
+    pub tried: usize,
+    /// Poses refined.
+    pub refined: usize,
+    /// Whether the given pose won.
+    pub given: bool,
+    /// The fit of the start.
+    pub fit: StartFit,
+    /// The best fit in another place, if there was any.
+    pub runner_up: Option<StartFit>,
+}
+
+impl StartSearch {
+    /// How close the best pose elsewhere comes: its gain (one minus the loss) over that of the start. Measured: up to 0.8 for
+    /// right starts, from 0.93 for wrong ones.
+    #[must_use]
+    pub fn rival(&self) -> f64 {
+        self.runner_up.map_or(0.0, |other| (1.0 - other.loss) / (1.0 - self.fit.loss).max(f64::MIN_POSITIVE))
+    }
+
+    /// Whether the start deserves a look: another pose comes close, or much of the template sees no scan.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.rival() > DOUBTFUL_RIVAL || self.fit.share < DOUBTFUL_SHARE
+    }
+}
+
+/// [`StartSearch::rival`] above which a start is doubtful.
+const DOUBTFUL_RIVAL: f64 = 0.88;
+/// Share of the template below which a start is doubtful.
+const DOUBTFUL_SHARE: f64 = 0.4;
+
+/// The template and scan that a start is searched for.
+pub(super) struct StartInput<'a> {
+    /// The template, its centroid at the origin.
+    pub template: &'a TriangleMesh,
+    /// Vertices that find no scan.
+    pub ignored: &'a [bool],
+    /// Where the centroid was.
+    pub centre: Vec3,
+    /// Length of one of the schedule's millimetres.
+    pub unit: f64,
+    /// The scan and its own normals.
+    pub scan: &'a TriangleMesh,
+    pub scan_normals: Option<&'a [Vec3]>,
+    /// Points of the template, as given, and where they are on the scan.
+    pub landmarks: &'a [(Vec3, Vec3)],
+}
+
+/// The start of a registration: by three or more landmarks in closed form, otherwise by search.
+pub(super) fn find_start(
+    input: &StartInput<'_>,
+    kind: PoseKind,
+    options: &StartOptions,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    if input.landmarks.len() < 3 {
+        let (pose, search) = search_start(input, kind, options)?;
+        return Ok((pose, Some(search)));
+    }
+    let free = closest_pose(input.landmarks, PoseKind::Similarity)?;
+    if kind == PoseKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
+        return Err(RegistrationError::Scale { scale: free.scale });
+    }
+    Ok((closest_pose(input.landmarks, kind)?, None))
+}
+
+/// Sizes of the scan's surfels in the first look and in the end, millimetres.
+const COARSE_SURFEL: f64 = 8.0;
+const FINE_SURFEL: f64 = 4.0;
+/// Surfels of the template in a glance at every pose, in a look at the better ones, in coarse and in fine refinement.
+const GLANCE: usize = 24;
+const LOOK: usize = 60;
+const COARSE: usize = 150;
+const FINE: usize = 500;
+/// Poses of each rotation that are looked at, and that are kept.
+const LOOKED_AT: usize = 16;
+const KEPT: usize = 4;
+/// Reach of the first look and of the coarse refinement, millimetres.
+const LOOK_REACH: f64 = 20.0;
+/// Places tried on a scan at most.
+const MOST_PLACES: usize = 800;
+/// Least cosine between the normals of template and scan at a place.
+const FACING: f64 = 0.3;
+/// Poses nearer than this, millimetres at the template's surfels, are one.
+const SAME: f64 = 20.0;
+/// How much better, as a share of the loss, another pose has to be than the given one.
+const MARGIN: f64 = 0.02;
+/// One minus the cosine of 60 degrees.
+const WIDEST_TURN: f64 = 0.5;
+/// Scan over template in size (root of the surface's area): a scan smaller than the least does not hold the share of the
+/// template that a start needs, and one larger than the greatest is no person.
+const SIZES: std::ops::RangeInclusive<f64> = 0.35..=9.0;
+/// Prior standard deviation of a similarity's scale.
+const SCALE_SIGMA: f64 = 0.15;
+
+/// Parts of a scan farther from its middle than this many times the median distance are none of it.
+const FAR: f64 = 20.0;
+/// Weight of a landmark in the search, as a share of the template.
+const LANDMARK_WEIGHT: f64 = 0.1;
+/// Lever arm that turns radians into millimetres where a step is measured.
+const ARM: f64 = 67.0;
+
+/// Template and scan in the scan's frame, in the schedule's millimetres.
+struct Problem {
+    /// Surfels of the template about its centroid, spread: any first part of them covers all of it.
+    template: Vec<Surfel>,
+    coarse: Vec<Surfel>,
+    lattice: Lattice,
+    fine: Vec<Surfel>,
+    tree: ClosestVertices,
+    /// Landmarks: on the template, about its centroid, and on the scan.
+    landmarks: Vec<(Vec3, Vec3)>,
+    kind: PoseKind,
+}
+
+/// How surfels find each other.
+#[derive(Clone, Copy)]
+struct Matching {
+    /// How many of the template's.
+    count: usize,
+    reach: f64,
+    /// Exact nearest surfels and the distance along the normal, or the lattice's and the distance in space.
+    exact: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Match {
+    point: Vec3,
+    normal: Vec3,
+    /// Distance along `normal`.
+    height: f64,
+    /// Below 1.
+    loss: f64,
+}
+
+impl Problem {
+    #[inline]
+    fn find(&self, point: Vec3, normal: Vec3, how: Matching) -> Option<Match> {
+        let at = if how.exact {
+            &self.fine[self.tree.query_within(&point, 4.0 * how.reach * how.reach)?.vertex as usize]
+        } else {
+            &self.coarse[self.lattice.near(point)?]
+        };
+        let away = point - at.point;
+        let height = away.dot(&at.normal);
+        let squared = away.norm_squared();
+        let distance = if how.exact {
+            let aside = (squared - height * height).max(0.0).sqrt();
+            // The way to the nearest point of a surface is along its normal, except past its edge.
+            if aside > 1.5 * FINE_SURFEL + 0.5 * height.abs() {
+                return None;
+            }
+            height * height
+        } else {
+            squared
+        };
+        let loss = distance / (how.reach * how.reach) + (1.0 - normal.dot(&at.normal)) / WIDEST_TURN;
+        (loss < 1.0).then_some(Match { point: at.point, normal: at.normal, height, loss })
+    }
+
+    fn fit(&self, pose: &Pose, how: Matching) -> StartFit {
+        let (mut loss, mut matched, mut squares) = (0.0, 0, 0.0);
+        let template = &self.template[..how.count.min(self.template.len())];
+        for s in template {
+            match self.find(pose.apply(s.point), pose.rotation * s.normal, how) {
+                Some(m) => {
+                    loss += m.loss;
+                    matched += 1;
+                    squares += m.height * m.height;
+                }
+                None => loss += 1.0,
+            }
+        }
+        let count = template.len() as f64;
+        let mut total = count;
+        for (p, q) in &self.landmarks {
+            let weight = LANDMARK_WEIGHT * count;
+            loss += weight * ((pose.apply(*p) - q).norm_squared() / (LOOK_REACH * LOOK_REACH)).min(1.0);
+            total += weight;
+        }
+        StartFit {
+            loss: loss / total,
+            share: f64::from(matched) / count,
+            residual: (squares / f64::from(matched.max(1))).sqrt() / pose.scale,
+        }
+    }
+
+    /// One step of trimmed ICP; how far it moved, or `None` where nothing holds the template.
+    fn step(&self, pose: &mut Pose, how: Matching) -> Option<f64> {
+        let mut hessian = SMatrix::<f64, 7, 7>::zeros();
+        let mut gradient = SVector::<f64, 7>::zeros();
+        let mut add = |row: SVector<f64, 7>, r: f64, w: f64| {
+            hessian.syger(w, &row, &row, 1.0);
+            gradient.axpy(w * r, &row, 1.0);
+        };
+        let row = |arm: Vec3, m: Vec3| {
+            let turn = arm.cross(&m);
+            SVector::<f64, 7>::from([turn.x, turn.y, turn.z, m.x, m.y, m.z, arm.dot(&m)])
+        };
+        let count = how.count.min(self.template.len());
+        let mut matched = 0;
+        for s in &self.template[..count] {
+            let (arm, normal) = (pose.rotation * s.point * pose.scale, pose.rotation * s.normal);
+            let point = arm + pose.translation;
+            if let Some(m) = self.find(point, normal, how) {
+                let between = (normal + m.normal).normalize();
+                add(row(arm, between), (point - m.point).dot(&between), (1.0 - m.loss).powi(2));
+                matched += 1;
+            }
+        }
+        for (p, q) in &self.landmarks {
+            let arm = pose.rotation * p * pose.scale;
+            let away = arm + pose.translation - q;
+            for axis in 0..3 {
+                add(row(arm, Vec3::ith(axis, 1.0)), away[axis], LANDMARK_WEIGHT * count as f64);
+            }
+        }
+        if matched < 6 {
+            return None;
+        }
+        if self.kind == PoseKind::Similarity {
+            let stiffness = 4.0 * count as f64 / (SCALE_SIGMA * SCALE_SIGMA);
+            let mut scale = SVector::<f64, 7>::zeros();
+            scale[6] = 1.0;
+            add(scale, pose.scale.ln(), stiffness);
+        } else {
+            for i in 0..7 {
+                (hessian[(i, 6)], hessian[(6, i)]) = (0.0, 0.0);
+            }
+            (hessian[(6, 6)], gradient[6]) = (1.0, 0.0);
+        }
+        for i in 0..6 {
+            hessian[(i, i)] *= 1.0 + 1e-6;
+        }
+        let step = -hessian.cholesky()?.solve(&gradient);
+        let turn = step.fixed_rows::<3>(0).into_owned();
+        let shift = step.fixed_rows::<3>(3).into_owned();
+        let shorter = (0.4 / turn.norm()).min(LOOK_REACH / shift.norm()).min(0.2 / step[6].abs()).min(1.0);
+        pose.rotation = Rotation3::new(turn * shorter).into_inner() * pose.rotation;
+        pose.translation += shift * shorter;
+        pose.scale *= (step[6] * shorter).exp();
+        Some(shorter * (turn.norm() * ARM + shift.norm() + step[6].abs() * ARM))
+    }
+
+    /// Trimmed ICP until it moves less than `still`, for `steps` at most.
+    fn descend(&self, pose: &mut Pose, how: Matching, steps: usize, still: f64) {
+        for _ in 0..steps {
+            if self.step(pose, how).is_none_or(|moved| moved < still) {
+                break;
+            }
+        }
+    }
+
+    /// Whether two poses are one.
+    fn same(&self, a: &Pose, b: &Pose) -> bool {
+        self.template.iter().take(16).all(|s| (a.apply(s.point) - b.apply(s.point)).norm() < SAME)
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Candidate {
+    pose: Pose,
+    fit: StartFit,
+    given: bool,
+}
+
+impl Candidate {
+    /// The given pose wins if it is as good.
+    fn rank(&self) -> f64 {
+        if self.given { self.fit.loss * (1.0 - MARGIN) } else { self.fit.loss }
+    }
+}
+
+fn search_start(
+    input: &StartInput<'_>,
+    kind: PoseKind,
+    options: &StartOptions,
+) -> Result<(Pose, StartSearch), RegistrationError> {
+    let near = without_far(input.scan);
+    let input = &StartInput { scan: &near, ..*input };
+    let size = |mesh: &TriangleMesh| face_areas(&mesh.positions, &mesh.triangles).iter().sum::<f64>().sqrt();
+    let usable = |size: f64| size.is_finite() && size > 0.0;
+    let (scan, template) = (size(input.scan), size(input.template));
+    if !usable(template) {
+        return Err(RegistrationError::Template(NO_AREA.into()));
+    }
+    if !usable(scan) {
+        return Err(RegistrationError::Scan(NO_AREA.into()));
+    }
+    let ratio = scan / template;
+    // Powers of ten that bring the scan to the template's size; a rigid start has only the first.
+    let powers = if kind == PoseKind::Rigid { 0..=0 } else { -6..=6 };
+    let factors = powers.map(|k| 10f64.powi(k)).filter(|f| SIZES.contains(&(ratio / f)));
+    let found = factors.map(|f| search_at(input, f, kind, options)).collect::<Result<Vec<_>, _>>()?;
+    let best = found.into_iter().min_by(|a, b| a.1.fit.loss.total_cmp(&b.1.fit.loss));
+    let (pose, search) = best.ok_or(RegistrationError::Size { ratio })?;
+    if search.fit.share < options.least_share || search.fit.loss > options.greatest_loss {
+        return Err(RegistrationError::NoStart { tried: search.tried, fit: search.fit });
+    }
+    if !search.given && search.rival() > options.greatest_rival {
+        return Err(RegistrationError::AmbiguousStart { search: Box::new(search) });
+    }
+    Ok((pose, search))
+}
+
+/// A point cloud as triangles for the search: one in the tangent plane of each point that has a normal, as wide as points lie
+/// apart, with the point's normal at its corners.
+pub(super) fn discs(cloud: &TriangleMesh, normals: &[Vec3]) -> (TriangleMesh, Vec<Vec3>) {
+    let mut mesh = TriangleMesh::default();
+    let mut of_corners = Vec::new();
+    let points = || cloud.positions.iter().zip(normals).filter(|(_, n)| n.norm_squared() > 0.0);
+    let centres: Vec<Vec3> = points().map(|p| *p.0).collect();
+    let Ok(tree) = ClosestVertices::new(&centres) else { return (mesh, of_corners) };
+    let mut found = Vec::new();
+    for (p, n) in points() {
+        tree.k_nearest(p, 2, &mut found);
+        let apart = found.last().map_or(0.0, |f| f.squared_distance.sqrt());
+        let u = n.cross(&Vec3::ith(n.iamin(), 1.0)).normalize() * apart;
+        let w = n.cross(&u) / n.norm();
+        let first = mesh.positions.len() as u32;
+        let (sin, cos) = (2.0 * std::f64::consts::PI / 3.0).sin_cos();
+        mesh.positions.extend([p + u, p + u * cos + w * sin, p + u * cos - w * sin]);
+        mesh.triangles.push([first, first + 1, first + 2]);
+        of_corners.extend([*n; 3]);
+    }
+    (mesh, of_corners)
+}
+
+/// What is wrong with a mesh that no pose can be searched for.
+const NO_AREA: &str = "its surface has no area, or a coordinate is not finite";
+
+/// The scan without triangles that lie far out, as stray points of a scanner do: they would decide its frame and size.
+fn without_far(scan: &TriangleMesh) -> Cow<'_, TriangleMesh> {
+    let median = |mut x: Vec<f64>| {
+        let middle = x.len() / 2;
+        *x.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let centres: Vec<Vec3> =
+        scan.triangles.iter().map(|t| t.iter().map(|&v| scan.positions[v as usize]).sum::<Vec3>() / 3.0).collect();
+    let middle = Vec3::from_fn(|axis, _| median(centres.iter().map(|c| c[axis]).collect()));
+    let limit = FAR * median(centres.iter().map(|c| (c - middle).norm()).collect());
+    let is_near = |t: &[u32; 3]| t.iter().all(|&v| (scan.positions[v as usize] - middle).norm() <= limit);
+    if scan.triangles.iter().all(is_near) {
+        return Cow::Borrowed(scan);
+    }
+    let triangles = scan.triangles.iter().copied().filter(is_near).collect();
+    Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles })
+}
+
+/// The search on the scan divided by `factor`.
+fn search_at(
+    input: &StartInput<'_>,
+    factor: f64,
+    kind: PoseKind,
+    options: &StartOptions,
+) -> Result<(Pose, StartSearch), RegistrationError> {
+    let frame = Frame::principal(input.scan, input.unit * factor);
+    let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
+    let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
+    let of_scan = |size: f64| surfels(input.scan, input.scan_normals, &[], frame, size);
+    let (coarse, fine) = (of_scan(COARSE_SURFEL), of_scan(FINE_SURFEL));
+    if even.is_empty() {
+        return Err(RegistrationError::Template(NO_NORMALS.into()));
+    }
+    if coarse.is_empty() || fine.is_empty() {
+        return Err(RegistrationError::Scan(NO_NORMALS.into()));
+    }
+    let template: Vec<Surfel> = farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect();
+    let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
+    let local = |(p, q): &(Vec3, Vec3)| ((p - input.centre) / input.unit, frame.to_local(*q));
+    let problem = Problem {
+        lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
+        coarse,
+        tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
+        fine,
+        landmarks: input.landmarks.iter().map(local).collect(),
+        template,
+        kind,
+    };
+    let given =
+        Pose { scale: 1.0 / factor, rotation: frame.axes.transpose(), translation: frame.to_local(input.centre) };
+    let (tried, poses) = look(&problem, &given, options);
+    let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
+    let refined: Vec<Candidate> = poses
+        .into_par_iter()
+        .map(|mut pose| {
+            problem.descend(&mut pose, coarse, 12, 0.5);
+            Candidate { pose, fit: problem.fit(&pose, coarse), given: false }
+        })
+        .collect();
+    let mut chosen = distinct(&problem, refined, options.fine);
+    if factor == 1.0 {
+        chosen.push(Candidate { pose: given, fit: problem.fit(&given, coarse), given: true });
+    }
+    let fine = |reach: f64| Matching { count: FINE, reach, exact: true };
+    let ends: Vec<Candidate> = chosen
+        .into_par_iter()
+        .map(|mut c| {
+            for share in [2.5, 1.75, 1.25, 1.0] {
+                problem.descend(&mut c.pose, fine(share * options.reach), 8, 0.05);
+            }
+            Candidate { fit: problem.fit(&c.pose, fine(options.reach)), ..c }
+        })
+        .collect();
+    let refined = ends.len();
+    let ends = distinct(&problem, ends, usize::MAX);
+    let winner = ends[0];
+    let mut pose = winner.pose;
+    problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
+    let found = Pose {
+        scale: factor * pose.scale,
+        rotation: frame.axes * pose.rotation,
+        translation: frame.origin + frame.axes * pose.translation * frame.unit,
+    };
+    let found = Pose { translation: found.apply(-input.centre), ..found };
+    let search = StartSearch {
+        tried,
+        refined,
+        given: winner.given,
+        fit: problem.fit(&pose, fine(options.reach)),
+        runner_up: ends.get(1).map(|e| e.fit),
+    };
+    Ok((found, search))
+}
+
+const NO_NORMALS: &str = "its surface is folded everywhere, so that it faces nowhere";
+
+/// The surfel with the least sum of distances to all others.
+fn medoid(surfels: &[Surfel]) -> usize {
+    let few: Vec<Vec3> = surfels.iter().step_by(surfels.len() / 500 + 1).map(|s| s.point).collect();
+    let sum = |p: Vec3| few.iter().map(|q| (p - q).norm()).sum::<f64>();
+    let sums: Vec<f64> = surfels.iter().map(|s| sum(s.point)).collect();
+    (0..sums.len()).min_by(|&a, &b| sums[a].total_cmp(&sums[b])).unwrap_or(0)
+}
+
+/// The best by rank, no two the same.
+fn distinct(problem: &Problem, mut candidates: Vec<Candidate>, most: usize) -> Vec<Candidate> {
+    candidates.sort_by(|a, b| a.rank().total_cmp(&b.rank()));
+    let mut kept: Vec<Candidate> = Vec::new();
+    for c in candidates {
+        if kept.len() < most && !kept.iter().any(|k| problem.same(&k.pose, &c.pose)) {
+            kept.push(c);
+        }
+    }
+    kept
+}
+
+/// Tries all rotations at all places; how many there were, and the best of them.
+fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<Pose>) {
+    let anchor = problem.template[0];
+    let places = farthest_points(&problem.coarse, 0, MOST_PLACES, options.spacing);
+    let count = problem.landmarks.len() as f64;
+    let (p, q) = problem.landmarks.iter().fold((Vec3::zeros(), Vec3::zeros()), |(p, q), l| (p + l.0, q + l.1));
+    let sorted = |poses: Vec<Pose>, surfels: usize, most: usize| -> Vec<Candidate> {
+        let how = Matching { count: surfels, reach: LOOK_REACH, exact: false };
+        let fitted = poses.into_iter().map(|pose| Candidate { fit: problem.fit(&pose, how), pose, given: false });
+        let mut fitted: Vec<Candidate> = fitted.collect();
+        fitted.sort_by(|a, b| a.fit.loss.total_cmp(&b.fit.loss));
+        fitted.truncate(most);
+        fitted
+    };
+    let poses = |rotation: Matrix3<f64>| -> Vec<Pose> {
+        let onto = |p: Vec3, q: Vec3| Pose { scale: 1.0, rotation, translation: q - rotation * p };
+        if count > 0.0 {
+            return vec![onto(p / count, q / count)];
+        }
+        let normal = rotation * anchor.normal;
+        let facing = places.iter().map(|&i| &problem.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);
+        facing.map(|s| onto(anchor.point, s.point)).collect()
+    };
+    let best: Vec<(usize, Vec<Candidate>)> = rotations(given, options.rotations)
+        .into_par_iter()
+        .map(|rotation| {
+            let all = poses(rotation);
+            let tried = all.len();
+            let better = sorted(all, GLANCE, LOOKED_AT).into_iter().map(|c| c.pose).collect();
+            (tried, sorted(better, LOOK, KEPT))
+        })
+        .collect();
+    let tried = best.iter().map(|b| b.0).sum();
+    let mut all: Vec<Candidate> = best.into_iter().flat_map(|b| b.1).collect();
+    all.sort_by(|a, b| a.fit.loss.total_cmp(&b.fit.loss));
+    (tried, all.into_iter().take(options.coarse).map(|c| c.pose).collect())
+}
+
+/// The given rotation, it turned about the template's vertical, and `count` rotations spread evenly.
+fn rotations(given: &Pose, count: usize) -> Vec<Matrix3<f64>> {
+    let about_vertical =
+        (0..12).map(|k| Rotation3::from_axis_angle(&Vec3::y_axis(), f64::from(k) * 30f64.to_radians()));
+    let mut all: Vec<Matrix3<f64>> = about_vertical.map(|r| given.rotation * r.into_inner()).collect();
+    // Alexa 2022: phi = sqrt 2, psi the real root of psi^4 = psi + 4.
+    let (phi, psi) = (std::f64::consts::SQRT_2, 1.533_751_168_755_204_3);
+    for i in 0..count {
+        let s = i as f64 + 0.5;
+        let (t, d) = (s / count as f64, std::f64::consts::TAU * s);
+        let (r, rest) = (t.sqrt(), (1.0 - t).sqrt());
+        let (alpha, beta) = (d / phi, d / psi);
+        let q = nalgebra::Quaternion::new(r * alpha.sin(), r * alpha.cos(), rest * beta.sin(), rest * beta.cos());
+        all.push(UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner());
+    }
+    all
+}
