@@ -250,7 +250,7 @@ impl Upright {
     /// With the template placed on the scan by `pose`, and framed so that `points` fill the picture.
     fn new(pose: Pose, points: &[Vec3]) -> Self {
         let points: Vec<Vec3> = points.iter().map(|p| pose.apply_inverse(*p)).collect();
-        Self { pose, camera: Camera::framing(&Frame::of(&points).scaled(0.85), View::Front, PANEL) }
+        Self { pose, camera: Camera::framing(&Frame::of(&points).scaled(0.95), View::Front, PANEL) }
     }
 
     fn picture(&self, mesh: &TriangleMesh) -> RgbImage {
