@@ -66,7 +66,7 @@ fn single_steps_do_not_allocate_after_the_first() {
     check(&mut Bounded { problem, first: 30 * 12, lower, upper }, &x);
 }
 
-fn check(problem: &mut impl Problem, start: &[f64]) {
+fn check(problem: &mut (impl Problem + Send), start: &[f64]) {
     for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
         for kind in [LinearSolverKind::Dense, LinearSolverKind::Sparse, LinearSolverKind::Bordered] {
             let options = options.with_linear_solver(kind).with_max_iterations(1).with_damping_floor(1e-9);
