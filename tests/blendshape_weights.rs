@@ -124,20 +124,25 @@ fn residual_variances_leave_out_what_a_kernel_has_switched_off() {
 fn bounded_fit(which: &str, options: Options) -> (Vec<f64>, f64, f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let rest = rest(&mut rng);
-    let bounds = |k: usize| if k == 5 { [f64::NEG_INFINITY, f64::INFINITY] } else { [0.0, 0.3 + 0.1 * k as f64] };
+    // Some bounds are a little too narrow for what the data say.
+    let wanted: Vec<f64> = (0..SHAPES).map(|k| (1.0 + 2.0 * k as f64).sin()).collect();
+    let bounds = |k: usize| match k {
+        1 | 4 => [f64::NEG_INFINITY, wanted[k] - 0.02],
+        2 => [wanted[k] + 0.03, 9.0],
+        _ => [-1.5, 2.5],
+    };
     let basis = shapes(&mut rng, bounds);
     let influences: Vec<Vec<(u32, f64)>> =
         (0..VERTICES).map(|i| vec![((i % 5) as u32, 0.7), (((i + 1) % 5) as u32, 0.3)]).collect();
     let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
     let model = match which {
         "hybrid" => {
-            hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.1, ..Stiffness::default() })
+            hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.01, ..Stiffness::default() })
         }
-        _ => blendshape(rest.clone(), basis.clone(), 0.1),
+        _ => blendshape(rest.clone(), basis.clone(), 0.01),
     };
     let mut problem = Deformation::new(model, Samples::vertices(VERTICES));
-    let wanted: Vec<f64> = (0..SHAPES).map(|k| 1.2 * (1.0 + 2.0 * k as f64).sin()).collect();
-    let targets = (0..VERTICES).map(|i| basis.blend(i, rest[i], &wanted) + random_vec(&mut rng, 0.5)).collect();
+    let targets = (0..VERTICES).map(|i| basis.blend(i, rest[i], &wanted) + random_vec(&mut rng, 0.05)).collect();
     problem.terms = vec![to_points(targets, 1.0, Kernel::Huber { delta: 2.0 })];
     let mut x = problem.model.rest_parameters();
     let first = projected_gradient(&mut problem, &x);

@@ -394,9 +394,9 @@ mod tests {
 
     #[test]
     fn a_flat_direction_is_named_unless_it_is_held() {
-        let (matrix, gradient) = ([2.0, 0.0, 0.0, 0.0], [-1.0, 1.0]);
+        let (matrix, gradient) = ([4.0, 0.0, 0.0, 0.0], [-2.0, 1.0]);
         let (lower, upper) = ([-1.0; 2], [1.0; 2]);
-        let pivots = [2.0, 1.0];
+        let pivots = [4.0, 1.0];
         let program = Program { matrix: &matrix, gradient: &gradient, pivots: &pivots, lower: &lower, upper: &upper };
         let mut d = [0.0; 2];
         assert_eq!(BoxQp::new(2).solve(&program, &mut d), Err(1));
