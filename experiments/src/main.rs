@@ -215,12 +215,22 @@ fn run_start_bench(a: &StartBench) -> Result<()> {
             cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?.into_iter().map(StartCase::from));
         } else {
             let marks = Some(path.with_file_name("landmarks.json")).filter(|p| p.exists());
-            cases.push(StartCase::read(path, marks.as_ref(), rig.template()).map_err(unread)?);
+            cases.push(StartCase::read(path, marks.as_ref(), &rig).map_err(unread)?);
         }
     }
     let schedule = ModelKind::Hybrid.schedule()?;
-    let header =
-        ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
+    let header = [
+        "scan",
+        "turned / deg",
+        "off by / deg",
+        "and / mm",
+        "loss",
+        "share",
+        "residual / mm",
+        "runner-up",
+        "s",
+        "expression",
+    ];
     let (mut rows, mut found, mut of) = (Vec::new(), 0, 0);
     for case in &cases {
         for (i, &turn) in a.turns.iter().enumerate() {
@@ -238,7 +248,11 @@ fn run_start_bench(a: &StartBench) -> Result<()> {
                     found += usize::from(row.turn < FOUND_DEGREES);
                     let (fit, next) = (row.search.fit, row.search.runner_up.map_or(1.0, |f| f.loss));
                     let numbers = [row.turn, row.distance, fit.loss, fit.share, fit.residual, next, row.seconds];
-                    numbers.map(|x| format!("{x:.2}")).to_vec()
+                    {
+                        let seen = row.search.expression.iter().map(|(name, w)| format!("{name} {w}"));
+                        let seen = seen.collect::<Vec<_>>().join(", ");
+                        numbers.map(|x| format!("{x:.2}")).into_iter().chain([seen]).collect()
+                    }
                 }
                 Err(e) => {
                     of += 1;

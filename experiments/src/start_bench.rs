@@ -10,8 +10,9 @@ use anyhow::Result;
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{RegistrationInput, Schedule, StartSearch, find_start};
+use nonrigid::rig::ShapeBasis;
 
-use crate::scan_bench::BenchCase;
+use crate::scan_bench::{BenchCase, BenchRig};
 
 /// A scan whose pose the landmarks tell.
 pub struct StartCase {
@@ -21,20 +22,23 @@ pub struct StartCase {
     pub template: PolygonMesh,
     /// The scan.
     pub scan: Scan,
+    /// Its shapes.
+    pub shapes: ShapeBasis,
     /// Landmarks that give the reference.
     pub landmarks: Vec<Landmark>,
 }
 
 impl StartCase {
     /// A scan with its landmarks.
-    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, template: &PolygonMesh) -> Result<Self> {
+    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, rig: &BenchRig) -> Result<Self> {
+        let template = rig.template();
         let name = scan.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let scan = io::read_scan(scan)?;
         let landmarks = match landmarks {
             Some(path) => io::read_landmarks(path, None, template, Some(&scan.mesh))?,
             None => Vec::new(),
         };
-        Ok(Self { name, template: template.clone(), scan, landmarks })
+        Ok(Self { name, template: template.clone(), shapes: rig.expressions()?, scan, landmarks })
     }
 }
 
@@ -44,7 +48,7 @@ impl From<BenchCase> for StartCase {
             Some(neutral) => case.template.with_positions(neutral),
             None => case.template,
         };
-        Self { name: case.name, template, scan: case.scan, landmarks: case.landmarks }
+        Self { name: case.name, template, shapes: case.shapes, scan: case.scan, landmarks: case.landmarks }
     }
 }
 
@@ -70,8 +74,11 @@ pub fn start_case(case: &StartCase, moved: &Pose, schedule: &Schedule) -> Result
     normals.iter_mut().flatten().for_each(|n| *n = moved.rotation * *n);
     let landmarks: Vec<Landmark> =
         case.landmarks.iter().map(|l| Landmark { target: moved.apply(l.target), ..l.clone() }).collect();
-    let without =
-        RegistrationInput { scan_normals: normals.as_deref(), ..RegistrationInput::new(&case.template, &scan) };
+    let without = RegistrationInput {
+        shapes: &case.shapes,
+        scan_normals: normals.as_deref(),
+        ..RegistrationInput::new(&case.template, &scan)
+    };
     let clock = Instant::now();
     let (pose, search) = find_start(&without, schedule)?;
     let seconds = clock.elapsed().as_secs_f64();

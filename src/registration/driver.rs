@@ -208,7 +208,7 @@ pub fn find_start(
     schedule: &Schedule,
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     schedule.validate()?;
-    check_surfaces(input)?;
+    check_meshes(input)?;
     let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
     start_of(input, &template, schedule)
 }
@@ -225,6 +225,7 @@ fn start_of(
         ignored: &rest.ignored,
         centre: rest.centre,
         unit: rest.unit,
+        shapes: input.shapes,
         scan: input.scan,
         scan_normals: input.scan_normals,
         landmarks: &landmarks,
@@ -274,19 +275,14 @@ fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
 }
 
 fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
-    let vertices = input.template.positions.len();
-    check_surfaces(input)?;
-    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
-        let found = input.shapes.vertex_count();
-        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
-    }
+    check_meshes(input)?;
     if model.needs_shapes() && input.shapes.is_empty() {
         return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
     }
     Ok(())
 }
 
-fn check_surfaces(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
+fn check_meshes(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
     let vertices = input.template.positions.len();
     if input.template.polygon_count() == 0 {
         return Err(RegistrationError::EmptyTemplate);
@@ -296,6 +292,10 @@ fn check_surfaces(input: &RegistrationInput<'_>) -> Result<(), RegistrationError
     }
     if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
         return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
+    }
+    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
+        let found = input.shapes.vertex_count();
+        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
     }
     Ok(())
 }
