@@ -64,6 +64,11 @@ impl BenchRig {
     pub fn template(&self) -> &PolygonMesh {
         &self.template
     }
+
+    /// All expressions.
+    pub fn expressions(&self) -> Result<ShapeBasis> {
+        Ok(self.rig.select(ShapeSelection::default())?)
+    }
 }
 
 impl BenchCase {

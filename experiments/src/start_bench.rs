@@ -11,6 +11,7 @@ use nonrigid::cli::Failure;
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
+use nonrigid::rig::ShapeBasis;
 
 use crate::random_pose::random_pose;
 use crate::scan_bench::{BenchCase, BenchRig};
@@ -53,20 +54,23 @@ pub struct StartCase {
     pub template: PolygonMesh,
     /// The scan.
     pub scan: Scan,
+    /// Its shapes.
+    pub shapes: ShapeBasis,
     /// Landmarks that give the reference.
     pub landmarks: Vec<Landmark>,
 }
 
 impl StartCase {
     /// A scan with its landmarks.
-    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, template: &PolygonMesh) -> Result<Self> {
+    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, rig: &BenchRig) -> Result<Self> {
+        let template = rig.template();
         let name = scan.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let scan = io::read_scan(scan)?;
         let landmarks = match landmarks {
             Some(path) => io::read_landmarks(path, None, template, Some(&scan.mesh))?,
             None => Vec::new(),
         };
-        Ok(Self { name, template: template.clone(), scan, landmarks })
+        Ok(Self { name, template: template.clone(), shapes: rig.expressions()?, scan, landmarks })
     }
 }
 
@@ -76,7 +80,7 @@ impl From<BenchCase> for StartCase {
             Some(neutral) => case.template.with_positions(neutral),
             None => case.template,
         };
-        Self { name: case.name, template, scan: case.scan, landmarks: case.landmarks }
+        Self { name: case.name, template, shapes: case.shapes, scan: case.scan, landmarks: case.landmarks }
     }
 }
 
@@ -102,8 +106,11 @@ pub fn start_case(case: &StartCase, moved: &Pose, schedule: &Schedule) -> Result
     normals.iter_mut().flatten().for_each(|n| *n = moved.rotation * *n);
     let landmarks: Vec<Landmark> =
         case.landmarks.iter().map(|l| Landmark { target: moved.apply(l.target), ..l.clone() }).collect();
-    let without =
-        RegistrationInput { scan_normals: normals.as_deref(), ..RegistrationInput::new(&case.template, &scan) };
+    let without = RegistrationInput {
+        shapes: &case.shapes,
+        scan_normals: normals.as_deref(),
+        ..RegistrationInput::new(&case.template, &scan)
+    };
     let clock = Instant::now();
     let (pose, search) = find_start(&without, schedule)?;
     let seconds = clock.elapsed().as_secs_f64();
@@ -132,12 +139,22 @@ pub fn run(a: &Arguments) -> Result<()> {
             cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?.into_iter().map(StartCase::from));
         } else {
             let marks = Some(path.with_file_name("landmarks.json")).filter(|p| p.exists());
-            cases.push(StartCase::read(path, marks.as_ref(), rig.template()).map_err(unread)?);
+            cases.push(StartCase::read(path, marks.as_ref(), &rig).map_err(unread)?);
         }
     }
     let schedule = ModelKind::Hybrid.schedule()?;
-    let header =
-        ["scan", "turned / deg", "off by / deg", "and / mm", "loss", "share", "residual / mm", "runner-up", "s"];
+    let header = [
+        "scan",
+        "turned / deg",
+        "off by / deg",
+        "and / mm",
+        "loss",
+        "share",
+        "residual / mm",
+        "runner-up",
+        "s",
+        "expression",
+    ];
     let (mut rows, mut found, mut of) = (Vec::new(), 0, 0);
     for case in &cases {
         for (i, &turn) in a.turns.iter().enumerate() {
@@ -155,7 +172,9 @@ pub fn run(a: &Arguments) -> Result<()> {
                     found += usize::from(row.turn < FOUND_DEGREES);
                     let (fit, next) = (row.search.fit, row.search.runner_up.map_or(1.0, |f| f.loss));
                     let numbers = [row.turn, row.distance, fit.loss, fit.share, fit.residual, next, row.seconds];
-                    numbers.map(|x| format!("{x:.2}")).to_vec()
+                    let seen = row.search.expression.iter().map(|(name, w)| format!("{name} {w}"));
+                    let seen = seen.collect::<Vec<_>>().join(", ");
+                    numbers.map(|x| format!("{x:.2}")).into_iter().chain([seen]).collect()
                 }
                 Err(e) => {
                     of += 1;

@@ -14,7 +14,7 @@ use super::{Failure, Stage, check_output, on_threads, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
     InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
-    Schedule, StartSearch, StepRecord, WITHIN_MM, register,
+    Schedule, StepRecord, WITHIN_MM, register,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -217,7 +217,7 @@ fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
 
 /// Says so when a result is probably wrong, instead of leaving it to be found out.
 fn warn_of_doubtful(result: &RegistrationResult, quality: &Quality, triangles: usize) {
-    if let Some(search) = result.start_search.filter(StartSearch::is_doubtful) {
+    if let Some(search) = result.start_search.as_ref().filter(|s| s.is_doubtful()) {
         warn(format!(
             "the start is doubtful: of {} poses tried, the best matches {:.0} % of the template to {:.1} mm (loss {:.2}), one in \
              another place comes to {:.0} % of its gain; look at the picture, or give three landmarks",

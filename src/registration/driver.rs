@@ -303,6 +303,7 @@ fn start_of(
         ignored: &rest.masks.unseen(),
         centre: rest.centre,
         unit: rest.unit,
+        shapes: input.shapes,
         scan,
         scan_normals,
         landmarks: &landmarks,
@@ -352,12 +353,7 @@ fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
 }
 
 fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
-    let vertices = input.template.positions.len();
     check_geometry(input)?;
-    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
-        let found = input.shapes.vertex_count();
-        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
-    }
     if model.needs_shapes() && input.shapes.is_empty() {
         return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
     }
@@ -372,6 +368,10 @@ fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError
     scan::check_normals(input.scan, input.scan_normals)?;
     if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
         return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
+    }
+    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
+        let found = input.shapes.vertex_count();
+        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
     }
     masks::check_mask("mask", input.mask, vertices)?;
     masks::check_mask("free mask", input.free_mask, vertices)?;

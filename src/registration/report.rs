@@ -144,7 +144,7 @@ impl Report {
             free_regions: Vec::new(),
             schedule: result.schedule.clone(),
             start: result.start,
-            start_search: result.start_search,
+            start_search: result.start_search.clone(),
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,

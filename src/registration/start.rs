@@ -15,6 +15,10 @@
 //! a match (past an edge or a hole of the scan, facing elsewhere) counts 1, so that neither a perfect fit of a small part nor a
 //! poor one of everything wins. The normals' part tells a face from a smooth shoulder or the back of a head.
 //!
+//! A mouth wide open holds the template's upper half and leaves the jaw where no correspondence finds it. So expressions are
+//! tried on the winner, the best first, as long as they help; the start is then the pose of the template nearest to what they
+//! make of it, as landmarks would give it.
+//!
 //! Whether the winner is right cannot be read off its loss alone: half a face has more than the back of a head. But on smooth
 //! things many poses are as good as the best. So a start is refused where its loss is high or a pose elsewhere comes close.
 
@@ -26,9 +30,11 @@ use serde::{Deserialize, Serialize};
 
 use super::RegistrationError;
 use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
+use crate::mesh::adjacency::vertex_triangles;
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::normals::face_areas;
-use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::mesh::{MeshError, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::rig::{Family, ShapeBasis};
 
 /// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -79,7 +85,7 @@ pub struct StartFit {
 }
 
 /// What the search of a start found.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StartSearch {
     /// Poses tried.
     pub tried: usize,
@@ -91,6 +97,8 @@ pub struct StartSearch {
     pub fit: StartFit,
     /// The best fit in another place, if there was any.
     pub runner_up: Option<StartFit>,
+    /// Expressions that made the start fit better, and their weights.
+    pub expression: Vec<(String, f64)>,
 }
 
 impl StartSearch {
@@ -123,6 +131,8 @@ pub(super) struct StartInput<'a> {
     pub centre: Vec3,
     /// Length of one of the schedule's millimetres.
     pub unit: f64,
+    /// Shapes on the template's vertices, or none.
+    pub shapes: &'a ShapeBasis,
     /// The scan and its own normals.
     pub scan: &'a TriangleMesh,
     pub scan_normals: Option<&'a [Vec3]>,
@@ -183,16 +193,21 @@ const LANDMARK_WEIGHT: f64 = 0.1;
 /// Lever arm that turns radians into millimetres where a step is measured.
 const ARM: f64 = 67.0;
 
-/// Template and scan in the scan's frame, in the schedule's millimetres.
-struct Problem {
-    /// Surfels of the template about its centroid, spread: any first part of them covers all of it.
-    template: Vec<Surfel>,
+/// The scan, in its frame and the schedule's millimetres.
+struct ScanSurfels {
     coarse: Vec<Surfel>,
     lattice: Lattice,
     fine: Vec<Surfel>,
     tree: ClosestVertices,
+}
+
+/// What is put on the scan.
+struct Problem<'a> {
+    /// Surfels of the template about its centroid, spread: any first part of them covers all of it.
+    template: Vec<Surfel>,
+    scan: &'a ScanSurfels,
     /// Landmarks: on the template, about its centroid, and on the scan.
-    landmarks: Vec<(Vec3, Vec3)>,
+    landmarks: &'a [(Vec3, Vec3)],
     kind: PoseKind,
 }
 
@@ -216,13 +231,13 @@ struct Match {
     loss: f64,
 }
 
-impl Problem {
+impl Problem<'_> {
     #[inline]
     fn find(&self, point: Vec3, normal: Vec3, how: Matching) -> Option<Match> {
         let at = if how.exact {
-            &self.fine[self.tree.query_within(&point, 4.0 * how.reach * how.reach)?.vertex as usize]
+            &self.scan.fine[self.scan.tree.query_within(&point, 4.0 * how.reach * how.reach)?.vertex as usize]
         } else {
-            &self.coarse[self.lattice.near(point)?]
+            &self.scan.coarse[self.scan.lattice.near(point)?]
         };
         let away = point - at.point;
         let height = away.dot(&at.normal);
@@ -256,7 +271,7 @@ impl Problem {
         }
         let count = template.len() as f64;
         let mut total = count;
-        for (p, q) in &self.landmarks {
+        for (p, q) in self.landmarks {
             let weight = LANDMARK_WEIGHT * count;
             loss += weight * ((pose.apply(*p) - q).norm_squared() / (LOOK_REACH * LOOK_REACH)).min(1.0);
             total += weight;
@@ -291,7 +306,7 @@ impl Problem {
                 matched += 1;
             }
         }
-        for (p, q) in &self.landmarks {
+        for (p, q) in self.landmarks {
             let arm = pose.rotation * p * pose.scale;
             let away = arm + pose.translation - q;
             for axis in 0..3 {
@@ -451,15 +466,14 @@ fn search_at(
     let template: Vec<Surfel> = farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect();
     let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
     let local = |(p, q): &(Vec3, Vec3)| ((p - input.centre) / input.unit, frame.to_local(*q));
-    let problem = Problem {
+    let landmarks: Vec<_> = input.landmarks.iter().map(local).collect();
+    let scan = ScanSurfels {
         lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
         coarse,
         tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
         fine,
-        landmarks: input.landmarks.iter().map(local).collect(),
-        template,
-        kind,
     };
+    let problem = Problem { template, scan: &scan, landmarks: &landmarks, kind };
     let given =
         Pose { scale: 1.0 / factor, rotation: frame.axes.transpose(), translation: frame.to_local(input.centre) };
     let (tried, poses) = look(&problem, &given, options);
@@ -490,20 +504,107 @@ fn search_at(
     let winner = ends[0];
     let mut pose = winner.pose;
     problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
+    let fit = problem.fit(&pose, fine(options.reach));
+    let expression = Expressions::new(&problem, input)?.find(&problem, &mut pose, options.reach, input)?;
     let found = Pose {
         scale: factor * pose.scale,
         rotation: frame.axes * pose.rotation,
         translation: frame.origin + frame.axes * pose.translation * frame.unit,
     };
     let found = Pose { translation: found.apply(-input.centre), ..found };
-    let search = StartSearch {
-        tried,
-        refined,
-        given: winner.given,
-        fit: problem.fit(&pose, fine(options.reach)),
-        runner_up: ends.get(1).map(|e| e.fit),
-    };
-    Ok((found, search))
+    let runner_up = ends.get(1).map(|e| e.fit);
+    Ok((found, StartSearch { tried, refined, given: winner.given, fit, runner_up, expression }))
+}
+
+/// Vertices of the template near its surfels, and the triangles round them: what shapes deform.
+struct Expressions {
+    vertices: Vec<usize>,
+    triangles: Vec<Vec<[u32; 3]>>,
+}
+
+/// Vertices on which expressions are tried.
+const EXPRESSION: usize = 300;
+/// Weights at which they are.
+const EXPRESSION_WEIGHTS: [f64; 2] = [0.5, 1.0];
+/// Expressions at most, and the share of the loss that each has to take away.
+const MOST_EXPRESSIONS: usize = 3;
+const EXPRESSION_GAIN: f64 = 0.1;
+
+impl Expressions {
+    fn new(problem: &Problem<'_>, input: &StartInput<'_>) -> Result<Self, RegistrationError> {
+        let unusable = |e: MeshError| RegistrationError::Template(e.to_string());
+        let tree = ClosestVertices::new(&input.template.positions).map_err(unusable)?;
+        let spread = problem.template.iter().take(EXPRESSION);
+        let nearest = spread.filter_map(|s| tree.query(&(s.point * input.unit))).map(|c| c.vertex as usize);
+        let round = vertex_triangles(input.template.positions.len(), &input.template.triangles);
+        let vertices: Vec<usize> = nearest.filter(|&v| !round.row(v).is_empty()).collect();
+        let triangles = vertices.iter().map(|&v| {
+            let all = round.row(v).iter().map(|&t| input.template.triangles[t as usize]);
+            all.collect()
+        });
+        Ok(Self { triangles: triangles.collect(), vertices })
+    }
+
+    /// The surfels of the template with shapes of the given weights.
+    fn surfels(&self, input: &StartInput<'_>, weights: &[f64]) -> Vec<Surfel> {
+        let at = |v: usize| input.shapes.blend(v, input.template.positions[v], weights) / input.unit;
+        let surfel = |(&v, round): (&usize, &Vec<[u32; 3]>)| {
+            let cross = |t: &[u32; 3]| {
+                let [a, b, c] = t.map(|v| at(v as usize));
+                (b - a).cross(&(c - a))
+            };
+            let normal = round.iter().map(cross).sum::<Vec3>().try_normalize(0.0).unwrap_or_default();
+            Surfel { point: at(v), normal, area: 1.0 }
+        };
+        self.vertices.iter().zip(&self.triangles).map(surfel).collect()
+    }
+
+    /// Tries expressions one after another, each with the pose that suits it. Where any helps, `pose` becomes that of the
+    /// template nearest to what they make of it.
+    fn find(
+        &self,
+        problem: &Problem<'_>,
+        pose: &mut Pose,
+        reach: f64,
+        input: &StartInput<'_>,
+    ) -> Result<Vec<(String, f64)>, RegistrationError> {
+        let shapes = input.shapes.shapes();
+        let fitted = |weights: &[f64], mut pose: Pose| {
+            let deformed = Problem { template: self.surfels(input, weights), ..*problem };
+            let exact = |reach: f64| Matching { count: EXPRESSION, reach, exact: true };
+            deformed.descend(&mut pose, Matching { count: EXPRESSION, reach: LOOK_REACH, exact: false }, 4, 0.05);
+            deformed.descend(&mut pose, exact(1.5 * reach), 4, 0.05);
+            (deformed.fit(&pose, exact(reach)).loss, pose)
+        };
+        let mut weights = vec![0.0; shapes.len()];
+        let mut best = fitted(&weights, *pose);
+        for _ in 0..MOST_EXPRESSIONS {
+            let trials = (0..shapes.len()).filter(|&k| shapes[k].family != Family::Identity && weights[k] == 0.0);
+            let trials: Vec<(usize, f64)> = trials.flat_map(|k| EXPRESSION_WEIGHTS.map(|w| (k, w))).collect();
+            let ends: Vec<(f64, Pose)> = trials
+                .par_iter()
+                .map(|&(k, w)| {
+                    let mut tried = weights.clone();
+                    tried[k] = w;
+                    fitted(&tried, best.1)
+                })
+                .collect();
+            let better = (0..ends.len()).min_by(|&a, &b| ends[a].0.total_cmp(&ends[b].0));
+            let Some(i) = better.filter(|&i| ends[i].0 < (1.0 - EXPRESSION_GAIN) * best.0) else { break };
+            weights[trials[i].0] = trials[i].1;
+            best = ends[i];
+        }
+        let used: Vec<usize> = (0..shapes.len()).filter(|&k| weights[k] != 0.0).collect();
+        if !used.is_empty() {
+            let seen = (0..input.template.positions.len()).filter(|&v| !input.ignored[v]);
+            let pair = |v: usize| {
+                let rest = input.template.positions[v];
+                (rest / input.unit, best.1.apply(input.shapes.blend(v, rest, &weights) / input.unit))
+            };
+            *pose = closest_pose(&seen.map(pair).collect::<Vec<_>>(), problem.kind)?;
+        }
+        Ok(used.into_iter().map(|k| (shapes[k].name.clone(), weights[k])).collect())
+    }
 }
 
 const NO_NORMALS: &str = "its surface is folded everywhere, so that it faces nowhere";
@@ -517,7 +618,7 @@ fn medoid(surfels: &[Surfel]) -> usize {
 }
 
 /// The best by rank, no two the same.
-fn distinct(problem: &Problem, mut candidates: Vec<Candidate>, most: usize) -> Vec<Candidate> {
+fn distinct(problem: &Problem<'_>, mut candidates: Vec<Candidate>, most: usize) -> Vec<Candidate> {
     candidates.sort_by(|a, b| a.rank().total_cmp(&b.rank()));
     let mut kept: Vec<Candidate> = Vec::new();
     for c in candidates {
@@ -529,9 +630,9 @@ fn distinct(problem: &Problem, mut candidates: Vec<Candidate>, most: usize) -> V
 }
 
 /// Tries all rotations at all places; how many there were, and the best of them.
-fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<Pose>) {
+fn look(problem: &Problem<'_>, given: &Pose, options: &StartOptions) -> (usize, Vec<Pose>) {
     let anchor = problem.template[0];
-    let places = farthest_points(&problem.coarse, 0, MOST_PLACES, options.spacing);
+    let places = farthest_points(&problem.scan.coarse, 0, MOST_PLACES, options.spacing);
     let count = problem.landmarks.len() as f64;
     let (p, q) = problem.landmarks.iter().fold((Vec3::zeros(), Vec3::zeros()), |(p, q), l| (p + l.0, q + l.1));
     let sorted = |poses: Vec<Pose>, surfels: usize, most: usize| -> Vec<Candidate> {
@@ -548,7 +649,7 @@ fn look(problem: &Problem, given: &Pose, options: &StartOptions) -> (usize, Vec<
             return vec![onto(p / count, q / count)];
         }
         let normal = rotation * anchor.normal;
-        let facing = places.iter().map(|&i| &problem.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);
+        let facing = places.iter().map(|&i| &problem.scan.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);
         facing.map(|s| onto(anchor.point, s.point)).collect()
     };
     let best: Vec<(usize, Vec<Candidate>)> = rotations(given, options.rotations)
