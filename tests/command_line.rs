@@ -10,7 +10,7 @@ use nonrigid::evaluation::{EdgeStretch, SurfaceDistances, TruthErrors};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::io::{
     NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
-    write_npy_points, write_obj, write_ply, write_polygon_mesh,
+    write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
