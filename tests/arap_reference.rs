@@ -52,7 +52,7 @@ fn rest(problem: &Deformation<Arap, Box<dyn DataTerm>>) -> Vec<f64> {
 }
 
 #[test]
-fn local_global_steps_are_libigls() {
+fn local_global_steps_are_the_papers_alternation() {
     let reference = reference();
     assert!(number(&reference["least_weight"]) < -0.1, "the case should have negative weights");
     let mut problem = problem(ArapSolver::LocalGlobal, false);
@@ -60,8 +60,9 @@ fn local_global_steps_are_libigls() {
     approx::assert_relative_eq!(problem.energy(&x), number(&reference["start"]), max_relative = 1e-12);
     let mut steps = 0;
     let mut workspace = nonrigid::nlls::Workspace::new();
-    for pair in reference["after"].as_array().expect("a list") {
-        let (until, expected) = (pair[0].as_u64().expect("a count"), number(&pair[1]));
+    for after in reference["after"].as_array().expect("a list") {
+        let until = after["steps"].as_u64().expect("a count");
+        let (double, libigl) = (number(&after["double"]), number(&after["libigl"]));
         let minimizer = Minimizer::new(Options::gauss_newton().with_max_iterations(1)).expect("sound options");
         while steps < until {
             let summary = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut nonrigid::nlls::Silent);
@@ -69,8 +70,10 @@ fn local_global_steps_are_libigls() {
             steps += 1;
         }
         let energy = problem.energy(&x);
-        println!("after {steps}: {energy}, libigl {expected}, relative difference {:.1e}", energy / expected - 1.0);
-        approx::assert_relative_eq!(energy, expected, max_relative = 1e-6);
+        println!("after {steps}: {energy}, relative difference {:.1e}", energy / double - 1.0);
+        approx::assert_relative_eq!(energy, double, max_relative = 1e-9);
+        // libigl's rotations are approximate, see the script.
+        approx::assert_relative_eq!(energy, libigl, max_relative = 5e-4);
     }
     let mesh = sheet();
     let (held, places) = handles(&mesh);
@@ -80,7 +83,7 @@ fn local_global_steps_are_libigls() {
 }
 
 #[test]
-fn both_converge_to_the_same_energy() {
+fn the_minimum_is_libigls() {
     let expected = number(&reference()["converged"]);
     let mut problem = problem(ArapSolver::Joint, false);
     let mut x = rest(&problem);
@@ -88,7 +91,7 @@ fn both_converge_to_the_same_energy() {
     let summary = Minimizer::new(options).expect("sound options").minimize(&mut problem, &mut x);
     let energy = problem.energy(&x);
     println!("{energy} after {}, libigl {expected}, relative {:.1e}", summary.iterations, energy / expected - 1.0);
-    assert!(summary.stop.converged() || summary.iterations < 200, "{summary}");
+    assert!(summary.stop.converged(), "{summary}");
     approx::assert_relative_eq!(energy, expected, max_relative = 1e-6);
 }
 

@@ -240,31 +240,6 @@ fn moving_everything_moves_the_result_also_with_all_terms_and_for_point_clouds()
 }
 
 #[test]
-fn zz_debug() {
-    let mesh = small_task();
-    let turn = Rotation3::from_euler_angles(0.4, -1.0, 2.0);
-    let place = |p: Vec3| turn * p + Vec3::new(40.0, -300.0, 25.0);
-    for (n, task) in [&mesh, &mesh.as_cloud()].into_iter().enumerate() {
-        for w in [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.5), (0.3, 0.7, 0.5), (1.0, 1.0, 1.0)] {
-            for model in [ModelKind::Hybrid, ModelKind::Graph] {
-                for levels in [2, 4, 8] {
-                    let mut schedule = with_all_terms(model);
-                    for level in &mut schedule.levels {
-                        (level.point_to_plane, level.symmetric, level.scan_to_template) = w;
-                    }
-                    schedule.levels.truncate(levels);
-                    let expected: Vec<Vec3> = task.fit_by(model, &schedule).positions.into_iter().map(place).collect();
-                    println!(
-                        "DEBUG {n} {w:?} {model} {levels} {:.2e}",
-                        farthest(&task.moved(place).fit_by(model, &schedule).positions, &expected)
-                    );
-                }
-            }
-        }
-    }
-}
-
-#[test]
 fn the_same_bits_at_any_number_of_threads_also_with_all_terms_and_for_point_clouds() {
     let mesh = small_task();
     for task in [&mesh, &mesh.as_cloud()] {

@@ -47,8 +47,8 @@ impl ScanPoints {
     }
 
     /// Writes the residuals of the points whose closest point on the template, with its vertices at `positions` and their
-    /// unit `normals`, is within the level's cap and angle, off the template's boundary, and nearest to a vertex that takes
-    /// part. `template` gives the triangles.
+    /// unit `normals`, is within the level's cap and angle, off the template's boundary, and nearest (by its barycentric
+    /// coordinates) to a vertex that takes part. `template` gives the triangles.
     ///
     /// # Errors
     /// When a position is not finite.
@@ -73,10 +73,11 @@ impl ScanPoints {
             {
                 return None;
             }
-            let offset = |v: u32| positions[v as usize] - hit.point;
-            let nearest = corners.into_iter().min_by(|a, b| offset(*a).norm().total_cmp(&offset(*b).norm()))?;
-            let weight = if masks.rim[nearest as usize] { 0.0 } else { masks.data[nearest as usize] };
-            (weight > 0.0).then(|| (nearest as usize, q + offset(nearest), normal, self.weight * weight))
+            // On a side, the corner opposite has weight 0: both triangles there give the same answer.
+            let (nearest, _) = corners.into_iter().zip(hit.barycentric).max_by(|a, b| a.1.total_cmp(&b.1))?;
+            let nearest = nearest as usize;
+            let weight = if masks.rim[nearest] { 0.0 } else { masks.data[nearest] };
+            (weight > 0.0).then(|| (nearest, q + (positions[nearest] - hit.point), normal, self.weight * weight))
         };
         let all: Vec<_> = self.points.par_iter().with_min_len(64).map(search).collect();
         let ScanToTemplate { samples, targets, normals, weights, .. } = found;

@@ -1,8 +1,8 @@
 //! Points of the scan towards the template: `r = n_q . (v_s - (q + o))`.
 //!
 //! The closest point c of a scan point q on the template lies inside a triangle, but terms act on samples. So the residual acts
-//! on the vertex s of that triangle nearest to c, less its offset `o = v_s - c` when c was found: there the residual is
-//! `n_q . (c - q)`, the distance of c to the scan's plane, and the vertex is not pulled to q itself. Along the scan's normal,
+//! on the vertex s of that triangle to which c is nearest, less its offset `o = v_s - c` when c was found: there the residual
+//! is `n_q . (c - q)`, the distance of c to the scan's plane, and the vertex is not pulled to q itself. Along the scan's normal,
 //! not towards the point: which point of the template belongs to q is not known better than up to sliding.
 //!
 //! What it adds to the other direction: a scan's spike, the tip of a nose, that is no template vertex' closest point.
