@@ -52,7 +52,7 @@ const STAY: usize = 2;
 const SECOND_STAGE: usize = 2;
 
 /// Triangles of each scan, about.
-const TRIANGLES: usize = 60_000;
+const TRIANGLES: usize = 40_000;
 
 /// Steps of each level.
 const STEPS: usize = 5;
@@ -101,7 +101,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
     axes.push(axis("cap", &[5.0, 8.0, 12.0, 25.0], 0));
     axes.push(axis("rim", &[0.0, 1.0, 2.0, 3.0], 3));
     if matches!(model, ModelKind::Hybrid | ModelKind::Graph | ModelKind::Sumner) {
-        axes.push(axis("nodes", &[200.0, 300.0, 400.0, 600.0, 800.0], 2));
+        axes.push(axis("nodes", &[400.0], 0));
     }
     axes
 }
@@ -282,7 +282,7 @@ pub struct Options {
     #[arg(long, default_value_t = 101)]
     seed: u64,
     /// Vertices of the template, about
-    #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
     vertices: u32,
     /// Evaluations for each model
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
