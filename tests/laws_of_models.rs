@@ -147,7 +147,8 @@ fn each_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn DeformationModel>
 
 /// The models on the assembly of blendshapes inside a graph.
 fn each_assembled_model(mut visit: impl FnMut(&mut ChaCha8Rng, Build<dyn TestModel>, Vec<Vec3>)) {
-    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    // At some seeds a residual lies on the kink of a kernel (Huber, Tukey), where differences mean nothing.
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
     let rest = rest(&mut rng);
     let graph_of = nodes(&mut rng, &rest);
     let basis = shapes(&mut rng);
