@@ -1,33 +1,34 @@
-//! A deformation model of one's own: a free-form deformation lattice (Sederberg & Parry 1986) of cubic B-splines around the
+//! A deformation model of one's own: a free-form deformation lattice (Sederberg & Parry 1986) of B-splines around the
 //! face, stated as a formula for vertex positions and registered to scans next to the models that come with the crate.
 //!
 //! `cargo run --release --example own_model`, or `-- <folder of cases> <rig folder>` for other data than generated.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 
 use experiments::generated::standard_cases;
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, scan_bench};
 use experiments::tables::{summary_table, table_of};
-use nonrigid::mesh::Vec3;
+use nonrigid::mesh::{TriangleMesh, Vec3, adjacency::EdgeGraph};
 use nonrigid::model::{Autodiff, PositionFunction};
 use nonrigid::nlls::{Euclidean, Scalar};
 use nonrigid::registration::*;
 
 /// Cells along the longest side of the face.
-const CELLS: f64 = 16.0;
+const CELLS: f64 = 20.0;
 /// Stiffness: `lambda_smooth` for a `lambda_graph` of one.
 const STIFFNESS: f64 = 1.0;
 
-/// Control points of a uniform grid. Only those that some vertex uses are parameters, so that all of them are observed.
+/// A uniform grid of control points around the surface. A grid point moves the vertices less than one and a half cells away, and
+/// is one control point for each connected part of them: upper and lower lip touch without being joined.
 #[derive(Default)]
 struct Lattice {
     /// Control points at rest, by block.
     control: Vec<Vec3>,
-    /// For each vertex the 4 x 4 x 4 control points around it, and their weights: products of three splines.
+    /// For each vertex the 3 x 3 x 3 control points that move it, and their weights: products of three splines.
     vertices: Vec<(Vec<usize>, Vec<f64>)>,
     /// Second differences, four control points each: the thin plate energy.
-    differences: Vec<Vec<usize>>,
+    differences: BTreeSet<[usize; 4]>,
 }
 
 impl PositionFunction for Lattice {
@@ -51,7 +52,7 @@ impl PositionFunction for Lattice {
     }
 
     fn smoothness_blocks(&self) -> Vec<Vec<usize>> {
-        self.differences.clone()
+        self.differences.iter().map(|d| d.to_vec()).collect()
     }
 
     fn smoothness<D: Scalar>(&self, _m: usize, p: &[[D; 3]]) -> [D; 3] {
@@ -60,59 +61,59 @@ impl PositionFunction for Lattice {
 }
 
 fn combine<D: Scalar>(weights: &[f64], p: &[[D; 3]]) -> [D; 3] {
-    let mut sum = [D::from(0.0); 3];
-    for (w, p) in weights.iter().zip(p) {
-        for a in 0..3 {
-            sum[a] += p[a] * *w;
-        }
-    }
-    sum
+    std::array::from_fn(|a| weights.iter().zip(p).fold(D::from(0.0), |sum, (w, p)| sum + p[a] * *w))
+}
+
+/// The points of a 3 x 3 x 3 box, in lexicographic order.
+fn in_box() -> impl Iterator<Item = [usize; 3]> {
+    (0..27).map(|n| [n / 9, n / 3 % 3, n % 3])
 }
 
 impl Lattice {
-    fn around(rest: &[Vec3]) -> Self {
-        let low = rest.iter().fold(rest[0], |m, p| m.inf(p));
-        let cell = (rest.iter().fold(rest[0], |m, p| m.sup(p)) - low).max() / CELLS;
+    fn around(rest: &TriangleMesh) -> Self {
+        let (low, high) =
+            rest.positions.iter().fold((rest.positions[0], rest.positions[0]), |(l, h), p| (l.inf(p), h.sup(p)));
+        let cell = (high - low).max() / CELLS;
         let mut lattice = Self::default();
-        let mut block_at: BTreeMap<[i32; 3], usize> = BTreeMap::new();
-        for p in rest {
+        let mut moved_by: BTreeMap<[usize; 3], BTreeSet<u32>> = BTreeMap::new();
+        for (vertex, p) in rest.positions.iter().enumerate() {
             let grid = (p - low) / cell;
-            let splines = grid.map(|g| cubic(g.fract()));
-            let (mut blocks, mut weights) = (Vec::new(), Vec::new());
-            for [i, j, k] in (0..64).map(|n| [n / 16, n / 4 % 4, n % 4]) {
-                weights.push(splines[0][i] * splines[1][j] * splines[2][k]);
-                let at = [grid[0] as i32 + i as i32, grid[1] as i32 + j as i32, grid[2] as i32 + k as i32];
-                blocks.push(*block_at.entry(at).or_insert_with(|| {
-                    lattice.control.push(low + Vec3::from(at.map(|a| f64::from(a - 1))) * cell);
-                    lattice.control.len() - 1
-                }));
+            let [x, y, z] = [0, 1, 2].map(|a| quadratic(grid[a].fract()));
+            for k in in_box() {
+                moved_by.entry([0, 1, 2].map(|a| grid[a] as usize + k[a])).or_default().insert(vertex as u32);
             }
-            lattice.vertices.push((blocks, weights));
+            lattice.vertices.push((Vec::new(), in_box().map(|[i, j, k]| x[i] * y[j] * z[k]).collect()));
         }
-        lattice.differences = second_differences(&block_at);
+        let edges = EdgeGraph::of(rest);
+        for (point, mut vertices) in moved_by {
+            while let Some(vertex) = vertices.pop_first() {
+                let mut part = vec![vertex];
+                while let Some(vertex) = part.pop() {
+                    lattice.vertices[vertex as usize].0.push(lattice.control.len());
+                    part.extend(edges.neighbours(vertex as usize).iter().filter(|v| vertices.remove(v)));
+                }
+                lattice.control.push(low + Vec3::from(point.map(|i| i as f64 - 0.5)) * cell);
+            }
+        }
+        // D_a D_b p for all axes a and b, wherever one vertex has all four corners.
+        for blocks in lattice.vertices.iter().map(|v| &v.0).collect::<BTreeSet<_>>() {
+            for ((n, k), a, b) in in_box().enumerate().flat_map(|k| (0..9).map(move |ab| (k, ab / 3, ab % 3))) {
+                let (mut far, next) = (k, [9, 3, 1]);
+                far[a] += 1;
+                far[b] += 1;
+                if far.iter().all(|&i| i < 3) {
+                    let corners = [n + next[a] + next[b], n + next[a], n + next[b], n];
+                    lattice.differences.insert(corners.map(|n| blocks[n]));
+                }
+            }
+        }
         lattice
     }
 }
 
-/// The corners of D_a D_b p = p(1, 1) - p(1, 0) - p(0, 1) + p(0, 0) for all axes a and b, where these points are there.
-fn second_differences(block_at: &BTreeMap<[i32; 3], usize>) -> Vec<Vec<usize>> {
-    let mut differences = Vec::new();
-    for (at, (a, b)) in block_at.keys().flat_map(|at| (0..9).map(move |k| (at, (k / 3, k % 3)))) {
-        let corner = |&(i, j): &(i32, i32)| {
-            let mut corner = *at;
-            corner[a] += i;
-            corner[b] += j;
-            block_at.get(&corner).copied()
-        };
-        differences.extend([(1, 1), (1, 0), (0, 1), (0, 0)].iter().map(corner).collect::<Option<Vec<usize>>>());
-    }
-    differences
-}
-
-/// The four uniform cubic B-splines that meet in a cell, at `t` in [0, 1).
-fn cubic(t: f64) -> [f64; 4] {
-    let s = 1.0 - t;
-    [s * s * s, 3.0 * t * t * (t - 2.0) + 4.0, 3.0 * s * s * (s - 2.0) + 4.0, t * t * t].map(|b| b / 6.0)
+/// The three uniform quadratic B-splines that meet in a cell, at `t` in [0, 1).
+fn quadratic(t: f64) -> [f64; 3] {
+    [(1.0 - t) * (1.0 - t), 1.0 + 2.0 * t * (1.0 - t), t * t].map(|b| b / 2.0)
 }
 
 struct LatticeModel;
@@ -129,7 +130,7 @@ impl ModelFactory for LatticeModel {
     }
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
-        Ok(Box::new(Autodiff::new(Lattice::around(&input.rest.positions))?))
+        Ok(Box::new(Autodiff::new(Lattice::around(input.rest))?))
     }
 }
 

@@ -337,36 +337,48 @@ impl Element {
     /// Adds `scale Y_j' Y_k` to block row j for all slots k up to that of j.
     #[inline(always)]
     fn add_products(&self, holder: &Holder, scale: f64, blocks: &mut [f64], tangent: usize) {
-        let rows = self.rows();
-        if rows == 0 {
+        if self.rows() == 0 {
             return;
         }
-        let own = holder.slot as usize * tangent;
-        let y = |coordinate: usize| &self.y[coordinate * rows..][..rows];
-        let count = own + tangent;
-        let mut add = |a: usize, c: usize, value: f64| {
-            blocks[holder.targets[c / tangent] as usize + a * tangent + c % tangent] += scale * value;
-        };
-        let mut a = 0;
-        while a < tangent {
-            let high = if a + 3 <= tangent { 3 } else { 1 };
-            let mut c = 0;
-            while c < count {
-                let wide = if c + 3 <= count { 3 } else { 1 };
-                let (left, right) = (|i| y(own + a + i), |k| y(c + k));
-                match (high, wide) {
-                    (3, 3) => products::<3, 3>(left, right).iter().enumerate().for_each(|(i, row)| {
-                        row.iter().enumerate().for_each(|(k, v)| add(a + i, c + k, *v));
-                    }),
-                    (3, _) => {
-                        products::<3, 1>(left, right).iter().enumerate().for_each(|(i, row)| add(a + i, c, row[0]))
-                    }
-                    (_, 3) => products::<1, 3>(left, right)[0].iter().enumerate().for_each(|(k, v)| add(a, c + k, *v)),
-                    _ => add(a, c, products::<1, 1>(left, right)[0][0]),
-                }
-                c += wide;
+        let columns = (holder.slot as usize + 1) * tangent;
+        for a in (0..tangent - tangent % 3).step_by(3) {
+            for c in (0..columns - columns % 3).step_by(3) {
+                self.add_tile::<3, 3>(holder, scale, blocks, tangent, a, c);
             }
-            a += high;
+            for c in columns - columns % 3..columns {
+                self.add_tile::<3, 1>(holder, scale, blocks, tangent, a, c);
+            }
+        }
+        for a in tangent - tangent % 3..tangent {
+            for c in (0..columns - columns % 3).step_by(3) {
+                self.add_tile::<1, 3>(holder, scale, blocks, tangent, a, c);
+            }
+            for c in columns - columns % 3..columns {
+                self.add_tile::<1, 1>(holder, scale, blocks, tangent, a, c);
+            }
+        }
+    }
+
+    /// The part for `A` of the holder's coordinates from `a` on and `C` of the element's from `c` on.
+    #[inline(always)]
+    fn add_tile<const A: usize, const C: usize>(
+        &self,
+        holder: &Holder,
+        scale: f64,
+        blocks: &mut [f64],
+        tangent: usize,
+        a: usize,
+        c: usize,
+    ) {
+        let rows = self.rows();
+        let y = |coordinate: usize| &self.y[coordinate * rows..][..rows];
+        let own = holder.slot as usize * tangent + a;
+        let products = products::<A, C>(|i| y(own + i), |k| y(c + k));
+        for (i, row) in products.iter().enumerate() {
+            for (k, value) in row.iter().enumerate() {
+                let (block, column) = ((c + k) / tangent, (c + k) % tangent);
+                blocks[holder.targets[block] as usize + (a + i) * tangent + column] += scale * value;
+            }
         }
     }
 }
