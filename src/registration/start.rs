@@ -54,7 +54,7 @@ pub struct StartOptions {
     pub least_share: f64,
     /// Loss, from 0 to 1, above which a pose is no start.
     pub greatest_loss: f64,
-    /// [`StartSearch::rival`] above which a pose other than the given one is no start.
+    /// [`StartSearch::rival`] above which a pose is no start, except the given one, which then wins.
     pub greatest_rival: f64,
 }
 
@@ -176,8 +176,6 @@ const MOST_PLACES: usize = 800;
 const FACING: f64 = 0.3;
 /// Poses nearer than this, millimetres at the template's surfels, are one.
 const SAME: f64 = 20.0;
-/// How much better, as a share of the loss, another pose has to be than the given one.
-const MARGIN: f64 = 0.02;
 /// One minus the cosine of 60 degrees.
 const WIDEST_TURN: f64 = 0.5;
 /// Scan over template in size (root of the surface's area): a scan smaller than the least does not hold the share of the
@@ -362,13 +360,6 @@ struct Candidate {
     given: bool,
 }
 
-impl Candidate {
-    /// The given pose wins if it is as good.
-    fn rank(&self) -> f64 {
-        if self.given { self.fit.loss * (1.0 - MARGIN) } else { self.fit.loss }
-    }
-}
-
 fn search_start(
     input: &StartInput<'_>,
     kind: PoseKind,
@@ -485,7 +476,7 @@ fn search_at(
             Candidate { pose, fit: problem.fit(&pose, coarse), given: false }
         })
         .collect();
-    let mut chosen = distinct(&problem, refined, options.fine);
+    let mut chosen = distinct(&problem, refined, options.fine, options.greatest_rival);
     if factor == 1.0 {
         chosen.push(Candidate { pose: given, fit: problem.fit(&given, coarse), given: true });
     }
@@ -500,7 +491,7 @@ fn search_at(
         })
         .collect();
     let refined = ends.len();
-    let ends = distinct(&problem, ends, usize::MAX);
+    let ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
     let winner = ends[0];
     let mut pose = winner.pose;
     problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
@@ -617,9 +608,10 @@ fn medoid(surfels: &[Surfel]) -> usize {
     (0..sums.len()).min_by(|&a, &b| sums[a].total_cmp(&sums[b])).unwrap_or(0)
 }
 
-/// The best by rank, no two the same.
-fn distinct(problem: &Problem<'_>, mut candidates: Vec<Candidate>, most: usize) -> Vec<Candidate> {
-    candidates.sort_by(|a, b| a.rank().total_cmp(&b.rank()));
+/// The best, no two the same. The given pose wins if it is as good, up to `greatest_rival`.
+fn distinct(problem: &Problem<'_>, mut candidates: Vec<Candidate>, most: usize, greatest_rival: f64) -> Vec<Candidate> {
+    let gain = |c: &Candidate| (1.0 - c.fit.loss) / if c.given { greatest_rival } else { 1.0 };
+    candidates.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
     let mut kept: Vec<Candidate> = Vec::new();
     for c in candidates {
         if kept.len() < most && !kept.iter().any(|k| problem.same(&k.pose, &c.pose)) {
