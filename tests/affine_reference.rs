@@ -60,7 +60,7 @@ fn surface() -> TriangleMesh {
 /// The correspondences of the script.
 fn targets(points: &[Vec3], step: usize) -> (Vec<Vec3>, Vec<f64>) {
     let target = |p: &Vec3| p + Vec3::from_fn(|a, _| 9.0 * (0.05 * p[(a + 1) % 3] + (a + step) as f64).sin());
-    let believed = |i: usize| f64::from((7 * i + 3 * step) % 5 != 0);
+    let believed = |i: usize| f64::from(!(7 * i + 3 * step).is_multiple_of(5));
     (points.iter().map(target).collect(), (0..points.len()).map(believed).collect())
 }
 

@@ -277,7 +277,7 @@ impl PositionFunction for Swirl {
 
     fn smoothness<D: Scalar>(&self, m: usize, p: &[[D; 2]]) -> [D; 3] {
         let bend = p[0][0] - p[1][0] * 2.0 + p[2][0];
-        [bend, if m % 2 == 0 { p[0][1] * p[2][1] } else { D::from(0.0) }, D::from(0.0)]
+        [bend, if m.is_multiple_of(2) { p[0][1] * p[2][1] } else { D::from(0.0) }, D::from(0.0)]
     }
 }
 

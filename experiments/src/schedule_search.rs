@@ -122,7 +122,7 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
     );
     let mut option = |axis: &str, section: &str, choices: [&str; 2]| {
         if let Some(&choice) = at.get(axis) {
-            let _ = write!(text, "{section}{}\n", choices[usize::from(choice > 0.0)]);
+            let _ = writeln!(text, "{section}{}", choices[usize::from(choice > 0.0)]);
         }
     };
     option("bilaplacian", "\n[smooth]\nkind = ", ["\"laplacian\"", "\"bilaplacian\""]);

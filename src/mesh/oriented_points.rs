@@ -82,7 +82,7 @@ impl OrientedPoints {
             };
             normals = (0..points.len()).into_par_iter().map(average).collect();
         }
-        let radius = |near: &Vec<ClosestVertex>| near.iter().take(DISC).last().map_or(0.0, |n| n.squared_distance);
+        let radius = |near: &Vec<ClosestVertex>| near.iter().take(DISC).next_back().map_or(0.0, |n| n.squared_distance);
         let radii = near.iter().map(|near| radius(near).sqrt()).collect();
         let edges: Vec<Option<Edge>> =
             (0..points.len()).into_par_iter().map(|i| edge(&points, normals[i], i, &near[i])).collect();
@@ -230,7 +230,7 @@ mod tests {
                 let found = cloud.query(&p, None, f64::INFINITY).unwrap();
                 let depth = p.x.min(20.0 - p.x).min(p.y).min(20.0 - p.y);
                 // Within the jitter and one spacing either answer will do.
-                if depth < -0.5 || depth > 1.3 {
+                if !(-0.5..=1.3).contains(&depth) {
                     assert_eq!(found.beyond_edge, depth < 0.0, "{p}");
                 }
                 if depth > 1.3 {

@@ -162,6 +162,9 @@ struct Holder {
     targets: Vec<u32>,
 }
 
+/// A sample and its (vertex, weight) corners.
+type WeightedCorners = (u32, Vec<(u32, f64)>);
+
 impl<B: Manifold> Assembly<B> {
     pub(super) fn empty() -> Self {
         Self { batches: Vec::new(), holders: Vec::new() }
@@ -169,7 +172,7 @@ impl<B: Manifold> Assembly<B> {
 
     /// Samples as convex combinations (formula, weight).
     pub(super) fn new(supports: &Supports, samples: impl Iterator<Item = Vec<(u32, f64)>>) -> Self {
-        let mut sets: BTreeMap<Vec<u32>, Vec<(u32, Vec<(u32, f64)>)>> = BTreeMap::new();
+        let mut sets: BTreeMap<Vec<u32>, Vec<WeightedCorners>> = BTreeMap::new();
         for (s, corners) in samples.enumerate() {
             let blocks = sorted_once(corners.iter().flat_map(|c| supports.of(c.0).distinct.iter().copied()));
             sets.entry(blocks).or_default().push((s as u32, corners));
