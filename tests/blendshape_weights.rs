@@ -1,13 +1,18 @@
 //! Laws of blendshape weights: bounds, and the standard deviations that a fit reports.
 
+#[path = "support/projected_gradient.rs"]
+mod projected_gradient;
+
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::model::{NodeGraph, Stiffness, blendshape, hybrid};
-use nonrigid::nlls::{Kernel, Minimizer, NormalEquations, Options, Problem, Silent, Workspace, border_covariance};
+use nonrigid::nlls::{Kernel, Minimizer, Options, Problem, Silent, Workspace, border_covariance};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+use projected_gradient::projected_gradient;
 
 const VERTICES: usize = 90;
 const SHAPES: usize = 7;
@@ -159,21 +164,6 @@ fn bounded_fit(which: &str, options: Options) -> (Vec<f64>, f64, f64) {
         assert_eq!(held[k], *w == lower || *w == upper);
     }
     (x, first, last)
-}
-
-fn projected_gradient(problem: &mut impl Problem, x: &[f64]) -> f64 {
-    let mut equations = NormalEquations::new(problem.structure().clone());
-    problem.linearize(x, &mut equations);
-    let sparse = problem.structure().sparse_dimension();
-    let bounds = problem.border_bounds().unwrap();
-    let moved = equations.gradient.iter().enumerate().map(|(i, g)| match i.checked_sub(sparse) {
-        None => g.abs(),
-        Some(k) => {
-            let w = x[bounds.first + k];
-            (w - (w - g).clamp(bounds.lower[k], bounds.upper[k])).abs()
-        }
-    });
-    moved.fold(0.0, f64::max)
 }
 
 #[test]

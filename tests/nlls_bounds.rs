@@ -1,5 +1,8 @@
 //! Laws of bounds on the border's coordinates and of their covariance, for every minimiser and linear solver.
 
+#[path = "support/projected_gradient.rs"]
+mod projected_gradient;
+
 use std::cell::Cell;
 use std::sync::Arc;
 
@@ -9,6 +12,8 @@ use nonrigid::nlls::{
     Manifold, Minimizer, NormalEquations, Options, Problem, Residual, ResidualProblem, Scalar, Se3, Silent, StopReason,
     Workspace, border_covariance, linear::Coordinate,
 };
+
+use projected_gradient::projected_gradient;
 
 const POSES: usize = 12;
 /// Where the border begins in x.
@@ -134,22 +139,6 @@ fn minimize(options: Options, problem: &mut impl Problem, x: &mut [f64]) -> Work
     let mut workspace = Workspace::new();
     Minimizer::new(options).unwrap().minimize_with(problem, x, &mut workspace, &mut Silent);
     workspace
-}
-
-/// `max |x_i - P(x_i - g_i)|`, by its definition.
-fn projected_gradient(problem: &mut impl Problem, x: &[f64]) -> f64 {
-    let mut equations = NormalEquations::new(problem.structure().clone());
-    problem.linearize(x, &mut equations);
-    let sparse = problem.structure().sparse_dimension();
-    let bounds = problem.border_bounds().unwrap();
-    let moved = equations.gradient.iter().enumerate().map(|(i, g)| match i.checked_sub(sparse) {
-        None => g.abs(),
-        Some(k) => {
-            let w = x[bounds.first + k];
-            (w - (w - g).clamp(bounds.lower[k], bounds.upper[k])).abs()
-        }
-    });
-    moved.fold(0.0, f64::max)
 }
 
 #[test]

@@ -22,8 +22,8 @@ use super::{EvaluationError, check_triangles};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{TriangleMesh, Vec3};
 
-/// Pairs of triangles whose interiors meet, lower index first, in lexicographic order; see the
-/// [rule above](self#). Time is that of a closest-point search per triangle, plus the pairs found.
+/// Pairs of triangles whose interiors meet, lower index first, in lexicographic order. Crossing along a segment and
+/// overlapping in one plane count, touching does not. Time is that of a closest-point search per triangle, plus the pairs found.
 ///
 /// # Errors
 /// When a triangle names a vertex that does not exist.

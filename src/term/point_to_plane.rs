@@ -1,5 +1,6 @@
 //! Point-to-plane distance, eq. (3) of Klimov 2020 (squared, under the kernel): `r = n . (v - c)`.
 
+use super::along;
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
 use crate::nlls::Scalar;
@@ -33,6 +34,6 @@ impl SampleResidual<1> for PointToPlane {
     #[inline(always)]
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
         let (c, n) = (self.targets[m], self.normals[m]);
-        [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
+        [along(v, c, n)]
     }
 }

@@ -7,6 +7,7 @@
 //!
 //! What it adds to the other direction: a scan's spike, the tip of a nose, that is no template vertex' closest point.
 
+use super::along;
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
 use crate::nlls::Scalar;
@@ -43,6 +44,6 @@ impl SampleResidual<1> for ScanToTemplate {
     #[inline(always)]
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
         let (c, n) = (self.targets[m], self.normals[m]);
-        [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
+        [along(v, c, n)]
     }
 }

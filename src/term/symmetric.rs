@@ -4,6 +4,7 @@
 //! It is zero not only where v lies in the target's plane, but wherever v and c with their normals lie on one circle: sliding
 //! along a curved surface costs less than with point-to-plane.
 
+use super::along;
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
 use crate::nlls::Scalar;
@@ -39,7 +40,7 @@ impl SampleResidual<1> for Symmetric {
     #[inline(always)]
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
         let (c, n) = (self.targets[m], (self.source_normals[m] + self.target_normals[m]) / 2.0);
-        [(v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]]
+        [along(v, c, n)]
     }
 }
 

@@ -77,7 +77,7 @@ pub trait PositionFunction: Send + Sync {
     /// # Panics
     /// Unless it is overridden together with `smoothness_blocks`.
     fn smoothness<D: Scalar>(&self, m: usize, _p: &[Point<Self, D>]) -> [D; 3] {
-        unimplemented!("{}: smoothness_blocks states residual {m}, smoothness does not", self.name())
+        panic!("{}: smoothness_blocks states residual {m}, smoothness does not", self.name())
     }
 }
 
