@@ -10,5 +10,6 @@ pub mod rig_statistics;
 pub mod scan_bench;
 pub mod scan_bench_command;
 pub mod schedule_search;
+pub mod solver_case;
 pub mod start_bench;
 pub mod tables;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use experiments::{compare_rigs, first, real_scans, scan_bench_command, schedule_search, start_bench};
+use experiments::{compare_rigs, first, real_scans, scan_bench_command, schedule_search, solver_case, start_bench};
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::registration::RegistrationError;
 
@@ -34,6 +34,8 @@ enum Command {
     RealScans(real_scans::Arguments),
     /// Search the default schedules: the same search for every model
     SearchSchedules(schedule_search::Options),
+    /// Solve one hybrid problem with fixed correspondences: the same minimum as other solvers, and the time of an iteration
+    SolverCase(solver_case::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs(compare_rigs::Arguments),
 }
@@ -52,6 +54,7 @@ fn main() -> ExitCode {
         Some(Command::StartBench(a)) => on_threads(a.threads).and_then(|()| start_bench::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads).and_then(|()| real_scans::run(a).map(drop)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads).and_then(|()| schedule_search::run(a)),
+        Some(Command::SolverCase(a)) => on_threads(a.threads).and_then(|()| solver_case::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };

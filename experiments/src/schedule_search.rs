@@ -2,13 +2,14 @@
 //! comparing how long somebody has tuned each of them.
 //!
 //! Held for all models: the ladder of levels in [`LADDER`]. Varied: what the model has, see [`axes`]: stiffness and landmark
-//! weights at the first level and at the last, shortest distance cap, rim, prediction. Measured: the mean
-//! over the cases of the rmse over observed vertices. The cases are the six standard ones of data-gen at a seed of their own,
-//! on which nothing else is reported.
+//! weights at the first level and at the last, shortest distance cap, rim, prediction. Measured over observed vertices, mean
+//! over the cases: the rmse plus its part along the true normal. The rmse alone is mostly slide, which a stiff model hides at
+//! the price of the surface that everybody sees. The cases are the six standard ones of data-gen at a seed of their own, on
+//! which nothing else is reported.
 //!
 //! The search is a coordinate descent on a grid: axis by axis, one grid point up and on while that gains, else one down and on
-//! while that gains; again from the first axis until a sweep changes nothing or the budget of evaluations is spent. Half a per
-//! cent less counts as a gain. Every evaluation is a row of `search.csv`.
+//! while that gains; again from the first axis until a sweep changes nothing or the budget of evaluations is spent. One per cent
+//! less counts as a gain. Every evaluation is a row of `search.csv`.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -45,7 +46,7 @@ pub struct Rung {
     pub pull: Option<(f64, f64)>,
 }
 
-/// Stiffness and landmark weights run geometrically until so many levels are left, and stay for these.
+/// Stiffness and landmark weights fall until so many levels are left, and stay for these.
 const STAY: usize = 2;
 
 /// The rung on which the second stage of a sequence starts.
@@ -96,8 +97,8 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
         ModelKind::Affine => [&[axis("gamma", &[0.1, 0.3, 1.0, 3.0, 10.0], 2)], &smooth[..]].concat(),
         ModelKind::Arap => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
     };
-    axes.push(axis("landmarks last", LANDMARKS_LAST, 3));
-    axes.push(axis("landmarks first", LANDMARKS_FIRST, 3));
+    axes.push(axis("landmarks last", LANDMARKS_LAST, 2));
+    axes.push(axis("landmarks first", LANDMARKS_FIRST, 2));
     axes.push(axis("cap", &[5.0, 8.0, 12.0, 25.0], 0));
     axes.push(axis("rim", &[0.0, 1.0, 2.0, 3.0], 3));
     axes
@@ -175,10 +176,11 @@ fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static
     text
 }
 
-/// Geometric over so many levels, then constant; two digits.
+/// From `first` to `last` over so many levels, then constant; two digits. The logarithm falls with the square root of the level:
+/// what a stiff start is for, the pose and the large deviations, is done after one level, and the details need the others.
 fn ramp(first: f64, last: f64, level: usize, levels: usize) -> f64 {
     let t = level.min(levels - 1) as f64 / (levels - 1) as f64;
-    let value = first * (last / first).powf(t);
+    let value = first * (last / first).powf(t.sqrt());
     let digit = 10f64.powf(value.log10().floor() - 1.0);
     let rounded = (value / digit).round() * digit;
     format!("{rounded:.6}").parse().unwrap_or(rounded)
@@ -191,7 +193,7 @@ pub struct Found {
     pub model: ModelKind,
     /// The best schedule as TOML.
     pub schedule: String,
-    /// Mean over the cases of its rmse over observed vertices, millimetres.
+    /// Mean over the cases of its rmse plus off-surface error, millimetres.
     pub objective: f64,
     /// Evaluations spent.
     pub evaluations: usize,
@@ -259,11 +261,12 @@ fn descend(
     }
 }
 
-/// Mean rmse over the cases; infinite where a registration fails.
+/// Mean over the cases of rmse plus its part along the normal; infinite where a registration fails.
 fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 {
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let run = |case: &BenchCase| {
-        run_case(&model, &terms, schedule, case, LandmarkUse::All).map_or(f64::INFINITY, |(row, _)| row.errors.rmse)
+        run_case(&model, &terms, schedule, case, LandmarkUse::All)
+            .map_or(f64::INFINITY, |(row, _)| row.errors.rmse + row.errors.off)
     };
     let errors: Vec<f64> = cases.par_iter().map(run).collect();
     errors.iter().sum::<f64>() / errors.len() as f64
@@ -279,10 +282,10 @@ pub struct Options {
     #[arg(long, value_delimiter = ',', default_values_t = [101])]
     seeds: Vec<u64>,
     /// Vertices of the template, about
-    #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
+    #[arg(long, default_value_t = 3500, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
     vertices: u32,
     /// Evaluations for each model
-    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     budget: u32,
     /// Where log and schedules go
     #[arg(long, value_name = "DIR", default_value = "out/schedule-search")]
@@ -307,7 +310,7 @@ pub fn run(options: &Options) -> Result<()> {
         cases.extend(standard_cases(*vertices as usize, TRIANGLES, seed)?);
     }
     std::fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
-    let mut rows = "model,evaluation,axes,mean_rmse\n".to_owned();
+    let mut rows = "model,evaluation,axes,mean_rmse_plus_off\n".to_owned();
     for &model in models {
         let mut count = 0;
         let found = search(model, &cases, *budget as usize, |values, objective| {

@@ -79,20 +79,33 @@ impl NodeGraph {
     /// If an influence names a node that does not exist.
     #[must_use]
     pub fn from_influences(nodes: Vec<Vec3>, per_vertex: impl IntoIterator<Item = Vec<(u32, f64)>>) -> Self {
-        let (mut starts, mut influences, mut edges) = (vec![0], Vec::new(), Vec::new());
+        let mut graph = Self { nodes, starts: vec![0], influences: Vec::new(), edges: Vec::new() };
+        let mut edges = Vec::new();
         for mut list in per_vertex {
             list.retain(|i| i.1 > 0.0);
             list.sort_unstable_by_key(|i| i.0);
-            assert!(list.iter().all(|i| (i.0 as usize) < nodes.len()), "influence of a node that does not exist");
+            assert!(list.iter().all(|i| (i.0 as usize) < graph.nodes.len()), "influence of a node that does not exist");
             for a in &list {
                 edges.extend(list.iter().filter(|b| b.0 != a.0).map(|b| (a.0, b.0)));
             }
-            influences.extend(list);
-            starts.push(influences.len() as u32);
+            graph.influences.extend(list);
+            graph.starts.push(graph.influences.len() as u32);
         }
+        graph.with_edges(edges)
+    }
+
+    /// The same nodes and influences with these directed edges; repeated ones count once.
+    ///
+    /// # Panics
+    /// If an edge names a node that does not exist, or joins a node to itself.
+    #[must_use]
+    pub fn with_edges(mut self, mut edges: Vec<(u32, u32)>) -> Self {
+        let sound = |&(i, j): &(u32, u32)| i != j && (i.max(j) as usize) < self.nodes.len();
+        assert!(edges.iter().all(sound), "an edge must join two nodes that exist");
         edges.sort_unstable();
         edges.dedup();
-        Self { nodes, starts, influences, edges }
+        self.edges = edges;
+        self
     }
 
     /// Node positions `x_j` in the rest shape.
