@@ -78,7 +78,7 @@ fn face(shapes: usize) -> Deformation<Hybrid, Pointwise<PointToPlane, Kernel, 1>
         let [frequency, direction] = [0.05, 1.0].map(|s| Vec3::from_fn(|_, _| rng.random_range(-s..s)));
         for (i, p) in mesh.positions.iter().enumerate() {
             for a in 0..3 {
-                slab[(3 * i + a) * shapes + k] = direction[a] * frequency.dot(p).sin();
+                slab[(3 * i + a) * shapes + k] = (direction[a] * frequency.dot(p).sin()) as f32;
             }
         }
     }

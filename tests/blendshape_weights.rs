@@ -45,7 +45,7 @@ fn shapes(rng: &mut ChaCha8Rng, bounds: impl Fn(usize) -> [f64; 2]) -> ShapeBasi
         .flat_map(|_| {
             let mut row: [f64; SHAPES] = std::array::from_fn(|k| rng.random_range(-1.0..1.0) * (0.5 + k as f64));
             row[4] = 0.8 * row[3] + 0.3 * row[4];
-            row
+            row.map(|d| d as f32)
         })
         .collect();
     ShapeBasis::new(shapes, slab).with_bounds(|shape| bounds(shape.name.parse().unwrap()))

@@ -200,7 +200,7 @@ pub fn read_case(path: &Path) -> Result<SolverCase, Failure> {
     {
         for (k, displacement) in displacements.chunks_exact(3).enumerate() {
             for a in 0..3 {
-                rows[a * shape_count + k] = displacement[a];
+                rows[a * shape_count + k] = displacement[a] as f32; // exact where the case comes from a rig
             }
         }
     }

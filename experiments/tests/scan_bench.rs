@@ -152,7 +152,7 @@ impl DeformationModel for Shift {
     fn pull_back(&mut self, _: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
         for quadric in field.quadrics() {
             for (a, row) in quadric.matrix().iter().enumerate() {
-                equations.gradient[a] += quadric.gradient[a];
+                equations.gradient[a] += quadric.gradient()[a];
                 for (b, m) in row.iter().enumerate() {
                     equations.border[3 * a + b] += m;
                 }

@@ -1,20 +1,40 @@
 //! What data terms hand to a deformation model: per sample, a quadratic model of the data energy in the sample's position.
 
 /// Gauss-Newton quadric of the data terms at one sample, for half the energy:
-/// `g = sum alpha rho' a' r` (3) and `M = sum alpha rho' a' a` (3 x 3), kept as one to three rows `A` with `A' A = M`.
+/// `g = sum alpha rho' a' r` (3) and `M = sum alpha rho' a' a` (3 x 3), kept as one to three rows `A` and residuals `e` with
+/// `A' A = M` and `A' e = g`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quadric {
     rows: [[f64; 3]; 3],
+    residuals: [f64; 3],
     count: u8,
-    /// `g`, the gradient of half the data energy in the sample's position.
-    pub gradient: [f64; 3],
 }
 
 impl Quadric {
     /// The rows `A` (at most three) with `A' A = M`.
+    #[inline(always)]
     #[must_use]
     pub fn rows(&self) -> &[[f64; 3]] {
         &self.rows[..self.count as usize]
+    }
+
+    /// The residuals `e`, one for each row, with `A' e = g`.
+    #[inline(always)]
+    #[must_use]
+    pub fn residuals(&self) -> &[f64] {
+        &self.residuals[..self.count as usize]
+    }
+
+    /// `g`, the gradient of half the data energy in the sample's position.
+    #[must_use]
+    pub fn gradient(&self) -> [f64; 3] {
+        let mut g = [0.0; 3];
+        for (row, e) in self.rows().iter().zip(self.residuals()) {
+            for a in 0..3 {
+                g[a] += row[a] * e;
+            }
+        }
+        g
     }
 
     /// `M`, row-major.
@@ -36,40 +56,40 @@ impl Quadric {
         if weight == 0.0 {
             return;
         }
-        for (g, a) in self.gradient.iter_mut().zip(a) {
-            *g += weight * a * r;
-        }
         let root = weight.sqrt();
-        let row = a.map(|a| root * a);
+        let (row, residual) = (a.map(|a| root * a), root * r);
         if self.count < 3 {
             self.rows[self.count as usize] = row;
+            self.residuals[self.count as usize] = residual;
             self.count += 1;
         } else {
-            let mut m = self.matrix();
-            for i in 0..3 {
-                for j in 0..3 {
-                    m[i][j] += row[i] * row[j];
-                }
+            // Rotations keep A'A and A'e: four rows become the three of a triangle and one of zeros.
+            let mut triangle = Self { count: 3, ..Self::default() };
+            for k in 0..3 {
+                triangle.rotate_in(self.rows[k], self.residuals[k]);
             }
-            self.rows = upper_cholesky(m);
+            triangle.rotate_in(row, residual);
+            *self = triangle;
         }
     }
-}
 
-/// `U` upper triangular with `U' U = m`; a direction without weight gives a zero row.
-fn upper_cholesky(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    let mut u = [[0.0; 3]; 3];
-    for i in 0..3 {
-        let pivot = m[i][i] - (0..i).map(|k| u[k][i] * u[k][i]).sum::<f64>();
-        if pivot <= 1e-14 * m[i][i] {
-            continue;
-        }
-        u[i][i] = pivot.sqrt();
-        for j in i + 1..3 {
-            u[i][j] = (m[i][j] - (0..i).map(|k| u[k][i] * u[k][j]).sum::<f64>()) / u[i][i];
+    /// Adds a row to an upper triangle by Givens rotations.
+    fn rotate_in(&mut self, mut row: [f64; 3], mut residual: f64) {
+        for i in 0..3 {
+            let (top, below) = (self.rows[i][i], row[i]);
+            if below == 0.0 {
+                continue;
+            }
+            let length = (top * top + below * below).sqrt();
+            let (c, s) = if length > 0.0 { (top / length, below / length) } else { (1.0, 0.0) };
+            for j in i..3 {
+                let (u, v) = (self.rows[i][j], row[j]);
+                (self.rows[i][j], row[j]) = (c * u + s * v, c * v - s * u);
+            }
+            let (u, v) = (self.residuals[i], residual);
+            (self.residuals[i], residual) = (c * u + s * v, c * v - s * u);
         }
     }
-    u
 }
 
 /// One quadric per sample.
@@ -121,7 +141,7 @@ mod tests {
                 }
             }
             for i in 0..3 {
-                approx::assert_abs_diff_eq!(quadric.gradient[i], g[i], epsilon = 1e-13);
+                approx::assert_abs_diff_eq!(quadric.gradient()[i], g[i], epsilon = 1e-13);
                 for j in 0..3 {
                     approx::assert_abs_diff_eq!(quadric.matrix()[i][j], m[i][j], epsilon = 1e-12);
                 }

@@ -79,6 +79,15 @@ pub trait SampleResidual<const R: usize>: Send + Sync {
 
     /// The residual at sample position `v`.
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; R];
+
+    /// The residual at `v` and its derivatives by `v`, a row each. Dual numbers take them from [`residual`](Self::residual); a
+    /// residual that is affine in `v` knows them, and may say so to save that.
+    #[inline(always)]
+    fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; R], [[f64; 3]; R]) {
+        let v = std::array::from_fn(|a| DualSVec64::<3>::from_re(v[a]).derivative(a));
+        let r = self.residual(m, v);
+        (r.map(|r| r.re), r.map(|r| r.eps.0.map_or([0.0; 3], Into::into)))
+    }
 }
 
 /// Residuals of single samples under a robust kernel.
@@ -125,14 +134,11 @@ impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> DataTe
                 continue;
             }
             let sample = self.residuals.sample(m);
-            let v: [f64; 3] = positions[sample].into();
-            let v: [DualSVec64<3>; 3] = std::array::from_fn(|a| DualSVec64::from_re(v[a]).derivative(a));
-            let r = self.residuals.residual(m, v);
-            let [rho, rho1, _] = self.kernel.evaluate(r.iter().map(|r| r.re * r.re).sum());
+            let (r, rows) = self.residuals.linearize(m, positions[sample].into());
+            let [rho, rho1, _] = self.kernel.evaluate(r.iter().map(|r| r * r).sum());
             energy += weight * rho;
-            for r in r {
-                let a = r.eps.0.map_or([0.0; 3], Into::into);
-                field.at_mut(sample).add(weight * rho1, a, r.re);
+            for (r, row) in r.into_iter().zip(rows) {
+                field.at_mut(sample).add(weight * rho1, row, r);
             }
         }
         energy

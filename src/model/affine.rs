@@ -240,7 +240,7 @@ impl DeformationModel for Affine {
                     let at = position(&structure, i, other.block);
                     add_data(&mut row.blocks[at..at + SIZE * SIZE], &m, own, &other.h);
                 }
-                for (g, h) in row.gradient.chunks_exact_mut(4).zip(quadric.gradient) {
+                for (g, h) in row.gradient.chunks_exact_mut(4).zip(quadric.gradient()) {
                     g.iter_mut().zip(own).for_each(|(g, q)| *g += h * q);
                 }
             }

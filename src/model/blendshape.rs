@@ -5,7 +5,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// Linear shapes and a rigid motion.
-pub type Blendshape = NodeAssembly<RigidMotion, 9>;
+pub type Blendshape = NodeAssembly<RigidMotion, 6>;
 
 /// The blendshape model on the rest positions `rest` (the neutral).
 #[must_use]

@@ -6,7 +6,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A deformation graph.
-pub type Graph = NodeAssembly<RigidMotion, 9>;
+pub type Graph = NodeAssembly<RigidMotion, 6>;
 
 /// The graph model on the rest positions `rest`.
 #[must_use]

@@ -5,7 +5,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// Blendshapes inside a deformation graph.
-pub type Hybrid = NodeAssembly<RigidMotion, 9>;
+pub type Hybrid = NodeAssembly<RigidMotion, 6>;
 
 /// The hybrid model on the rest positions `rest` (the neutral).
 #[must_use]
@@ -14,7 +14,7 @@ pub fn hybrid(rest: Vec<Vec3>, nodes: NodeGraph, shapes: ShapeBasis, stiffness: 
 }
 
 /// [`Hybrid`] with the affine nodes of Sumner et al. 2007.
-pub type AffineHybrid = NodeAssembly<AffineMotion, 15>;
+pub type AffineHybrid = NodeAssembly<AffineMotion, 12>;
 
 /// The hybrid model with affine nodes.
 #[must_use]

@@ -5,7 +5,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A rigid motion of the whole template.
-pub type Rigid = NodeAssembly<RigidMotion, 9>;
+pub type Rigid = NodeAssembly<RigidMotion, 6>;
 
 /// The rigid model on the rest positions `rest`.
 #[must_use]

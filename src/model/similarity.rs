@@ -5,7 +5,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A similarity of the whole template.
-pub type Similarity = NodeAssembly<SimilarityMotion, 10>;
+pub type Similarity = NodeAssembly<SimilarityMotion, 7>;
 
 /// The similarity model on the rest positions `rest`.
 #[must_use]

@@ -6,7 +6,7 @@ use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A deformation graph with affine nodes.
-pub type Sumner = NodeAssembly<AffineMotion, 15>;
+pub type Sumner = NodeAssembly<AffineMotion, 12>;
 
 /// Sumner's graph on the rest positions `rest`.
 #[must_use]

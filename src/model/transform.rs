@@ -22,10 +22,10 @@ impl<D: Scalar> AffineMap<D> {
     }
 }
 
-/// A family of affine node motions. `W` is its tangent dimension plus the three coordinates of the moved point: the width
-/// of the dual numbers that differentiate `A q + t`.
+/// A family of affine node motions. `W` is its tangent dimension: the width of the dual numbers that differentiate the twelve
+/// entries of `A` and `t`.
 pub trait NodeTransform<const W: usize>: Clone + Send + Sync + 'static {
-    /// Where the parameters live; `W - 3` is its tangent dimension.
+    /// Where the parameters live; its tangent dimension is `W`.
     type Parameters: Manifold;
 
     /// Parameters of the identity.
@@ -46,7 +46,7 @@ pub trait NodeTransform<const W: usize>: Clone + Send + Sync + 'static {
 #[derive(Debug, Clone, Copy)]
 pub struct RigidMotion;
 
-impl NodeTransform<9> for RigidMotion {
+impl NodeTransform<6> for RigidMotion {
     type Parameters = Se3;
     const IDENTITY: &'static [f64] = &Se3::IDENTITY;
 
@@ -63,7 +63,7 @@ impl NodeTransform<9> for RigidMotion {
 #[derive(Debug, Clone, Copy)]
 pub struct SimilarityMotion;
 
-impl NodeTransform<10> for SimilarityMotion {
+impl NodeTransform<7> for SimilarityMotion {
     type Parameters = Sim3;
     const IDENTITY: &'static [f64] = &Sim3::IDENTITY;
 
@@ -79,7 +79,7 @@ impl NodeTransform<10> for SimilarityMotion {
 #[derive(Debug, Clone, Copy)]
 pub struct AffineMotion;
 
-impl NodeTransform<15> for AffineMotion {
+impl NodeTransform<12> for AffineMotion {
     type Parameters = Euclidean<12>;
     const IDENTITY: &'static [f64] = &Se3::IDENTITY;
 

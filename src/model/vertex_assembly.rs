@@ -180,7 +180,7 @@ impl VertexAssembly {
                 if quadric.rows().is_empty() {
                     continue;
                 }
-                for (h, g) in row.gradient.iter_mut().zip(quadric.gradient) {
+                for (h, g) in row.gradient.iter_mut().zip(quadric.gradient()) {
                     *h += pull.weight * g;
                 }
                 let m = quadric.matrix();

@@ -30,20 +30,37 @@ pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)
 }
 
-/// `out += y' u` for `y` of `R` rows, whose first `t` entries count, and `u` of `R` rows of equal length `n`; `out` is
-/// `t x n`.
+/// `out += y' u` for `R` rows of `y` and of `u`; `out` is `W x n`, row-major, `n` the length of a row of `u`.
 #[inline(always)]
-pub fn add_outer<const W: usize, const R: usize>(y: [&[f64; W]; R], u: [&[f64]; R], out: &mut [f64], t: usize) {
-    let n = u[0].len();
+pub fn add_outer<const W: usize, const R: usize>(y: [&[f64; W]; R], u: [&[f64]; R], out: &mut [f64]) {
+    let n = u.first().map_or(0, |row| row.len());
     let u = u.map(|row| &row[..n]);
-    for (i, out) in out.chunks_exact_mut(n).take(t).enumerate() {
+    for (i, out) in out.chunks_exact_mut(n.max(1)).take(W).enumerate() {
         let y = y.map(|row| row[i]);
         for k in 0..n {
             let mut sum = out[k];
             for r in 0..R {
-                sum += y[r] * u[r][k];
+                sum = y[r].mul_add(u[r][k], sum);
             }
             out[k] = sum;
+        }
+    }
+}
+
+/// `block += scale sum_r left_r right_r'` for `R` rows; `block` is `W x W`, row-major.
+#[inline(always)]
+pub fn add_block<const W: usize, const R: usize>(
+    block: &mut [f64],
+    left: [&[f64; W]; R],
+    right: [&[f64; W]; R],
+    scale: f64,
+) {
+    for (i, row) in block.chunks_exact_mut(W).take(W).enumerate() {
+        for r in 0..R {
+            let l = scale * left[r][i];
+            for j in 0..W {
+                row[j] = l.mul_add(right[r][j], row[j]);
+            }
         }
     }
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::Shape;
 use crate::mesh::Vec3;
+use crate::nlls::dense_kernels::vectorized;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
 /// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the slab.
@@ -13,7 +14,7 @@ pub struct ShapeBasis {
     sigmas: Vec<f64>,
     /// Of the weights, lower and upper; both empty for none.
     bounds: [Vec<f64>; 2],
-    slab: Arc<Vec<f64>>,
+    slab: Arc<Vec<f32>>,
 }
 
 impl ShapeBasis {
@@ -24,12 +25,13 @@ impl ShapeBasis {
     }
 
     /// Shapes with `sigma_k = 1`. `slab` holds `3 N` rows of one entry per shape: row `3 i + a` is the displacement of
-    /// vertex `i` along axis `a` at weight one, millimetres.
+    /// vertex `i` along axis `a` at weight one, millimetres. It has 32 bits, as the files of a [`Rig`](super::Rig) have: reading
+    /// it is most of what a further shape costs a solver. All arithmetic with it has 64.
     ///
     /// # Panics
     /// If the slab is not made of whole vertices.
     #[must_use]
-    pub fn new(shapes: Vec<Shape>, slab: Vec<f64>) -> Self {
+    pub fn new(shapes: Vec<Shape>, slab: Vec<f32>) -> Self {
         assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
         Self { sigmas: vec![1.0; shapes.len()], bounds: Default::default(), shapes, slab: Arc::new(slab) }
     }
@@ -94,15 +96,23 @@ impl ShapeBasis {
     /// When there is no vertex `i`.
     #[inline(always)]
     #[must_use]
-    pub fn vertex(&self, i: usize) -> &[f64] {
+    pub fn vertex(&self, i: usize) -> &[f32] {
         let n = 3 * self.len();
         &self.slab[i * n..(i + 1) * n]
     }
 
     /// `b_i(w)` for vertex `i` at rest in `rest`.
-    #[inline(always)]
     #[must_use]
     pub fn blend(&self, i: usize, rest: Vec3, w: &[f64]) -> Vec3 {
+        vectorized(
+            #[inline(always)]
+            || self.blend_inline(i, rest, w),
+        )
+    }
+
+    /// [`blend`](Self::blend) for loops that are [`vectorized`] already.
+    #[inline(always)]
+    pub(crate) fn blend_inline(&self, i: usize, rest: Vec3, w: &[f64]) -> Vec3 {
         if self.is_empty() {
             return rest;
         }
@@ -114,16 +124,27 @@ impl ShapeBasis {
     }
 }
 
-/// Dot product with four running sums, so that it vectorises.
+/// Dot product with eight running sums, so that it vectorises.
 #[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 4];
-    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
-    let tail: f64 = a4.remainder().iter().zip(b4.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in a4.zip(b4) {
-        for l in 0..4 {
-            sums[l] += a[l] * b[l];
+fn dot(a: &[f32], b: &[f64]) -> f64 {
+    let (a8, a1) = a.as_chunks::<8>();
+    let (b8, b1) = b.as_chunks::<8>();
+    let (a4, a1) = a1.as_chunks::<4>();
+    let (b4, b1) = b1.as_chunks::<4>();
+    let mut sums = [0.0; 8];
+    for (a, b) in a8.iter().zip(b8) {
+        for l in 0..8 {
+            sums[l] = f64::from(a[l]).mul_add(b[l], sums[l]);
         }
     }
-    (sums[0] + sums[1]) + (sums[2] + sums[3]) + tail
+    for (a, b) in a4.iter().zip(b4) {
+        for l in 0..4 {
+            sums[l] = f64::from(a[l]).mul_add(b[l], sums[l]);
+        }
+    }
+    for (l, (a, b)) in a1.iter().zip(b1).enumerate() {
+        sums[l] = f64::from(*a).mul_add(*b, sums[l]);
+    }
+    let pairs: [f64; 4] = std::array::from_fn(|l| sums[l] + sums[l + 4]);
+    (pairs[0] + pairs[1]) + (pairs[2] + pairs[3])
 }

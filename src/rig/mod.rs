@@ -235,7 +235,7 @@ impl Rig {
             for (column, &k) in chosen.iter().enumerate() {
                 let deltas = &self.deltas(k)[block * ROWS..];
                 for (row, &delta) in rows.chunks_exact_mut(nb).zip(deltas) {
-                    row[column] = f64::from(delta);
+                    row[column] = delta;
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! Landmarks: named points of the template, at a vertex or inside a face, pulled to known places: `r = v - c`.
 
+use super::UNIT;
 use crate::energy::SampleResidual;
 use crate::mesh::Vec3;
 use crate::nlls::Scalar;
@@ -34,5 +35,10 @@ impl SampleResidual<3> for Landmarks {
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
         let c = self.targets[m];
         std::array::from_fn(|a| v[a] - c[a])
+    }
+
+    #[inline(always)]
+    fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
+        (self.residual(m, v), UNIT)
     }
 }

@@ -20,3 +20,47 @@ use crate::nlls::Scalar;
 fn along<D: Scalar>(v: [D; 3], c: Vec3, n: Vec3) -> D {
     (v[0] - c[0]) * n[0] + (v[1] - c[1]) * n[1] + (v[2] - c[2]) * n[2]
 }
+
+/// Derivatives of `v` by itself.
+const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::energy::SampleResidual;
+
+    /// The same residual, differentiated by dual numbers.
+    struct ByDuals<'a, T>(&'a T);
+
+    impl<T: SampleResidual<R>, const R: usize> SampleResidual<R> for ByDuals<'_, T> {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+        fn sample(&self, m: usize) -> usize {
+            self.0.sample(m)
+        }
+        fn weight(&self, m: usize) -> f64 {
+            self.0.weight(m)
+        }
+        fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; R] {
+            self.0.residual(m, v)
+        }
+    }
+
+    fn same<T: SampleResidual<R>, const R: usize>(term: &T) {
+        let v = [0.3, -1.7, 2.9];
+        assert_eq!(term.linearize(0, v), ByDuals(term).linearize(0, v));
+    }
+
+    #[test]
+    fn what_terms_say_of_their_derivatives_is_what_dual_numbers_find() {
+        let (c, n, o) = (Vec3::new(0.1, 0.7, -2.0), Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.0, 1.0, 0.0));
+        let ([targets, normals, other], weights, scale) = ([vec![c], vec![n], vec![o]], vec![1.0], 2.0);
+        same(&PointToPoint { targets: targets.clone(), weights: weights.clone(), scale });
+        same(&Landmarks { samples: vec![0], targets: targets.clone(), weights: weights.clone(), scale });
+        same(&PointToPlane { targets: targets.clone(), normals: normals.clone(), weights: weights.clone(), scale });
+        let [source_normals, target_normals] = [other, normals.clone()];
+        same(&Symmetric { targets: targets.clone(), source_normals, target_normals, weights: weights.clone(), scale });
+        same(&ScanToTemplate { samples: vec![0], targets, normals, weights, scale });
+    }
+}

@@ -36,4 +36,9 @@ impl SampleResidual<1> for PointToPlane {
         let (c, n) = (self.targets[m], self.normals[m]);
         [along(v, c, n)]
     }
+
+    #[inline(always)]
+    fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 1], [[f64; 3]; 1]) {
+        (self.residual(m, v), [self.normals[m].into()])
+    }
 }

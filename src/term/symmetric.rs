@@ -24,6 +24,13 @@ pub struct Symmetric {
     pub scale: f64,
 }
 
+impl Symmetric {
+    #[inline(always)]
+    fn normal(&self, m: usize) -> Vec3 {
+        (self.source_normals[m] + self.target_normals[m]) / 2.0
+    }
+}
+
 impl SampleResidual<1> for Symmetric {
     fn len(&self) -> usize {
         self.targets.len()
@@ -39,8 +46,12 @@ impl SampleResidual<1> for Symmetric {
 
     #[inline(always)]
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
-        let (c, n) = (self.targets[m], (self.source_normals[m] + self.target_normals[m]) / 2.0);
-        [along(v, c, n)]
+        [along(v, self.targets[m], self.normal(m))]
+    }
+
+    #[inline(always)]
+    fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 1], [[f64; 3]; 1]) {
+        (self.residual(m, v), [self.normal(m).into()])
     }
 }
 

@@ -13,12 +13,13 @@
 //! any 3 x 3. Rigid and similarity have one node and no shapes, blendshape one node, graph no shapes. `d`, the reach of a node,
 //! makes `lambda_rotation` free of units: `d^2` is [`NodeGraph::squared_reach`].
 //!
-//! Derivatives are forward-mode, but no dual number ever carries a blendshape weight: a node's contribution to a vertex is
-//! a function of the node's tangent parameters and of `b_i`, nine duals for a rigid node, fifteen for an affine one, and `b_i`
-//! is linear in `w`:
+//! Derivatives are forward-mode, but no dual number ever carries a blendshape weight, and none is multiplied once per vertex:
+//! duals differentiate the twelve entries of a node's `[A_j t_j]` by the node's tangent, six of them for a rigid node, twelve for
+//! an affine one. A vertex is linear in these entries, and `b_i` is linear in `w`:
 //!
 //! ```text
-//!     dv_i/dw = Rbar_i B_i,   Rbar_i = sum_j omega_ij dT_j/dq,   B_i the constant 3 x nb slab of vertex i
+//!     dv_i/dT_j = omega_ij d[A_j t_j] [b_i - x_j; 1]                     ([`MapJacobian`])
+//!     dv_i/dw = Rbar_i B_i,   Rbar_i = sum_j omega_ij A_j,   B_i the constant 3 x nb slab of vertex i
 //! ```
 //!
 //! With `A_s` the (at most three) rows of sample `s`' quadric, `Y_sj = A_s dv_s/dT_j` and `U_s = A_s dv_s/dw`:
@@ -38,9 +39,9 @@ use self::regulariser::GraphRegulariser;
 use self::samples::{Blended, CHUNK, NodeSample, SampleChunk, chunks_of, fill_row, samples_of_nodes};
 use super::NodeGraph;
 use super::transform::{AffineMap, NodeTransform};
-use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
+use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
 use crate::mesh::Vec3;
-use crate::nlls::dense_kernels::{rank_update_lower, vectorized};
+use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
 use crate::rig::ShapeBasis;
 
@@ -66,7 +67,7 @@ pub enum Linearisation {
     Reference,
 }
 
-/// Blendshapes inside a deformation graph, with node motions of type `T`; `W` is `T`'s tangent dimension plus three.
+/// Blendshapes inside a deformation graph, with node motions of type `T`, of tangent dimension `W`.
 pub struct NodeAssembly<T, const W: usize> {
     name: &'static str,
     rest: Vec<Vec3>,
@@ -81,8 +82,9 @@ pub struct NodeAssembly<T, const W: usize> {
     node_samples: Vec<Vec<NodeSample>>,
     border_partials: Vec<f64>,
     regulariser: GraphRegulariser<W>,
-    /// Node maps with their tangents seeded, at the last linearisation.
+    /// Node maps with their tangents seeded, at the last linearisation, and their derivatives as numbers.
     seeded: Vec<AffineMap<DualSVec64<W>>>,
+    map_jacobians: Vec<MapJacobian<W>>,
     transform: std::marker::PhantomData<T>,
 }
 
@@ -125,6 +127,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
             node_samples: Vec::new(),
             border_partials: Vec::new(),
             seeded: Vec::new(),
+            map_jacobians: Vec::new(),
             transform: std::marker::PhantomData,
         }
     }
@@ -179,7 +182,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
                 || {
                     for (k, b) in chunk.iter_mut().enumerate() {
                         let i = c * CHUNK + k;
-                        *b = shapes.blend(i, rest[i], w);
+                        *b = shapes.blend_inline(i, rest[i], w);
                     }
                 },
             );
@@ -191,8 +194,43 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         self.seeded.clear();
         self.seeded.extend((0..self.node_count()).map(|j| {
             let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
-            moved_map::<T, W, _>(x, j, &tangent[..W - 3])
+            moved_map::<T, W, _>(x, j, &tangent)
         }));
+        self.map_jacobians.clear();
+        self.map_jacobians.extend(self.seeded.iter().map(MapJacobian::of));
+    }
+}
+
+/// A map `[A t]` at some parameters, and the derivatives of its entries by the tangent.
+struct MapJacobian<const W: usize> {
+    value: AffineMap<f64>,
+    /// By row of `[A t]`, then by its column.
+    derivatives: [[[f64; W]; 4]; 3],
+}
+
+impl<const W: usize> MapJacobian<W> {
+    fn of(seeded: &AffineMap<DualSVec64<W>>) -> Self {
+        let entry = |a: usize, c: usize| if c < 3 { &seeded.linear[a][c] } else { &seeded.translation[a] };
+        Self {
+            value: AffineMap {
+                linear: seeded.linear.map(|row| row.map(|e| e.re)),
+                translation: seeded.translation.map(|e| e.re),
+            },
+            derivatives: std::array::from_fn(|a| std::array::from_fn(|c| derivatives(entry(a, c)))),
+        }
+    }
+
+    /// `out += row d(A q + t)`: how the component along `row` of where `q` goes changes with the tangent.
+    #[inline(always)]
+    fn add_pulled_back(&self, row: [f64; 3], q: [f64; 3], out: &mut [f64; W]) {
+        for a in 0..3 {
+            for (c, by_tangent) in self.derivatives[a].iter().enumerate() {
+                let factor = if c < 3 { row[a] * q[c] } else { row[a] };
+                for t in 0..W {
+                    out[t] = factor.mul_add(by_tangent[t], out[t]);
+                }
+            }
+        }
     }
 }
 
@@ -246,11 +284,11 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         self.chunks = chunks_of(samples, &self.graph, &mut pairs);
         pairs.sort_unstable();
         pairs.dedup();
-        let structure = BlockStructure::new(&vec![W - 3; self.node_count()], pairs, self.shapes.len())
+        let structure = BlockStructure::new(&vec![W; self.node_count()], pairs, self.shapes.len())
             .expect("proven: all pairs are nodes of the graph");
         let position = |row: u32, col: u32| {
             let k = structure.row(row as usize).binary_search(&(col as usize)).expect("proven: the pair was added");
-            (k * (W - 3) * (W - 3)) as u32
+            (k * W * W) as u32
         };
         self.node_samples = samples_of_nodes(&mut self.chunks, self.graph.nodes().len(), position);
         self.regulariser.attach(&self.graph, position);
@@ -279,21 +317,20 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         self.seed_nodes(x);
         let nb = self.shapes.len();
         let blended = Blended { graph: &self.graph, shapes: &self.shapes, vertices: &self.placed.blend };
-        let seeded = &self.seeded;
+        let maps = &self.map_jacobians;
         self.border_partials.resize(self.chunks.len() * nb * nb, 0.0);
         let partials = self.border_partials.par_chunks_mut((nb * nb).max(1));
-        let chunks = self.chunks.par_iter_mut().zip(field.quadrics().par_chunks(CHUNK));
-        let linearisation = self.linearisation;
-        let fill = |chunk: &mut SampleChunk<W>, quadrics: &[Quadric]| match linearisation {
-            Linearisation::Structured => chunk.linearize(seeded, quadrics, blended),
+        let (quadrics, linearisation) = (field.quadrics(), self.linearisation);
+        let fill = |chunk: &mut SampleChunk<W>| match linearisation {
+            Linearisation::Structured => chunk.linearize(maps, quadrics, blended),
             Linearisation::Reference => chunk.linearize_reference::<T>(x, quadrics, blended),
         };
         if nb == 0 {
-            chunks.for_each(|(chunk, quadrics)| fill(chunk, quadrics));
+            self.chunks.par_iter_mut().for_each(fill);
         } else {
-            chunks.zip(partials).for_each(|((chunk, quadrics), partial)| {
-                fill(chunk, quadrics);
-                rank_update_lower(&chunk.u, chunk.u.len() / nb, nb, partial);
+            self.chunks.par_iter_mut().zip(partials).for_each(|(chunk, partial)| {
+                fill(chunk);
+                chunk.border_product(partial);
             });
         }
 
@@ -318,7 +355,8 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
 
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
         self.seed_nodes(x);
-        self.regulariser.add_to::<T>(&self.graph, &self.seeded, &self.stiffness, equations);
+        let nodes = (self.seeded.as_slice(), self.map_jacobians.as_slice());
+        self.regulariser.add_to::<T>(&self.graph, nodes, &self.stiffness, equations);
         let (nb, lambda) = (self.shapes.len(), self.stiffness.blend);
         let start = equations.structure().sparse_dimension();
         for (k, (w, sigma)) in self.weights(x).iter().zip(self.shapes.sigmas()).enumerate() {
@@ -332,11 +370,11 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         let n = self.node_count();
         for j in 0..n {
             let range = node_range::<T, W>(j);
-            T::Parameters::plus(&x[range.clone()], &step[j * (W - 3)..(j + 1) * (W - 3)], &mut out[range.clone()]);
+            T::Parameters::plus(&x[range.clone()], &step[j * W..(j + 1) * W], &mut out[range.clone()]);
             T::Parameters::normalize(&mut out[range]);
         }
         for k in 0..self.shapes.len() {
-            out[n * T::Parameters::AMBIENT + k] = x[n * T::Parameters::AMBIENT + k] + step[n * (W - 3) + k];
+            out[n * T::Parameters::AMBIENT + k] = x[n * T::Parameters::AMBIENT + k] + step[n * W + k];
         }
     }
 }

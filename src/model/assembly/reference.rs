@@ -7,6 +7,7 @@ use super::samples::{Blended, SampleChunk, SampleJacobian};
 use super::{NodeTransform, derivatives, moved_map};
 use crate::energy::Quadric;
 use crate::nlls::Manifold;
+use crate::nlls::dense_kernels::vectorized;
 
 /// Duals at a time, as a Ceres user's stride would be.
 const STRIDE: usize = 16;
@@ -15,7 +16,8 @@ type Dual = DualSVec64<STRIDE>;
 impl<const W: usize> SampleChunk<W> {
     /// [`linearize`](Self::linearize) at `x`, the paper's way.
     pub fn linearize_reference<T: NodeTransform<W>>(&mut self, x: &[f64], quadrics: &[Quadric], blended: Blended<'_>) {
-        self.fill(quadrics, blended.shapes.len(), |sample, quadric| strided::<T, W>(sample, quadric, x, blended));
+        let nb = blended.shapes.len();
+        vectorized(|| self.fill(quadrics, nb, |sample, quadric| strided::<T, W>(sample, quadric, x, blended)));
     }
 }
 
@@ -25,9 +27,9 @@ fn strided<T: NodeTransform<W>, const W: usize>(
     x: &[f64],
     Blended { graph, shapes, vertices }: Blended<'_>,
 ) {
-    let (nb, tangent) = (shapes.len(), W - 3);
+    let nb = shapes.len();
     let w = &x[graph.nodes().len() * T::Parameters::AMBIENT..];
-    let of_nodes = sample.y.len() * tangent;
+    let of_nodes = sample.slots * W;
     for first in (0..of_nodes + nb).step_by(STRIDE) {
         let seed = |k: usize, value: f64| {
             let d = Dual::from_re(value);
@@ -41,14 +43,12 @@ fn strided<T: NodeTransform<W>, const W: usize>(
             for k in 0..nb {
                 let w_k = seed(of_nodes + k, w[k]) - w[k];
                 for a in 0..3 {
-                    b[a] += w_k * slab[a * nb + k];
+                    b[a] += w_k * f64::from(slab[a * nb + k]);
                 }
             }
             for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
-                let seeds: [Dual; W] = std::array::from_fn(|t| {
-                    if t < tangent { seed(slot as usize * tangent + t, 0.0) } else { Dual::from_re(0.0) }
-                });
-                let map = moved_map::<T, W, _>(x, j as usize, &seeds[..tangent]);
+                let seeds: [Dual; W] = std::array::from_fn(|t| seed(slot as usize * W + t, 0.0));
+                let map = moved_map::<T, W, _>(x, j as usize, &seeds);
                 let x_j = graph.nodes()[j as usize];
                 let moved = map.apply(std::array::from_fn(|a| b[a] - x_j[a]));
                 for a in 0..3 {
@@ -61,16 +61,14 @@ fn strided<T: NodeTransform<W>, const W: usize>(
             let column = [jacobian[0][k - first], jacobian[1][k - first], jacobian[2][k - first]];
             let along = |row: &[f64; 3]| row[0] * column[0] + row[1] * column[1] + row[2] * column[2];
             if k < of_nodes {
-                let (slot, t) = (k / tangent, k % tangent);
+                let (slot, t) = (k / W, k % W);
                 for (r, row) in quadric.rows().iter().enumerate() {
-                    sample.y[slot][r][t] = along(row);
+                    sample.y[r * sample.slots + slot][t] = along(row);
                 }
-                sample.g[slot][t] = along(&quadric.gradient);
             } else {
                 for (r, row) in quadric.rows().iter().enumerate() {
                     sample.u[r * nb + k - of_nodes] = along(row);
                 }
-                sample.g_shapes[k - of_nodes] += along(&quadric.gradient);
             }
         }
     }

@@ -2,11 +2,11 @@
 
 use num_dual::DualSVec64;
 
-use super::samples::add_block;
-use super::{AffineMap, NodeGraph, NodeTransform, Stiffness, derivatives};
+use super::{AffineMap, MapJacobian, NodeGraph, NodeTransform, Stiffness, derivatives};
 use crate::energy::NamedEnergy;
 use crate::mesh::Vec3;
-use crate::nlls::{NormalEquations, Scalar};
+use crate::nlls::NormalEquations;
+use crate::nlls::dense_kernels::{add_block, vectorized};
 
 /// Where the edges of a graph enter the normal equations, and their Jacobians.
 pub(super) struct GraphRegulariser<const W: usize> {
@@ -30,14 +30,10 @@ struct EdgeJacobian<const W: usize> {
     target: [[f64; W]; 3],
 }
 
-/// Where both ends of edge (i, j) take node j: `T_i(x_j - x_i) + x_i` and `T_j(0) + x_j`. Their difference is the residual
-/// of (7); each depends on one end's tangent only.
+/// Residual of (7) of edge (i, j): where its ends take node j, `T_i(x_j - x_i) + x_i - T_j(0) - x_j`.
 #[inline(always)]
-fn ends<D: Scalar>(maps: &[AffineMap<D>], nodes: &[Vec3], (i, j): (u32, u32)) -> [[D; 3]; 2] {
-    let (xi, xj) = (nodes[i as usize], nodes[j as usize]);
-    let moved = maps[i as usize].apply(std::array::from_fn(|a| D::from(xj[a] - xi[a])));
-    let own = maps[j as usize].translation;
-    [std::array::from_fn(|a| moved[a] + xi[a]), std::array::from_fn(|a| own[a] + xj[a])]
+fn edge_residual(source: &AffineMap<f64>, target: &AffineMap<f64>, [xi, xj]: [Vec3; 2]) -> Vec3 {
+    Vec3::from(source.apply((xj - xi).into())) + xi - Vec3::from(target.translation) - xj
 }
 
 impl<const W: usize> GraphRegulariser<W> {
@@ -66,9 +62,9 @@ impl<const W: usize> GraphRegulariser<W> {
     ) {
         if !graph.edges().is_empty() {
             let mut sum = 0.0;
-            for &edge in graph.edges() {
-                let [moved, own] = ends(maps, graph.nodes(), edge).map(Vec3::from);
-                sum += (moved - own).norm_squared();
+            for &(i, j) in graph.edges() {
+                let [i, j] = [i as usize, j as usize];
+                sum += edge_residual(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]).norm_squared();
             }
             out.push(("graph smoothness (7)", stiffness.graph * sum));
         }
@@ -79,41 +75,57 @@ impl<const W: usize> GraphRegulariser<W> {
         out.extend(rotation.map(|sum| ("node rotation (Sumner)", self.rotation_weight(stiffness) * sum)));
     }
 
-    /// Adds gradient and Gauss-Newton Hessian of half the energies, at the nodes' maps with their tangents seeded.
+    /// Adds gradient and Gauss-Newton Hessian of half the energies, at the nodes' maps with their tangents seeded and at what
+    /// follows from these.
     pub fn add_to<T: NodeTransform<W>>(
         &mut self,
         graph: &NodeGraph,
-        seeded: &[AffineMap<DualSVec64<W>>],
+        (seeded, maps): (&[AffineMap<DualSVec64<W>>], &[MapJacobian<W>]),
         stiffness: &Stiffness,
         equations: &mut NormalEquations,
     ) {
-        self.edges.clear();
-        self.edges.extend(graph.edges().iter().map(|&edge| EdgeJacobian::new(ends(seeded, graph.nodes(), edge))));
+        let edges = &mut self.edges;
+        edges.clear();
+        vectorized(
+            #[inline(always)]
+            || {
+                for &(i, j) in graph.edges() {
+                    let [i, j] = [i as usize, j as usize];
+                    edges.push(EdgeJacobian::new(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]));
+                }
+            },
+        );
         let (edges, node_edges, lambda) = (&self.edges, &self.node_edges, stiffness.graph);
         let rotation = self.rotation_weight(stiffness);
         equations.for_each_block_row(&|j, row| {
-            let diagonal = row.blocks.len() - (W - 3) * (W - 3);
-            for at in &node_edges[j] {
-                let edge = &edges[at.edge as usize];
-                let (own, other) =
-                    if at.is_source { (&edge.source, &edge.target) } else { (&edge.target, &edge.source) };
-                for r in 0..3 {
-                    add_block(&mut row.blocks[diagonal..], &own[r], &own[r], lambda);
-                    if let Some(block) = at.block {
-                        add_block(&mut row.blocks[block as usize..], &own[r], &other[r], lambda);
+            vectorized(
+                #[inline(always)]
+                || {
+                    let diagonal = row.blocks.len() - W * W;
+                    for at in &node_edges[j] {
+                        let edge = &edges[at.edge as usize];
+                        let (own, other) =
+                            if at.is_source { (&edge.source, &edge.target) } else { (&edge.target, &edge.source) };
+                        add_block(&mut row.blocks[diagonal..], own.each_ref(), own.each_ref(), lambda);
+                        if let Some(block) = at.block {
+                            let block = &mut row.blocks[block as usize..][..W * W];
+                            add_block(block, own.each_ref(), other.each_ref(), lambda);
+                        }
+                        for (own, residual) in own.iter().zip(edge.residual) {
+                            for t in 0..W {
+                                row.gradient[t] += lambda * own[t] * residual;
+                            }
+                        }
                     }
-                    for t in 0..W - 3 {
-                        row.gradient[t] += lambda * own[r][t] * edge.residual[r];
+                    for r in T::rotation_residuals(&seeded[j]).iter().flatten() {
+                        let a = derivatives(r);
+                        add_block(&mut row.blocks[diagonal..], [&a], [&a], rotation);
+                        for t in 0..W {
+                            row.gradient[t] += rotation * a[t] * r.re;
+                        }
                     }
-                }
-            }
-            for r in T::rotation_residuals(&seeded[j]).iter().flatten() {
-                let a = derivatives(r);
-                add_block(&mut row.blocks[diagonal..], &a, &a, rotation);
-                for t in 0..W - 3 {
-                    row.gradient[t] += rotation * a[t] * r.re;
-                }
-            }
+                },
+            );
         });
     }
 
@@ -124,11 +136,18 @@ impl<const W: usize> GraphRegulariser<W> {
 }
 
 impl<const W: usize> EdgeJacobian<W> {
-    fn new([moved, own]: [[DualSVec64<W>; 3]; 2]) -> Self {
-        Self {
-            residual: std::array::from_fn(|a| moved[a].re - own[a].re),
-            source: moved.map(|d| derivatives(&d)),
-            target: own.map(|d| derivatives(&d).map(|d| -d)),
+    #[inline(always)]
+    fn new(source: &MapJacobian<W>, target: &MapJacobian<W>, [xi, xj]: [Vec3; 2]) -> Self {
+        let unit = |a: usize, length: f64| std::array::from_fn(|b| if a == b { length } else { 0.0 });
+        let mut edge = Self {
+            residual: edge_residual(&source.value, &target.value, [xi, xj]).into(),
+            source: [[0.0; W]; 3],
+            target: [[0.0; W]; 3],
+        };
+        for a in 0..3 {
+            source.add_pulled_back(unit(a, 1.0), (xj - xi).into(), &mut edge.source[a]);
+            target.add_pulled_back(unit(a, -1.0), [0.0; 3], &mut edge.target[a]);
         }
+        edge
     }
 }

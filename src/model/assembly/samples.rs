@@ -1,13 +1,11 @@
 //! The data side of the assembly: samples in chunks of fixed size, each the work of one task, with their Jacobians `Y_sj`
 //! and `U_s`, and the sums of their products that make `H`. All orders of summation are fixed.
 
-use num_dual::DualSVec64;
-
-use super::{AffineMap, NodeGraph, ShapeBasis, derivatives};
+use super::{MapJacobian, NodeGraph, ShapeBasis};
 use crate::energy::{Quadric, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::BlockRow;
-use crate::nlls::dense_kernels::{add_outer, vectorized};
+use crate::nlls::dense_kernels::{add_block, add_outer, rank_update_lower, vectorized};
 
 /// Samples (and vertices) that one task works on.
 pub(super) const CHUNK: usize = 512;
@@ -29,20 +27,23 @@ pub(super) struct SampleChunk<const W: usize> {
     nodes: Vec<u32>,
     /// For slots `p >= q` of a sample, where in block row `nodes[p]` block (`nodes[p]`, `nodes[q]`) starts.
     targets: Vec<u32>,
-    /// Rows of each sample's quadric in use, and where its rows start in `u`.
-    row_counts: Vec<u8>,
+    /// Where the rows of each sample's quadric start; one more for the end of the last.
     row_starts: Vec<u32>,
-    /// `Y_sj`: per slot up to three rows; entry `W - 3` and beyond unused.
-    y: Vec<[[f64; W]; 3]>,
-    /// `(dv_s/dT_j)' g_s` per slot.
-    g: Vec<[f64; W]>,
+    /// Where each sample's `Y_sj` start.
+    y_starts: Vec<u32>,
+    /// `Y_sj`: row by row of a sample's quadric, slot by slot.
+    y: Vec<[f64; W]>,
+    /// Residual of each row.
+    residuals: Vec<f64>,
     /// `U_s`: rows of nb.
-    pub u: Vec<f64>,
+    u: Vec<f64>,
     /// `sum_s (dv_s/dw)' g_s`.
     pub g_shapes: Vec<f64>,
 }
 
 struct SampleSlots {
+    /// Index in the problem's samples.
+    index: u32,
     corners: std::ops::Range<u32>,
     slots: std::ops::Range<u32>,
     targets: u32,
@@ -68,17 +69,14 @@ pub(super) struct NodeSample {
     slot: u32,
 }
 
-/// One sample's share of a chunk, cleared, for a linearisation to fill.
+/// One sample's share of a chunk, for a linearisation to fill.
 pub(super) struct SampleJacobian<'a, const W: usize> {
     pub corners: &'a [Corner],
-    /// `Y_sj` by slot.
-    pub y: &'a mut [[[f64; W]; 3]],
-    /// `(dv_s/dT_j)' g_s` by slot.
-    pub g: &'a mut [[f64; W]],
-    /// `U_s`, rows of nb.
+    /// `Y_sj`, cleared: row by row of the quadric, slot by slot.
+    pub y: &'a mut [[f64; W]],
+    pub slots: usize,
+    /// `U_s`, rows of nb; holds anything.
     pub u: &'a mut [f64],
-    /// To be added to, by all samples of the chunk: `sum_s (dv_s/dw)' g_s`.
-    pub g_shapes: &'a mut [f64],
 }
 
 /// The chunks of all samples. Adds the pairs of nodes that meet in a sample to `pairs`.
@@ -88,10 +86,10 @@ pub(super) fn chunks_of<const W: usize>(
     pairs: &mut Vec<(usize, usize)>,
 ) -> Vec<SampleChunk<W>> {
     let mut chunks = Vec::new();
-    for first in (0..samples.len()).step_by(CHUNK) {
+    for run in neighbours_together(samples, graph).chunks(CHUNK) {
         let mut chunk = SampleChunk::new();
-        for s in first..(first + CHUNK).min(samples.len()) {
-            let nodes = chunk.push(samples.corners(s), graph);
+        for &s in run {
+            let nodes = chunk.push(s, samples.corners(s as usize), graph);
             for (p, &j) in nodes.iter().enumerate() {
                 pairs.extend(nodes[..p].iter().map(|&k| (j as usize, k as usize)));
             }
@@ -99,6 +97,41 @@ pub(super) fn chunks_of<const W: usize>(
         chunks.push(chunk);
     }
     chunks
+}
+
+/// The samples in an order in which those that the same nodes move follow each other: nodes by breadth-first search along the
+/// graph's edges, at each the samples that it moves most. What a node then reads of its samples lies close together.
+fn neighbours_together(samples: &Samples, graph: &NodeGraph) -> Vec<u32> {
+    let count = graph.nodes().len();
+    let from = |j: u32| graph.edges().partition_point(|e| e.0 < j);
+    let mut rank = vec![usize::MAX; count];
+    let mut queue = Vec::with_capacity(count);
+    for seed in 0..count as u32 {
+        if rank[seed as usize] != usize::MAX {
+            continue;
+        }
+        let mut next = queue.len();
+        rank[seed as usize] = next;
+        queue.push(seed);
+        while next < queue.len() {
+            let j = queue[next];
+            next += 1;
+            for &(_, k) in graph.edges()[from(j)..].iter().take_while(|e| e.0 == j) {
+                if rank[k as usize] == usize::MAX {
+                    rank[k as usize] = queue.len();
+                    queue.push(k);
+                }
+            }
+        }
+    }
+    let strongest = |s: u32| {
+        let corner = samples.corners(s as usize).first()?;
+        let influence = graph.influences(corner.0 as usize).iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        Some(rank[influence.0 as usize])
+    };
+    let mut order: Vec<u32> = (0..samples.len() as u32).collect();
+    order.sort_by_cached_key(|&s| strongest(s));
+    order
 }
 
 /// The samples that each node moves. Tells the chunks where their blocks lie: `position(j, k)`, `j >= k`, is where block
@@ -129,17 +162,17 @@ impl<const W: usize> SampleChunk<W> {
             corners: Vec::new(),
             nodes: Vec::new(),
             targets: Vec::new(),
-            row_counts: Vec::new(),
             row_starts: Vec::new(),
+            y_starts: Vec::new(),
             y: Vec::new(),
-            g: Vec::new(),
+            residuals: Vec::new(),
             u: Vec::new(),
             g_shapes: Vec::new(),
         }
     }
 
     /// Adds a sample; returns the nodes that move it, ascending.
-    fn push(&mut self, corners: &[(u32, f64)], graph: &NodeGraph) -> &[u32] {
+    fn push(&mut self, index: u32, corners: &[(u32, f64)], graph: &NodeGraph) -> &[u32] {
         let mut nodes: Vec<u32> =
             corners.iter().flat_map(|c| graph.influences(c.0 as usize).iter().map(|i| i.0)).collect();
         nodes.sort_unstable();
@@ -153,43 +186,52 @@ impl<const W: usize> SampleChunk<W> {
         let start = self.nodes.len() as u32;
         self.nodes.extend(nodes);
         let slots = start..self.nodes.len() as u32;
-        self.samples.push(SampleSlots { corners: first..self.corners.len() as u32, slots, targets: 0 });
-        self.row_counts.push(0);
-        self.row_starts.push(0);
-        self.y.resize(self.nodes.len(), [[0.0; W]; 3]);
-        self.g.resize(self.nodes.len(), [0.0; W]);
+        self.samples.push(SampleSlots { index, corners: first..self.corners.len() as u32, slots, targets: 0 });
         &self.nodes[start as usize..]
     }
 
-    /// Clears the Jacobians, and has `fill` write those of every sample that has a quadric.
+    /// Lays out the Jacobians for the rows of the problem's `quadrics`, and has `fill` write those of every sample that has a quadric.
     #[inline(always)]
     pub fn fill(&mut self, quadrics: &[Quadric], nb: usize, mut fill: impl FnMut(SampleJacobian<'_, W>, &Quadric)) {
-        let mut rows = 0;
-        for (s, quadric) in quadrics.iter().enumerate() {
-            self.row_counts[s] = quadric.rows().len() as u8;
-            self.row_starts[s] = rows;
+        let (mut rows, mut blocks) = (0, 0);
+        self.row_starts.clear();
+        self.y_starts.clear();
+        self.residuals.clear();
+        for sample in &self.samples {
+            let quadric = &quadrics[sample.index as usize];
+            self.row_starts.push(rows);
+            self.y_starts.push(blocks);
+            self.residuals.extend(quadric.residuals());
             rows += quadric.rows().len() as u32;
+            blocks += (quadric.rows().len() * sample.slots().len()) as u32;
         }
-        self.u.clear();
+        self.row_starts.push(rows);
+        self.y.clear();
+        self.y.resize(blocks as usize, [0.0; W]);
         self.u.resize(rows as usize * nb, 0.0);
         self.g_shapes.clear();
         self.g_shapes.resize(nb, 0.0);
-        for (s, quadric) in quadrics.iter().enumerate() {
-            if quadric.rows().is_empty() {
+        for (s, sample) in self.samples.iter().enumerate() {
+            let quadric = &quadrics[sample.index as usize];
+            let count = quadric.rows().len();
+            if count == 0 {
                 continue;
             }
-            let sample = &self.samples[s];
-            let (y, g) = (&mut self.y[sample.slots()], &mut self.g[sample.slots()]);
-            y.fill([[0.0; W]; 3]);
-            g.fill([0.0; W]);
+            let slots = sample.slots().len();
+            let y = &mut self.y[self.y_starts[s] as usize..][..count * slots];
             let corners = &self.corners[sample.corners.start as usize..sample.corners.end as usize];
-            let u = &mut self.u[self.row_starts[s] as usize * nb..][..quadric.rows().len() * nb];
-            fill(SampleJacobian { corners, y, g, u, g_shapes: &mut self.g_shapes }, quadric);
+            let u = &mut self.u[self.row_starts[s] as usize * nb..][..count * nb];
+            fill(SampleJacobian { corners, y, slots, u: &mut *u }, quadric);
+            for (u, e) in u.chunks_exact(nb.max(1)).zip(quadric.residuals()) {
+                for (g, u) in self.g_shapes.iter_mut().zip(u) {
+                    *g = e.mul_add(*u, *g);
+                }
+            }
         }
     }
 
-    /// Duals of static width per node contribution; blendshapes enter as constant slabs.
-    pub fn linearize(&mut self, seeded: &[AffineMap<DualSVec64<W>>], quadrics: &[Quadric], blended: Blended<'_>) {
+    /// Forward-mode duals through every node's map, then the product rule; blendshapes enter as constant slabs.
+    pub fn linearize(&mut self, maps: &[MapJacobian<W>], quadrics: &[Quadric], blended: Blended<'_>) {
         vectorized(
             #[inline(always)]
             || {
@@ -197,10 +239,20 @@ impl<const W: usize> SampleChunk<W> {
                     quadrics,
                     blended.shapes.len(),
                     #[inline(always)]
-                    |sample, quadric| structured(sample, quadric, seeded, blended),
+                    |sample, quadric| structured(sample, quadric, maps, blended),
                 )
             },
         );
+    }
+
+    /// `lower(sum_s U_s' U_s)`.
+    pub fn border_product(&self, out: &mut [f64]) {
+        let rows = self.row_starts.last().map_or(0, |&r| r as usize);
+        rank_update_lower(&self.u, rows, self.g_shapes.len(), out);
+    }
+
+    fn rows_of(&self, s: usize) -> std::ops::Range<usize> {
+        self.row_starts[s] as usize..self.row_starts[s + 1] as usize
     }
 }
 
@@ -208,38 +260,40 @@ impl<const W: usize> SampleChunk<W> {
 fn structured<const W: usize>(
     sample: SampleJacobian<'_, W>,
     quadric: &Quadric,
-    seeded: &[AffineMap<DualSVec64<W>>],
+    maps: &[MapJacobian<W>],
     Blended { graph, shapes, vertices }: Blended<'_>,
 ) {
     let nb = shapes.len();
-    for corner in sample.corners {
+    for (c, corner) in sample.corners.iter().enumerate() {
         let i = corner.vertex as usize;
         // Rbar_i, scaled by the corner's weight.
         let mut rbar = [[0.0; 3]; 3];
         for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
-            let q = vertices[i] - graph.nodes()[j as usize];
-            let q = std::array::from_fn(|a| DualSVec64::from_re(q[a]).derivative(W - 3 + a));
-            let v = seeded[j as usize].apply(q);
-            let jacobian = v.map(|v| derivatives(&v).map(|d| corner.weight * omega * d));
+            let (map, slot, weight) = (&maps[j as usize], slot as usize, corner.weight * omega);
+            let q = (vertices[i] - graph.nodes()[j as usize]).into();
             for a in 0..3 {
                 for b in 0..3 {
-                    rbar[a][b] += jacobian[a][W - 3 + b];
+                    rbar[a][b] += weight * map.value.linear[a][b];
                 }
             }
-            for (y, row) in sample.y[slot as usize].iter_mut().zip(quadric.rows()) {
-                add_product(y, row, &jacobian);
+            for (r, row) in quadric.rows().iter().enumerate() {
+                map.add_pulled_back(row.map(|e| weight * e), q, &mut sample.y[r * sample.slots + slot]);
             }
-            add_product(&mut sample.g[slot as usize], &quadric.gradient, &jacobian);
         }
         if nb > 0 {
             let slab = shapes.vertex(i);
             for (u, row) in sample.u.chunks_exact_mut(nb).zip(quadric.rows()) {
+                if c == 0 {
+                    u.fill(0.0);
+                }
                 add_shape_row(u, times(row, &rbar), slab);
             }
-            add_shape_row(sample.g_shapes, times(&quadric.gradient, &rbar), slab);
         }
     }
 }
+
+/// Rows of Y and U that [`fill_row`] multiplies at a time.
+const BATCH: usize = 4;
 
 /// Adds to a node's block row the products `Y_sj' Y_sk` and `Y_sj' U_s` of its `samples`.
 pub(super) fn fill_row<const W: usize>(
@@ -256,57 +310,42 @@ pub(super) fn fill_row<const W: usize>(
 
 #[inline(always)]
 fn fill_row_inline<const W: usize>(chunks: &[SampleChunk<W>], samples: &[NodeSample], row: BlockRow<'_>, nb: usize) {
+    let mut y: [&[f64; W]; BATCH] = [&[0.0; W]; BATCH];
+    let mut u: [&[f64]; BATCH] = [&[]; BATCH];
+    let mut batched = 0;
     for at in samples {
         let chunk = &chunks[at.chunk as usize];
-        let s = at.sample as usize;
-        let rows = chunk.row_counts[s] as usize;
-        if rows == 0 {
+        let (s, p) = (at.sample as usize, at.slot as usize);
+        let rows = chunk.rows_of(s);
+        if rows.is_empty() {
             continue;
         }
         let sample = &chunk.samples[s];
-        let (first, p) = (sample.slots.start as usize, at.slot as usize);
-        let own = &chunk.y[first + p];
+        let slots = sample.slots();
+        let of_sample = &chunk.y[chunk.y_starts[s] as usize..][..rows.len() * slots.len()];
         let targets = &chunk.targets[sample.targets as usize + p * (p + 1) / 2..][..=p];
-        for (q, &target) in targets.iter().enumerate() {
-            let other = &chunk.y[first + q];
-            for r in 0..rows {
-                add_block(&mut row.blocks[target as usize..], &own[r], &other[r], 1.0);
+        for (of_row, e) in of_sample.chunks_exact(slots.len()).zip(&chunk.residuals[rows.clone()]) {
+            for t in 0..W {
+                row.gradient[t] = e.mul_add(of_row[p][t], row.gradient[t]);
             }
-        }
-        for (g, add) in row.gradient.iter_mut().zip(&chunk.g[first + p]) {
-            *g += add;
+            for (other, &target) in of_row.iter().zip(targets) {
+                add_block(&mut row.blocks[target as usize..][..W * W], [&of_row[p]], [other], 1.0);
+            }
         }
         if nb > 0 {
-            let u = &chunk.u[chunk.row_starts[s] as usize * nb..];
-            match rows {
-                1 => add_outer([&own[0]], [&u[..nb]], row.cross, W - 3),
-                2 => add_outer([&own[0], &own[1]], [&u[..nb], &u[nb..2 * nb]], row.cross, W - 3),
-                _ => add_outer(
-                    [&own[0], &own[1], &own[2]],
-                    [&u[..nb], &u[nb..2 * nb], &u[2 * nb..3 * nb]],
-                    row.cross,
-                    W - 3,
-                ),
+            for (r, at) in rows.enumerate() {
+                y[batched] = &of_sample[r * slots.len() + p];
+                u[batched] = &chunk.u[at * nb..][..nb];
+                batched += 1;
+                if batched == BATCH {
+                    add_outer(y, u, row.cross);
+                    batched = 0;
+                }
             }
         }
     }
-}
-
-/// `block += scale left right'`, the first `W - 3` entries of each.
-#[inline(always)]
-pub(super) fn add_block<const W: usize>(block: &mut [f64], left: &[f64; W], right: &[f64; W], scale: f64) {
-    for (row, l) in block.chunks_exact_mut(W - 3).zip(&left[..W - 3]) {
-        for (h, r) in row.iter_mut().zip(&right[..W - 3]) {
-            *h += scale * l * r;
-        }
-    }
-}
-
-/// `out += row jacobian` over the tangent columns.
-#[inline(always)]
-fn add_product<const W: usize>(out: &mut [f64; W], row: &[f64; 3], jacobian: &[[f64; W]; 3]) {
-    for t in 0..W - 3 {
-        out[t] += row[0] * jacobian[0][t] + row[1] * jacobian[1][t] + row[2] * jacobian[2][t];
+    for (y, u) in y.iter().zip(u).take(batched) {
+        add_outer([y], [u], row.cross);
     }
 }
 
@@ -317,11 +356,12 @@ fn times(row: &[f64; 3], m: &[[f64; 3]; 3]) -> [f64; 3] {
 
 /// `out += c' slab` for a `3 x nb` slab.
 #[inline(always)]
-fn add_shape_row(out: &mut [f64], c: [f64; 3], slab: &[f64]) {
+fn add_shape_row(out: &mut [f64], c: [f64; 3], slab: &[f32]) {
     let nb = out.len();
     let (s0, rest) = slab.split_at(nb);
     let (s1, s2) = rest.split_at(nb);
     for k in 0..nb {
-        out[k] += c[0] * s0[k] + c[1] * s1[k] + c[2] * s2[k];
+        let [d0, d1, d2] = [s0[k], s1[k], s2[k]].map(f64::from);
+        out[k] = c[2].mul_add(d2, c[1].mul_add(d1, c[0].mul_add(d0, out[k])));
     }
 }

@@ -329,7 +329,7 @@ impl Element {
                             self.y[at as usize * rows + first + r] += y;
                         }
                     }
-                    for (g, &at) in along(&quadric.gradient).iter().zip(coordinates) {
+                    for (g, &at) in along(&quadric.gradient()).iter().zip(coordinates) {
                         self.g[at as usize] += g;
                     }
                 }

@@ -13,11 +13,11 @@ use std::sync::Arc;
 
 use faer::dyn_stack::StackReq;
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
-use faer::sparse::linalg::amd;
 use faer::sparse::linalg::cholesky::{simplicial, supernodal};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{MatRef, Par};
 
+use super::ordering::block_ordering;
 use super::scratch::Scratch;
 use super::vector::{axpy, dot};
 use super::{damping_at, pivot_is_sound};
@@ -328,24 +328,6 @@ impl<'a> Supernode<'a> {
     pub(super) fn parts(&self) -> (MatRef<'a, f64>, MatRef<'a, f64>) {
         MatRef::from_column_major_slice(self.values, self.height(), self.width).split_at_row(self.width)
     }
-}
-
-/// Approximate minimum degree on the graph of blocks: `order[p]` is the block eliminated as the `p`-th.
-fn block_ordering(s: &BlockStructure) -> Vec<usize> {
-    let n = s.block_count();
-    // Row i of the lower triangle lists columns j <= i: read as a compressed column, it is the upper triangle.
-    let mut starts = vec![0];
-    let mut rows = Vec::with_capacity(s.slot_count());
-    for i in 0..n {
-        rows.extend_from_slice(s.row(i));
-        starts.push(rows.len());
-    }
-    let graph = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
-    let (mut order, mut inverse) = (vec![0usize; n], vec![0usize; n]);
-    let mut memory = Scratch::new(amd::order_scratch::<usize>(n, graph.row_idx().len()));
-    amd::order(&mut order, &mut inverse, graph.as_ref(), amd::Control::default(), memory.stack())
-        .expect("the index type is as wide as the memory that holds the pattern");
-    order
 }
 
 /// Elimination tree, column counts and supernodes of the matrix whose upper triangle is given.
