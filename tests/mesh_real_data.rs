@@ -37,7 +37,7 @@ fn the_face_rig() {
     let jaw = rig.find("jawOpen").unwrap();
     let column = selected.shapes().iter().position(|s| s.name == "jawOpen").unwrap();
     for (row, delta) in rig.deltas(jaw).iter().enumerate() {
-        assert_eq!(selected.vertex(row / 3)[row % 3 * nb + column], f64::from(*delta));
+        assert_eq!(selected.vertex(row / 3)[row % 3 * nb + column], *delta);
     }
     assert!(rig.info()[jaw].max_displacement > 5.0);
 

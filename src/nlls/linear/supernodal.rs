@@ -11,19 +11,19 @@
 
 use std::sync::Arc;
 
+use faer::MatRef;
 use faer::dyn_stack::StackReq;
-use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
+use faer::sparse::SymbolicSparseColMat;
 use faer::sparse::linalg::cholesky::{simplicial, supernodal};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
-use faer::{MatRef, Par};
 
+use super::multifrontal::Multifrontal;
 use super::ordering::block_ordering;
 use super::scratch::Scratch;
 use super::vector::{axpy, dot};
 use super::{damping_at, pivot_is_sound};
 use crate::nlls::{BlockStructure, NormalEquations};
 
-/// Where one stored block goes in the permuted matrix.
+/// Where one stored block goes in the factor's memory.
 #[derive(Debug, Clone, Copy)]
 struct Placement {
     /// Position of its first value.
@@ -42,12 +42,9 @@ pub(super) struct SupernodalFactor {
     /// Inverse of `position`.
     coordinate: Vec<usize>,
     placements: Vec<Placement>,
-    /// Lower triangle of the permuted matrix; diagonal blocks are stored whole, their upper triangle is never read.
-    pattern: SymbolicSparseColMat<usize>,
-    values: Vec<f64>,
     symbolic: supernodal::SymbolicSupernodalCholesky<usize>,
+    numeric: Multifrontal,
     factor: Vec<f64>,
-    memory: Scratch,
     gathered: Vec<f64>,
 }
 
@@ -74,35 +71,12 @@ impl SupernodalFactor {
             }
         }
 
-        // Block columns of the permuted lower triangle: (row rank, slot, transposed), and of the upper one.
-        let mut lower: Vec<Vec<(usize, usize, bool)>> = vec![Vec::new(); order.len()];
         let mut upper: Vec<Vec<usize>> = vec![Vec::new(); order.len()];
         for i in 0..s.block_count() {
-            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
-                let (row, col) = (rank[i].max(rank[j]), rank[i].min(rank[j]));
-                lower[col].push((row, slot, rank[i] < rank[j]));
-                upper[row].push(col);
+            for &j in s.row(i) {
+                upper[rank[i].max(rank[j])].push(rank[i].min(rank[j]));
             }
         }
-        let size = |p: usize| starts[p + 1] - starts[p];
-        let mut placements = vec![Placement { start: 0, stride: 0, transposed: false }; s.slot_count()];
-        let (mut col_starts, mut rows) = (vec![0], Vec::new());
-        for p in 0..order.len() {
-            lower[p].sort_unstable();
-            let stride = lower[p].iter().map(|&(row, ..)| size(row)).sum();
-            let mut start = rows.len();
-            for &(row, slot, transposed) in &lower[p] {
-                placements[slot] = Placement { start, stride, transposed };
-                start += size(row);
-            }
-            for _ in 0..size(p) {
-                rows.extend(lower[p].iter().flat_map(|&(row, ..)| starts[row]..starts[row + 1]));
-                col_starts.push(rows.len());
-            }
-        }
-        let values = vec![0.0; rows.len()];
-        let pattern = SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows);
-
         let (mut col_starts, mut rows) = (vec![0], Vec::new());
         for p in 0..order.len() {
             upper[p].sort_unstable();
@@ -111,21 +85,39 @@ impl SupernodalFactor {
                 col_starts.push(rows.len());
             }
         }
-        let upper = SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows);
-        let symbolic = symbolic_cholesky(&upper);
+        let symbolic = symbolic_cholesky(&SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows));
 
-        let scratch =
-            supernodal::factorize_supernodal_numeric_llt_scratch::<usize, f64>(&symbolic, Par::Seq, Default::default());
+        let mut owner = vec![0; n];
+        for k in 0..symbolic.n_supernodes() {
+            owner[symbolic.supernode_begin()[k]..symbolic.supernode_end()[k]].fill(k);
+        }
+        // A block's columns lie in one supernode and its rows follow each other there: both come whole.
+        let place = |i: usize, j: usize| {
+            let (row, col) = (starts[rank[i].max(rank[j])], starts[rank[i].min(rank[j])]);
+            let k = owner[col];
+            let (begin, end) = (symbolic.supernode_begin()[k], symbolic.supernode_end()[k]);
+            let pattern = symbolic.supernode(k).pattern();
+            let below = || pattern.binary_search(&row).expect("proven: the factor has the matrix' entries");
+            let local = if row < end { row - begin } else { end - begin + below() };
+            let stride = end - begin + pattern.len();
+            Placement {
+                start: symbolic.col_ptr_for_val()[k] + (col - begin) * stride + local,
+                stride,
+                transposed: rank[i] < rank[j],
+            }
+        };
+        let placements = (0..s.block_count())
+            .flat_map(|i| s.row(i).iter().map(move |&j| (i, j)))
+            .map(|(i, j)| place(i, j))
+            .collect();
         let longest = (0..symbolic.n_supernodes()).map(|k| symbolic.supernode(k).pattern().len()).max().unwrap_or(0);
         Self {
             position,
             coordinate,
             placements,
-            pattern,
-            values,
+            numeric: Multifrontal::new(&symbolic),
             factor: vec![0.0; symbolic.len_val()],
             symbolic,
-            memory: Scratch::new(scratch),
             gathered: vec![0.0; longest],
         }
     }
@@ -143,6 +135,7 @@ impl SupernodalFactor {
     /// Refills the matrix and factorises it. Returns the number of weak pivots, or the tangent coordinate that broke it.
     pub(super) fn factorize(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
         let s = equations.structure();
+        self.factor.fill(0.0);
         for i in 0..s.block_count() {
             for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
                 let block = &equations.blocks[s.values(slot)];
@@ -150,12 +143,12 @@ impl SupernodalFactor {
                 let columns = s.size(j);
                 if transposed {
                     for (r, row) in block.chunks_exact(columns).enumerate() {
-                        self.values[start + r * stride..][..columns].copy_from_slice(row);
+                        self.factor[start + r * stride..][..columns].copy_from_slice(row);
                     }
                 } else {
                     for (r, row) in block.chunks_exact(columns).enumerate() {
                         for (c, v) in row.iter().enumerate() {
-                            self.values[start + c * stride + r] = *v;
+                            self.factor[start + c * stride + r] = *v;
                         }
                     }
                 }
@@ -163,19 +156,10 @@ impl SupernodalFactor {
             // The diagonal block is the last of its row.
             let diagonal = self.placements[s.row_slots(i).end - 1];
             for a in 0..s.size(i) {
-                self.values[diagonal.start + a * (diagonal.stride + 1)] += damping_at(damping, s.offset(i) + a);
+                self.factor[diagonal.start + a * (diagonal.stride + 1)] += damping_at(damping, s.offset(i) + a);
             }
         }
-        supernodal::factorize_supernodal_numeric_llt(
-            &mut self.factor,
-            SparseColMatRef::new(self.pattern.as_ref(), &self.values),
-            LltRegularization::default(),
-            &self.symbolic,
-            Par::Seq,
-            self.memory.stack(),
-            Default::default(),
-        )
-        .map_err(|LltError::NonPositivePivot { index }| self.coordinate[index])?;
+        self.numeric.factorize(&mut self.factor).map_err(|column| self.coordinate[column])?;
         let mut weak = 0;
         for k in 0..self.symbolic.n_supernodes() {
             let node = self.supernode(k);
