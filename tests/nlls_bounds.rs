@@ -127,8 +127,8 @@ impl<P: Problem> Problem for Watched<P> {
     }
 }
 
-fn algorithms() -> [Options; 2] {
-    [Options::gauss_newton(), Options::levenberg_marquardt()]
+fn algorithms() -> [Options; 3] {
+    [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()]
         .map(|o| o.with_max_iterations(200).with_energy_tolerance(0.0))
 }
 

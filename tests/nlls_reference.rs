@@ -37,7 +37,7 @@ const MISRA_1A: [(f64, f64); 14] = [
 #[test]
 fn misra_1a() {
     for start in [[500.0, 0.0001], [250.0, 0.0005]] {
-        for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
+        for options in [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()] {
             let mut builder = ResidualProblem::builder();
             let b = builder.add_border_block::<Euclidean<2>>(&start);
             let residuals = MISRA_1A.iter().map(|&(x, y)| Misra1a { x, y }).collect();

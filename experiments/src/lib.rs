@@ -3,6 +3,8 @@
 pub mod compare_rigs;
 pub mod first;
 pub mod generated;
+pub mod more_garbow_hillstrom;
+pub mod nist;
 pub mod random_pose;
 pub mod real_scans;
 pub mod remesh;

@@ -5,7 +5,10 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use experiments::{compare_rigs, first, real_scans, scan_bench_command, schedule_search, solver_case, start_bench};
+use experiments::{
+    compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scan_bench_command, schedule_search, solver_case,
+    start_bench,
+};
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::registration::RegistrationError;
 
@@ -38,6 +41,10 @@ enum Command {
     SolverCase(solver_case::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs(compare_rigs::Arguments),
+    /// Fit NIST's certified nonlinear regression problems: matching digits of Levenberg-Marquardt and dogleg
+    Nist(nist::Arguments),
+    /// Minimise the More-Garbow-Hillstrom problems from their standard starts and from ten times these
+    MoreGarbowHillstrom(more_garbow_hillstrom::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -56,6 +63,8 @@ fn main() -> ExitCode {
         Some(Command::SearchSchedules(a)) => on_threads(a.threads).and_then(|()| schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads).and_then(|()| solver_case::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
+        Some(Command::Nist(a)) => nist::run(a),
+        Some(Command::MoreGarbowHillstrom(a)) => more_garbow_hillstrom::run(a),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
     eprintln!("error: {e:#}");

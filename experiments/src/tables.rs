@@ -7,6 +7,7 @@ use anyhow::Result;
 use comfy_table::{CellAlignment, Table, presets};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
+use nonrigid::nlls::{Convergence, StopReason};
 use serde_json::Value;
 
 use crate::scan_bench::{BenchRow, summarize};
@@ -74,6 +75,22 @@ pub fn table(header: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> Ta
     table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header).add_rows(rows);
     table.column_iter_mut().skip(1).for_each(|c| c.set_cell_alignment(CellAlignment::Right));
     table
+}
+
+/// Why a minimisation ended, in a word for a table.
+#[must_use]
+pub fn stop_word(stop: &StopReason) -> &'static str {
+    match stop {
+        StopReason::Converged(Convergence::Energy) => "energy",
+        StopReason::Converged(Convergence::Step) => "step",
+        StopReason::Converged(Convergence::Gradient) => "gradient",
+        StopReason::MaxIterations => "max. steps",
+        StopReason::NoDecrease => "no decrease",
+        StopReason::LinearSolverFailed(_) => "singular",
+        StopReason::NonFinite => "not finite",
+        StopReason::StoppedByObserver => "observer",
+        StopReason::InvalidBounds(_) => "bounds",
+    }
 }
 
 /// Every row of [`scan_bench`](crate::scan_bench::scan_bench): errors in millimetres, seconds.

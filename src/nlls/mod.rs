@@ -51,7 +51,7 @@ pub use kernel::{Kernel, RobustKernel, Scaled, check_kernel, mad_scale};
 pub use linear::{LinearError, LinearSolver, LinearSolverKind};
 pub use manifold::{Euclidean, Manifold, PointArray, Se3, Sim3, So3, UnitQuaternion, check_manifold, so3};
 pub use minimizer::{
-    Algorithm, Convergence, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Observer, Options,
+    Algorithm, Convergence, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Observer, Options,
     ProblemSize, Silent, StageTimes, StopReason, Summary, Workspace,
 };
 pub use normal_equations::{BlockRow, NormalEquations};

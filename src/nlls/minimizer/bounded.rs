@@ -36,7 +36,7 @@ impl Bounds {
         if fresh {
             self.step = None;
         }
-        if !self.lower.is_empty() && self.step.is_none() {
+        if self.any() && self.step.is_none() {
             self.step = Some(BoundedStep::new(equations, solver));
         }
     }
@@ -69,10 +69,15 @@ impl Bounds {
         bounded.solve(solver, equations, damping, [&self.step_lower, &self.step_upper], step)
     }
 
-    /// Takes rounding out of x after `scale` times the step: inside, and where a full step ends at a bound, the bound itself.
-    pub(super) fn settle(&self, x: &mut [f64], scale: f64) {
+    /// Whether there are bounds.
+    pub(super) fn any(&self) -> bool {
+        !self.lower.is_empty()
+    }
+
+    /// Takes rounding out of x after a step: inside, and where the `whole` step of the last solve ends at a bound, the bound itself.
+    pub(super) fn settle(&self, x: &mut [f64], whole: bool) {
         self.project(x);
-        let Some(step) = self.step.as_ref().filter(|_| scale == 1.0 && !self.lower.is_empty()) else { return };
+        let Some(step) = self.step.as_ref().filter(|_| whole && self.any()) else { return };
         for (k, side) in step.sides().iter().enumerate() {
             match side {
                 Side::Free => {}

@@ -12,7 +12,7 @@
 
 use std::ops::ControlFlow;
 
-use super::run::{Proposal, Run};
+use super::run::{Outcome, Proposal, Run};
 use super::{Convergence, GaussNewton, StopReason};
 use crate::nlls::Problem;
 
@@ -28,7 +28,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         if run.gradient_norm() <= run.options.gradient_tolerance {
             return StopReason::Converged(Convergence::Gradient);
         }
-        if let Err(error) = run.solve(0.0, 0.0) {
+        if let Err(error) = run.solve(0.0) {
             return StopReason::LinearSolverFailed(error);
         }
         let Proposal { slope, predicted, curvature, step_norm, step_is_small } = run.proposal();
@@ -38,7 +38,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         let mut accepted = None;
         let mut scale = 1.0;
         for _ in 0..=options.max_halvings {
-            let trial = run.try_step(scale);
+            let trial = run.try_step(scale, scale == 1.0);
             // The comparison with `energy` keeps the sequence monotone even when the slope is lost in rounding.
             if trial <= energy + options.sufficient_decrease * scale * slope && trial <= energy {
                 accepted = Some(trial);
@@ -53,7 +53,16 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         run.accept(trial);
         let decrease = energy - trial;
         let gain = decrease / (scale * (-slope - scale * curvature));
-        if run.record(decrease, scale * step_norm, scale, 0.0, gain, true) == ControlFlow::Break(()) {
+        let outcome = Outcome {
+            decrease,
+            step_norm: scale * step_norm,
+            step_scale: scale,
+            lambda: 0.0,
+            radius: f64::INFINITY,
+            gain,
+            accepted: true,
+        };
+        if run.record(outcome) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
         // A small decrease after halvings is no proof of convergence unless the model expected no more.

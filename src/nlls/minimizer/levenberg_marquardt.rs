@@ -1,54 +1,71 @@
-//! Levenberg-Marquardt with Marquardt's scaling and Nielsen's update of the damping.
+//! Levenberg-Marquardt with Marquardt's scaling, a fading memory of it, Nielsen's decrease of the damping and a patient increase.
 //!
 //! ```text
-//!     (H + lambda D) d = -g            D = max(diag H, min_diagonal max_j H_jj), in all blocks, border included
+//!     (H + lambda D) d = -g            in all blocks, border included
+//!     D_i = max(H_ii, memory D_i)      at every linearisation
 //!     predicted = -2 g'd - d'Hd        decrease of E by the undamped quadratic model (H and g are those of E/2)
 //!     gain = (E(x) - E(x + d)) / predicted
-//!     accepted:  lambda <- lambda max(1/3, 1 - (2 gain - 1)^3),  nu <- 2
-//!     rejected:  lambda <- lambda nu,  nu <- 2 nu                without linearising again
+//!     accepted:  lambda <- lambda max(1/3, 1 - (2 gain - 1)^3)
+//!     rejected:  lambda <- 2 lambda    without linearising again; from the tenth rejection in a row on with growing factors 4, 8, ..
 //! ```
 //!
-//! K. Madsen, H. B. Nielsen, O. Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2; D. Marquardt 1963.
+//! Memory 0 is Marquardt's D, memory 1 is More's. Without memory, a parameter that has wandered to where it has no effect (the
+//! rate of a decay that is over before the first sample) is not damped and never returns; with a full one, a large derivative at
+//! the start brakes a parameter for ever. Small increases find the largest step that succeeds, which is worth a few trials: a
+//! step that is too short costs a linearisation.
+//!
+//! D. Marquardt 1963; J. More, "The Levenberg-Marquardt algorithm: implementation and theory", 1978; K. Madsen, H. B. Nielsen,
+//! O. Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2; M. Transtrum, J. Sethna, "Improvements to the
+//! Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012 ("delayed gratification").
 
 use std::ops::ControlFlow;
 
-use super::run::{Proposal, Run};
+use super::run::{Outcome, Proposal, Run};
 use super::{Convergence, LevenbergMarquardt, StopReason};
 use crate::nlls::{LinearError, Problem};
+
+/// What a rejected step multiplies the damping by.
+const GROWTH: f64 = 2.0;
+
+/// So many steps are rejected in a row before that factor doubles with each.
+const PATIENCE: usize = 10;
 
 pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &LevenbergMarquardt) -> StopReason {
     let mut energy = match run.start() {
         Ok(energy) => energy,
         Err(stop) => return stop,
     };
+    run.rescale(options.memory);
     let mut lambda = options.initial_lambda;
-    if let (true, Some(last)) = (options.reuse_lambda, *run.lambda()) {
+    if let (true, Some(last)) = (options.reuse_lambda, *run.lambda) {
         lambda = last.clamp(options.min_lambda, options.max_lambda);
     }
-    let mut nu = 2.0;
+    let mut nu = GROWTH;
+    let mut rejections = 0;
     let mut stale = false;
     let mut failure = None;
     for _ in 0..run.options.max_iterations {
         if stale {
             energy = run.linearize();
+            run.rescale(options.memory);
             stale = false;
         }
         if run.gradient_norm() <= run.options.gradient_tolerance {
             return StopReason::Converged(Convergence::Gradient);
         }
         if lambda > options.max_lambda {
-            return failure.map_or_else(|| stuck(run, energy), StopReason::LinearSolverFailed);
+            return failure.map_or_else(|| run.stuck(energy), StopReason::LinearSolverFailed);
         }
         let used = lambda;
         let (mut trial, mut gain, mut proposal) = (f64::INFINITY, f64::NAN, Proposal::default());
-        match run.solve(used, options.min_diagonal) {
+        match run.solve(used) {
             Ok(()) => {
                 failure = None;
                 proposal = run.proposal();
                 if proposal.predicted <= f64::EPSILON * energy {
-                    return stuck(run, energy);
+                    return run.stuck(energy);
                 }
-                trial = run.try_step(1.0);
+                trial = run.try_step(1.0, true);
                 gain = (energy - trial) / proposal.predicted;
             }
             Err(error @ LinearError::NonFinite { .. }) => return StopReason::LinearSolverFailed(error),
@@ -60,33 +77,35 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             run.accept(trial);
             stale = true;
             lambda = (lambda * (1.0 / 3.0_f64).max(1.0 - (2.0 * gain - 1.0).powi(3))).max(options.min_lambda);
-            nu = 2.0;
+            nu = GROWTH;
+            rejections = 0;
         } else {
             lambda *= nu;
-            nu *= 2.0;
+            rejections += 1;
+            if rejections >= PATIENCE {
+                nu *= 2.0;
+            }
         }
-        *run.lambda() = Some(lambda.min(options.max_lambda));
+        *run.lambda = Some(lambda.min(options.max_lambda));
         let decrease = if accepted { energy - trial } else { 0.0 };
-        let flow = run.record(decrease, proposal.step_norm, 1.0, used, gain, accepted);
-        if flow == ControlFlow::Break(()) {
+        let outcome = Outcome {
+            decrease,
+            step_norm: proposal.step_norm,
+            step_scale: 1.0,
+            lambda: used,
+            radius: f64::INFINITY,
+            gain,
+            accepted,
+        };
+        if run.record(outcome) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
         if accepted && decrease <= run.options.energy_tolerance * energy {
             return StopReason::Converged(Convergence::Energy);
         }
         if failure.is_none() && proposal.step_is_small {
-            return if accepted { StopReason::Converged(Convergence::Step) } else { stuck(run, energy) };
+            return if accepted { StopReason::Converged(Convergence::Step) } else { run.stuck(energy) };
         }
     }
     StopReason::MaxIterations
-}
-
-/// No step is left that could lower the energy by more than rounding. Damped steps are short wherever one stands, so whether
-/// this is the minimum is judged by the decrease that undamped coordinate steps promise.
-fn stuck<P: Problem + ?Sized>(run: &Run<'_, P>, energy: f64) -> StopReason {
-    if run.attainable() <= run.options.energy_tolerance.max(f64::EPSILON) * energy {
-        StopReason::Converged(Convergence::Energy)
-    } else {
-        StopReason::NoDecrease
-    }
 }

@@ -8,6 +8,7 @@ use super::linear::BorderedCholesky;
 use super::{BlockStructure, LinearSolver, LinearSolverKind, NormalEquations, OptionError, Problem};
 
 mod bounded;
+pub mod dogleg;
 pub mod gauss_newton;
 pub mod levenberg_marquardt;
 mod observer;
@@ -16,7 +17,7 @@ mod run;
 mod summary;
 
 pub use observer::{Observer, Silent};
-pub use options::{Algorithm, GaussNewton, LevenbergMarquardt, Options};
+pub use options::{Algorithm, Dogleg, GaussNewton, LevenbergMarquardt, Options};
 pub use summary::{Convergence, IterationRecord, ProblemSize, StageTimes, StopReason, Summary};
 
 use run::{Buffers, Run};
@@ -110,6 +111,7 @@ impl Minimizer {
         let stop = match &self.options.algorithm {
             Algorithm::GaussNewton(options) => gauss_newton::minimize(&mut run, options),
             Algorithm::LevenbergMarquardt(options) => levenberg_marquardt::minimize(&mut run, options),
+            Algorithm::Dogleg(options) => dogleg::minimize(&mut run, options),
         };
         run.finish(stop);
         workspace.summary.total_time = clock.elapsed();
@@ -128,6 +130,7 @@ pub struct Workspace {
     buffers: Buffers,
     summary: Summary,
     lambda: Option<f64>,
+    radius: Option<f64>,
 }
 
 impl Default for Workspace {
@@ -148,6 +151,7 @@ impl Workspace {
             buffers: Buffers::default(),
             summary: Summary::empty(),
             lambda: None,
+            radius: None,
         }
     }
 
@@ -173,6 +177,12 @@ impl Workspace {
     #[must_use]
     pub fn lambda(&self) -> Option<f64> {
         self.lambda
+    }
+
+    /// Trust-region radius of dogleg at the end of the last minimisation, in its scaled norm.
+    #[must_use]
+    pub fn radius(&self) -> Option<f64> {
+        self.radius
     }
 
     /// [`border_covariance`](super::border_covariance) of `problem` at `x`, with the workspace's equations and factor.
@@ -210,6 +220,7 @@ impl Workspace {
         if !self.equations.as_ref().is_some_and(fits) {
             self.equations = Some(NormalEquations::new(structure.clone()));
             self.lambda = None;
+            self.radius = None;
             fresh = true;
             if !self.own_solver {
                 self.solver = None;
@@ -226,5 +237,7 @@ impl Workspace {
     }
 }
 
+#[cfg(test)]
+mod awkward_tests;
 #[cfg(test)]
 mod tests;

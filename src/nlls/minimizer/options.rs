@@ -12,6 +12,8 @@ pub enum Algorithm {
     GaussNewton(GaussNewton),
     /// Damped steps.
     LevenbergMarquardt(LevenbergMarquardt),
+    /// Steps within a trust region.
+    Dogleg(Dogleg),
 }
 
 /// Settings of [Gauss-Newton](super::gauss_newton).
@@ -34,7 +36,7 @@ impl Default for GaussNewton {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LevenbergMarquardt {
-    /// Damping at the start, relative to the diagonal of H. Default 1e-4.
+    /// Damping at the start, relative to the diagonal of H. Default 1e-2, as Marquardt's.
     pub initial_lambda: f64,
     /// Damping never falls below this. Default 1e-16.
     pub min_lambda: f64,
@@ -42,8 +44,9 @@ pub struct LevenbergMarquardt {
     pub max_lambda: f64,
     /// A step is accepted if it achieves more than this share of the predicted decrease. Default 1e-3.
     pub min_gain: f64,
-    /// Diagonal entries of H smaller than this share of the largest are damped as if they had this size. Default 1e-12.
-    pub min_diagonal: f64,
+    /// Share of its scaling that a coordinate keeps from one linearisation to the next when its entry on the diagonal of H
+    /// falls: 0 is Marquardt's scaling, 1 is More's. Default 0.9.
+    pub memory: f64,
     /// Start from the damping that the last run in the same workspace ended with. Default false; for alternations that run one
     /// iteration at a time.
     pub reuse_lambda: bool,
@@ -52,13 +55,39 @@ pub struct LevenbergMarquardt {
 impl Default for LevenbergMarquardt {
     fn default() -> Self {
         Self {
-            initial_lambda: 1e-4,
+            initial_lambda: 1e-2,
             min_lambda: 1e-16,
             max_lambda: 1e16,
             min_gain: 1e-3,
-            min_diagonal: 1e-12,
+            memory: 0.9,
             reuse_lambda: false,
         }
+    }
+}
+
+/// Settings of [dogleg](super::dogleg).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Dogleg {
+    /// Radius of the trust region at the start, as a share of `sqrt(E)`: `|d|_D` is roughly the change of the residuals.
+    /// Default 3.
+    pub initial_radius: f64,
+    /// A step is accepted if it achieves more than this share of the predicted decrease. Default 1e-3.
+    pub min_gain: f64,
+    /// As [`LevenbergMarquardt::memory`]. Default 0.7.
+    pub memory: f64,
+    /// Damping, relative to the diagonal of H, of the first attempt after H could not be factorised. Default 1e-12.
+    pub min_mu: f64,
+    /// When the damping rises above this, there is no Gauss-Newton point. Default 1.
+    pub max_mu: f64,
+    /// Start from the radius that the last run in the same workspace ended with. Default false; for alternations that run one
+    /// iteration at a time.
+    pub reuse_radius: bool,
+}
+
+impl Default for Dogleg {
+    fn default() -> Self {
+        Self { initial_radius: 3.0, min_gain: 1e-3, memory: 0.7, min_mu: 1e-12, max_mu: 1.0, reuse_radius: false }
     }
 }
 
@@ -113,6 +142,12 @@ impl Options {
     #[must_use]
     pub fn levenberg_marquardt() -> Self {
         Self::default()
+    }
+
+    /// Dogleg with its defaults.
+    #[must_use]
+    pub fn dogleg() -> Self {
+        Self::default().with_algorithm(Algorithm::Dogleg(Dogleg::default()))
     }
 
     /// Sets [`algorithm`](Self::algorithm).
@@ -185,8 +220,15 @@ impl Options {
                 let within = (low..=high).contains(&start);
                 check(within, "levenberg_marquardt.initial_lambda", start, "in [min_lambda, max_lambda]")?;
                 check((0.0..1.0).contains(&o.min_gain), "levenberg_marquardt.min_gain", o.min_gain, "in [0, 1)")?;
-                let d = o.min_diagonal;
-                check(d > 0.0 && d <= 1.0, "levenberg_marquardt.min_diagonal", d, "in (0, 1]")
+                check((0.0..=1.0).contains(&o.memory), "levenberg_marquardt.memory", o.memory, "in [0, 1]")
+            }
+            Algorithm::Dogleg(o) => {
+                let (r, low, high) = (o.initial_radius, o.min_mu, o.max_mu);
+                check(r > 0.0 && r.is_finite(), "dogleg.initial_radius", r, "positive and finite")?;
+                check((0.0..0.25).contains(&o.min_gain), "dogleg.min_gain", o.min_gain, "in [0, 1/4)")?;
+                check((0.0..=1.0).contains(&o.memory), "dogleg.memory", o.memory, "in [0, 1]")?;
+                check(low > 0.0 && low.is_finite(), "dogleg.min_mu", low, "positive and finite")?;
+                check(high >= low && high.is_finite(), "dogleg.max_mu", high, "finite, >= min_mu")
             }
         }
     }

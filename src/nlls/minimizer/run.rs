@@ -4,7 +4,8 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::bounded::Bounds;
-use super::{IterationRecord, Observer, Options, StageTimes, StopReason, Workspace};
+use super::dogleg::Path;
+use super::{Convergence, IterationRecord, Observer, Options, StageTimes, StopReason, Workspace};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
 
@@ -12,13 +13,16 @@ use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
 pub(super) struct Run<'a, P: Problem + ?Sized> {
     pub options: &'a Options,
     problem: &'a mut P,
-    x: &'a mut [f64],
+    pub x: &'a mut [f64],
     observer: &'a mut dyn Observer,
-    equations: &'a mut NormalEquations,
+    pub equations: &'a mut NormalEquations,
     solver: &'a mut dyn LinearSolver,
-    buffers: &'a mut Buffers,
+    pub buffers: &'a mut Buffers,
     summary: &'a mut super::Summary,
-    lambda: &'a mut Option<f64>,
+    /// Damping that the last run ended with.
+    pub lambda: &'a mut Option<f64>,
+    /// Trust-region radius that the last run ended with.
+    pub radius: &'a mut Option<f64>,
     times: StageTimes,
 }
 
@@ -26,11 +30,14 @@ pub(super) struct Run<'a, P: Problem + ?Sized> {
 #[derive(Debug, Default)]
 pub(super) struct Buffers {
     diagonal: Vec<f64>,
+    /// D, see [`Run::rescale`].
+    pub scaling: Vec<f64>,
     damping: Vec<f64>,
-    step: Vec<f64>,
+    pub step: Vec<f64>,
     scaled: Vec<f64>,
     trial: Vec<f64>,
     pub bounds: Bounds,
+    pub path: Path,
 }
 
 /// What the quadratic model says of a step.
@@ -48,6 +55,23 @@ pub(super) struct Proposal {
     pub step_is_small: bool,
 }
 
+/// What became of a step; the fields are those of [`IterationRecord`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outcome {
+    pub decrease: f64,
+    pub step_norm: f64,
+    pub step_scale: f64,
+    pub lambda: f64,
+    pub radius: f64,
+    pub gain: f64,
+    pub accepted: bool,
+}
+
+/// The scaling of a coordinate. One that nothing has observed yet does not move, whatever its scaling is.
+pub(super) fn positive(d: f64) -> f64 {
+    if d > 0.0 { d } else { 1.0 }
+}
+
 impl<'a, P: Problem + ?Sized> Run<'a, P> {
     pub(super) fn new(
         options: &'a Options,
@@ -57,7 +81,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         observer: &'a mut dyn Observer,
     ) -> Self {
         workspace.prepare(problem.structure(), options.linear_solver);
-        let Workspace { equations, solver, buffers, summary, lambda, .. } = workspace;
+        let Workspace { equations, solver, buffers, summary, lambda, radius, .. } = workspace;
         let (equations, solver) = match (equations, solver) {
             (Some(equations), Some(solver)) => (equations, solver.as_mut()),
             _ => unreachable!("`prepare` fills both"),
@@ -66,6 +90,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         for vector in [&mut buffers.diagonal, &mut buffers.step, &mut buffers.scaled] {
             vector.resize(n, 0.0);
         }
+        buffers.scaling.clear();
+        buffers.scaling.resize(n, 0.0);
         buffers.trial.resize(x.len(), 0.0);
         Self {
             options,
@@ -77,6 +103,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             buffers,
             summary,
             lambda,
+            radius,
             times: StageTimes::default(),
         }
     }
@@ -104,11 +131,6 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         energy
     }
 
-    /// Damping that the last run ended with.
-    pub(super) fn lambda(&mut self) -> &mut Option<f64> {
-        self.lambda
-    }
-
     /// `max |g_i|`, with `|w_k - P(w_k - g_k)|` for border coordinates between bounds; NaN if any entry is.
     pub(super) fn gradient_norm(&self) -> f64 {
         let (sparse, border) = self.equations.gradient.split_at(self.equations.structure().sparse_dimension());
@@ -117,18 +139,38 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         sparse.chain(border).fold(0.0, |max: f64, g| if g <= max { max } else { g })
     }
 
+    /// No step is left that could lower the energy by more than rounding. Damped steps are short wherever one stands, so whether
+    /// this is the minimum is judged by the decrease that undamped coordinate steps promise.
+    pub(super) fn stuck(&self, energy: f64) -> StopReason {
+        // Residuals are known to rounding of what they were at the start.
+        let noise = (4.0 * f64::EPSILON).powi(2) * self.summary.initial_energy;
+        if self.attainable() <= self.options.energy_tolerance.max(f64::EPSILON) * energy + noise {
+            StopReason::Converged(Convergence::Energy)
+        } else {
+            StopReason::NoDecrease
+        }
+    }
+
+    /// Brings the scaling up to date with the last linearisation: `D_i = max(H_ii, memory D_i)`, with D = 0 before the first.
+    pub(super) fn rescale(&mut self, memory: f64) {
+        let Buffers { diagonal, scaling, .. } = &mut *self.buffers;
+        self.equations.copy_diagonal(diagonal);
+        for (d, h) in scaling.iter_mut().zip(diagonal) {
+            *d = h.max(memory * *d);
+        }
+    }
+
     /// Solves `(H + lambda D + floor) d = -g`, or its bounded version.
-    pub(super) fn solve(&mut self, lambda: f64, min_diagonal: f64) -> Result<(), LinearError> {
+    pub(super) fn solve(&mut self, lambda: f64) -> Result<(), LinearError> {
         let clock = Instant::now();
         let floor = self.options.damping_floor;
-        let Buffers { diagonal, damping, step, bounds, .. } = &mut *self.buffers;
+        let Buffers { diagonal, scaling, damping, step, bounds, .. } = &mut *self.buffers;
         damping.clear();
         if lambda > 0.0 || floor > 0.0 {
             self.equations.copy_diagonal(diagonal);
             let largest = diagonal.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-            damping.extend(
-                diagonal.iter().map(|&h| lambda * h.max(min_diagonal * largest) + floor * h.max(floor * largest)),
-            );
+            let floors = diagonal.iter().map(|h| floor * h.max(floor * largest));
+            damping.extend(floors.zip(&*scaling).map(|(floor, &d)| lambda * positive(d) + floor));
         }
         let result = bounds.solve(self.solver, self.equations, damping, self.x, step);
         self.times.solve += clock.elapsed();
@@ -136,7 +178,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     }
 
     /// The decrease of E that coordinate-wise steps promise, `sum_i g_i^2 / H_ii` (less where a bound shortens the step): a
-    /// measure of how far the minimum is that does not shrink with the damping. For use after a damped solve.
+    /// measure of how far the minimum is that does not shrink with the damping. For use after [`rescale`](Self::rescale).
     pub(super) fn attainable(&self) -> f64 {
         let sparse = self.equations.structure().sparse_dimension();
         let terms = self.equations.gradient.iter().zip(&self.buffers.diagonal).enumerate();
@@ -168,15 +210,16 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         }
     }
 
-    /// Moves a copy of x by `scale` times the step; returns its energy, infinity if that is not finite.
-    pub(super) fn try_step(&mut self, scale: f64) -> f64 {
+    /// Moves a copy of x by `scale` times the step; returns its energy, infinity if that is not finite. `whole` says that this is
+    /// the step of the last solve, which ends exactly at the bounds that it runs into.
+    pub(super) fn try_step(&mut self, scale: f64, whole: bool) -> f64 {
         let clock = Instant::now();
         let Buffers { step, scaled, trial, bounds, .. } = &mut *self.buffers;
         for (t, d) in scaled.iter_mut().zip(step) {
             *t = scale * *d;
         }
         self.problem.retract(self.x, scaled, trial);
-        bounds.settle(trial, scale);
+        bounds.settle(trial, whole);
         let energy = self.problem.energy(trial);
         self.times.energy += clock.elapsed();
         if energy.is_finite() { energy } else { f64::INFINITY }
@@ -189,15 +232,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     }
 
     /// Files the iteration and shows it to the observer.
-    pub(super) fn record(
-        &mut self,
-        decrease: f64,
-        step_norm: f64,
-        step_scale: f64,
-        lambda: f64,
-        gain: f64,
-        accepted: bool,
-    ) -> ControlFlow<()> {
+    pub(super) fn record(&mut self, outcome: Outcome) -> ControlFlow<()> {
+        let Outcome { decrease, step_norm, step_scale, lambda, radius, gain, accepted } = outcome;
         self.summary.iterations += 1;
         let times = std::mem::take(&mut self.times);
         self.summary.times += times;
@@ -209,6 +245,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             step_norm,
             step_scale,
             lambda,
+            radius,
             gain,
             accepted,
             weak_directions: self.solver.weak_pivots(),

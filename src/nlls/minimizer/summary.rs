@@ -113,8 +113,11 @@ pub struct IterationRecord {
     pub step_norm: f64,
     /// Share of the full step that was taken: 1, or 1/2, 1/4, .. after halvings.
     pub step_scale: f64,
-    /// Levenberg-Marquardt damping with which the step was computed; 0 in Gauss-Newton.
+    /// Damping with which the step was computed, relative to the diagonal of H: lambda of Levenberg-Marquardt, mu of dogleg;
+    /// 0 in Gauss-Newton.
     pub lambda: f64,
+    /// Radius of dogleg's trust region, in its scaled norm; infinite (`null` when serialised) in the others.
+    pub radius: f64,
     /// Achieved over predicted decrease; NaN (`null` when serialised) if no step could be computed.
     pub gain: f64,
     /// The step was accepted.
@@ -231,6 +234,7 @@ impl Summary {
         let algorithm = match o.algorithm {
             Algorithm::GaussNewton(_) => "Gauss-Newton, backtracking",
             Algorithm::LevenbergMarquardt(_) => "Levenberg-Marquardt",
+            Algorithm::Dogleg(_) => "dogleg",
         };
         let given = format!("{:?}", o.linear_solver).to_lowercase();
         writeln!(f, "Minimisation report")?;
@@ -248,14 +252,22 @@ impl Summary {
             o.energy_tolerance, o.step_tolerance, o.gradient_tolerance, o.max_iterations
         )?;
         writeln!(f)?;
-        write!(f, "  iter        energy      decrease   |gradient|       |step|   scale    lambda     gain")?;
+        write!(f, "  iter        energy      decrease   |gradient|       |step|   scale    lambda    radius     gain")?;
         writeln!(f, "{}", if times { "        ms" } else { "" })?;
         writeln!(f, "  {:>4}  {:>12.6e}", 0, self.initial_energy)?;
         for r in &self.records {
             write!(
                 f,
-                "  {:>4}  {:>12.6e}  {:>12.4e} {:>12.4e} {:>12.4e} {:>7.4} {:>9.1e} {:>8.3}",
-                r.iteration, r.energy, r.decrease, r.gradient_norm, r.step_norm, r.step_scale, r.lambda, r.gain
+                "  {:>4}  {:>12.6e}  {:>12.4e} {:>12.4e} {:>12.4e} {:>7.4} {:>9.1e} {:>9.1e} {:>8.3}",
+                r.iteration,
+                r.energy,
+                r.decrease,
+                r.gradient_norm,
+                r.step_norm,
+                r.step_scale,
+                r.lambda,
+                r.radius,
+                r.gain
             )?;
             if times {
                 write!(f, " {:>9.3}", r.times.total().as_secs_f64() * 1e3)?;

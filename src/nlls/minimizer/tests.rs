@@ -90,8 +90,8 @@ fn run(options: Options, n: usize, residuals: Residuals, start: &[f64]) -> (Summ
     (summary, x)
 }
 
-fn both() -> [Options; 2] {
-    [Options::gauss_newton(), Options::levenberg_marquardt()]
+fn all() -> [Options; 3] {
+    [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()]
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn gauss_newton_solves_a_linear_problem_in_one_step() {
 
 #[test]
 fn rosenbrock_from_the_classical_start() {
-    for options in both() {
+    for options in all() {
         let (summary, x) = run(options, 2, rosenbrock, &[-1.2, 1.0]);
         assert!(summary.stop.converged(), "{summary}");
         assert!((x[0] - 1.0).abs() < 1e-9 && (x[1] - 1.0).abs() < 1e-9, "{summary}\n{x:?}");
@@ -117,15 +117,16 @@ fn rosenbrock_from_the_classical_start() {
 
 #[test]
 fn powell_singular_converges_though_its_hessian_does_not_stay_regular() {
-    let options = Options::levenberg_marquardt().with_max_iterations(200);
-    let (summary, x) = run(options, 4, powell_singular, &[3.0, -1.0, 0.0, 1.0]);
-    assert!(summary.stop.was_successful(), "{summary}");
-    assert!(summary.final_energy < 1e-16 && x.iter().all(|v| v.abs() < 1e-4), "{summary}\n{x:?}");
+    for options in [Options::levenberg_marquardt(), Options::dogleg()] {
+        let (summary, x) = run(options.with_max_iterations(200), 4, powell_singular, &[3.0, -1.0, 0.0, 1.0]);
+        assert!(summary.stop.was_successful(), "{summary}");
+        assert!(summary.final_energy < 1e-16 && x.iter().all(|v| v.abs() < 1e-4), "{summary}\n{x:?}");
+    }
 }
 
 #[test]
 fn energies_never_rise() {
-    for options in both() {
+    for options in all() {
         for (n, residuals, start) in
             [(2, rosenbrock as Residuals, &[-1.2, 1.0][..]), (4, powell_singular, &[3.0, -1.0, 0.0, 1.0])]
         {
@@ -151,7 +152,7 @@ fn a_singular_problem_ends_with_a_named_reason() {
 
 #[test]
 fn a_damping_floor_leaves_unobserved_directions_where_they_are() {
-    for options in both() {
+    for options in all() {
         let (summary, x) = run(options.with_damping_floor(1e-9), 3, unobserved, &[1.0, 0.0, 5.0]);
         assert!(summary.stop.converged(), "{summary}");
         assert!((x[0] - 2.0_f64.sqrt()).abs() < 1e-9 && (x[1] - x[0]).abs() < 1e-9);
@@ -162,16 +163,17 @@ fn a_damping_floor_leaves_unobserved_directions_where_they_are() {
 
 #[test]
 fn rejected_steps_do_not_linearise_again() {
-    let options = Options::levenberg_marquardt();
-    let mut problem = Dense::new(2, rosenbrock);
-    let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut [-1.2, 1.0]);
-    assert!(summary.accepted_steps() < summary.iterations, "{summary}");
-    assert!(problem.linearizations <= summary.accepted_steps() + 1, "{summary}");
+    for options in [Options::levenberg_marquardt(), Options::dogleg()] {
+        let mut problem = Dense::new(2, rosenbrock);
+        let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut [-1.2, 1.0]);
+        assert!(summary.accepted_steps() < summary.iterations, "{summary}");
+        assert!(problem.linearizations <= summary.accepted_steps() + 1, "{summary}");
+    }
 }
 
 #[test]
 fn the_observer_stops_the_run() {
-    for options in both() {
+    for options in all() {
         let mut x = vec![-1.2, 1.0];
         let mut seen = 0;
         let mut observer = |record: &IterationRecord| {
@@ -191,7 +193,7 @@ fn non_finite_energies_are_survived() {
     fn logarithm(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
         vec![(x[0].ln(), vec![1.0 / x[0]])]
     }
-    for options in both() {
+    for options in all() {
         // From 5 the first full step goes to 5 - 5 ln 5 < 0, where the residual is NaN.
         let (summary, x) = run(options, 1, logarithm, &[5.0]);
         assert!(summary.stop.converged() && (x[0] - 1.0).abs() < 1e-9, "{summary}");
@@ -206,8 +208,8 @@ fn a_wrong_gradient_ends_in_no_decrease() {
     fn lying(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
         vec![(x[0] - 3.0, vec![-1.0])]
     }
-    for options in both() {
-        let (summary, x) = run(options, 1, lying, &[0.0]);
+    for options in all() {
+        let (summary, x) = run(options.with_max_iterations(100), 1, lying, &[0.0]);
         assert_eq!(summary.stop, StopReason::NoDecrease, "{summary}");
         assert_eq!(x, [0.0]);
     }
@@ -215,7 +217,7 @@ fn a_wrong_gradient_ends_in_no_decrease() {
 
 #[test]
 fn no_iterations_and_a_minimum_at_the_start() {
-    for options in both() {
+    for options in all() {
         let (summary, _) = run(options.with_max_iterations(0), 2, rosenbrock, &[-1.2, 1.0]);
         assert_eq!((summary.stop, summary.iterations), (StopReason::MaxIterations, 0));
         let (summary, x) = run(options, 2, rosenbrock, &[1.0, 1.0]);
@@ -227,7 +229,7 @@ fn no_iterations_and_a_minimum_at_the_start() {
 #[test]
 fn a_used_workspace_gives_the_bits_of_a_fresh_one() {
     let mut workspace = Workspace::new();
-    for options in both() {
+    for options in all() {
         let minimizer = Minimizer::new(options).unwrap();
         let mut first = vec![3.0, -1.0, 0.0, 1.0];
         minimizer.minimize_with(&mut Dense::new(4, powell_singular), &mut first, &mut workspace, &mut Silent);
@@ -241,10 +243,52 @@ fn a_used_workspace_gives_the_bits_of_a_fresh_one() {
 }
 
 #[test]
+fn dogleg_steps_stay_in_the_region_and_end_as_gauss_newton() {
+    let dogleg = |initial_radius: f64| {
+        Options::dogleg().with_algorithm(Algorithm::Dogleg(Dogleg { initial_radius, ..Dogleg::default() }))
+    };
+    let (summary, x) = run(dogleg(0.01).with_max_iterations(200), 2, rosenbrock, &[-1.2, 1.0]);
+    assert!(summary.stop.converged() && (x[0] - 1.0).abs() + (x[1] - 1.0).abs() < 1e-9, "{summary}");
+    assert_eq!(summary.records[0].radius, 0.01 * summary.initial_energy.sqrt());
+    // D_11 >= 1 and D_22 = 100, so that |d| <= |d|_D.
+    assert!(summary.records.iter().all(|r| r.step_norm <= 1.001 * r.radius), "{summary}");
+    // A linear problem is one Gauss-Newton step in a wide region; where the region is narrower, the step reaches its rim.
+    let (whole, newton) = run(dogleg(10.0), 2, linear, &[1.0, 0.5]);
+    assert!((newton[0] - 7.0 / 11.0).abs() + newton[1].abs() < 1e-14 && whole.accepted_steps() <= 2, "{whole}");
+    for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
+        let (cut, x) = run(dogleg(share).with_max_iterations(1), 2, linear, &[1.0, 0.5]);
+        // D = diag(11, 6).
+        let length = |x: &[f64]| (11.0 * (x[0] - 1.0).powi(2) + 6.0 * (x[1] - 0.5).powi(2)).sqrt();
+        assert!((length(&x) - cut.records[0].radius.min(length(&newton))).abs() < 1e-12, "{cut}");
+        assert!((cut.records[0].gain - 1.0).abs() < 1e-10, "{cut}");
+    }
+}
+
+#[test]
+fn the_units_of_the_parameters_do_not_matter() {
+    /// Rosenbrock's function of 2^40 times the first and 2^-40 times the second coordinate.
+    fn scaled(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        let (a, b) = (2.0_f64.powi(40), 2.0_f64.powi(-40));
+        rosenbrock(&[a * x[0], b * x[1]]).into_iter().map(|(r, row)| (r, vec![a * row[0], b * row[1]])).collect()
+    }
+    for options in all() {
+        let options = options.with_gradient_tolerance(0.0).with_step_tolerance(0.0);
+        let (plain, x) = run(options, 2, rosenbrock, &[-1.2, 1.0]);
+        let (other, y) = run(options, 2, scaled, &[-1.2 * 2.0_f64.powi(-40), 2.0_f64.powi(40)]);
+        assert_eq!(x, [y[0] * 2.0_f64.powi(40), y[1] * 2.0_f64.powi(-40)]);
+        let energies = |s: &Summary| s.records.iter().map(|r| r.energy).collect::<Vec<_>>();
+        assert_eq!(energies(&plain), energies(&other));
+    }
+}
+
+#[test]
 fn options_name_what_is_wrong_with_them() {
     let error = Minimizer::new(Options::default().with_energy_tolerance(-1.0)).unwrap_err();
     assert_eq!(error.to_string(), "energy_tolerance is -1, but must be finite and not negative");
     assert!(Options::default().with_damping_floor(f64::NAN).validate().is_err());
+    let dogleg = Dogleg { initial_radius: 0.0, ..Dogleg::default() };
+    let error = Options::dogleg().with_algorithm(Algorithm::Dogleg(dogleg)).validate().unwrap_err();
+    assert_eq!(error.to_string(), "dogleg.initial_radius is 0, but must be positive and finite");
     let options: Options = toml::from_str("max_iterations = 7\n[algorithm.gauss_newton]\nmax_halvings = 3\n").unwrap();
     assert_eq!(options.algorithm, Algorithm::GaussNewton(GaussNewton { max_halvings: 3, ..Default::default() }));
     assert!(toml::from_str::<Options>("max_iteration = 7").is_err());
