@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::Shape;
 use crate::mesh::Vec3;
-use crate::nlls::dense_kernels::vectorized;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
 /// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the slab.
@@ -102,17 +101,9 @@ impl ShapeBasis {
     }
 
     /// `b_i(w)` for vertex `i` at rest in `rest`.
+    #[inline(always)]
     #[must_use]
     pub fn blend(&self, i: usize, rest: Vec3, w: &[f64]) -> Vec3 {
-        vectorized(
-            #[inline(always)]
-            || self.blend_inline(i, rest, w),
-        )
-    }
-
-    /// [`blend`](Self::blend) for loops that are [`vectorized`] already.
-    #[inline(always)]
-    pub(crate) fn blend_inline(&self, i: usize, rest: Vec3, w: &[f64]) -> Vec3 {
         if self.is_empty() {
             return rest;
         }
@@ -134,16 +125,16 @@ fn dot(a: &[f32], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     for (a, b) in a8.iter().zip(b8) {
         for l in 0..8 {
-            sums[l] = f64::from(a[l]).mul_add(b[l], sums[l]);
+            sums[l] += f64::from(a[l]) * b[l];
         }
     }
     for (a, b) in a4.iter().zip(b4) {
         for l in 0..4 {
-            sums[l] = f64::from(a[l]).mul_add(b[l], sums[l]);
+            sums[l] += f64::from(a[l]) * b[l];
         }
     }
     for (l, (a, b)) in a1.iter().zip(b1).enumerate() {
-        sums[l] = f64::from(*a).mul_add(*b, sums[l]);
+        sums[l] += f64::from(*a) * b;
     }
     let pairs: [f64; 4] = std::array::from_fn(|l| sums[l] + sums[l + 4]);
     (pairs[0] + pairs[1]) + (pairs[2] + pairs[3])

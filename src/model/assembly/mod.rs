@@ -182,7 +182,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
                 || {
                     for (k, b) in chunk.iter_mut().enumerate() {
                         let i = c * CHUNK + k;
-                        *b = shapes.blend_inline(i, rest[i], w);
+                        *b = shapes.blend(i, rest[i], w);
                     }
                 },
             );
