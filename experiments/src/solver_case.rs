@@ -17,7 +17,7 @@ use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness, hybrid};
 use nonrigid::nlls::{
-    Algorithm, GaussNewton, Kernel, LevenbergMarquardt, Minimizer, Options, Silent, Summary, Workspace,
+    Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, Minimizer, Options, Silent, Summary, Workspace,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;
@@ -60,6 +60,7 @@ enum Derivatives {
 enum Steps {
     GaussNewton,
     LevenbergMarquardt,
+    Dogleg,
 }
 
 /// Solves the case and prints what it cost.
@@ -75,6 +76,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let algorithm = match arguments.algorithm {
         Steps::GaussNewton => Algorithm::GaussNewton(GaussNewton::default()),
         Steps::LevenbergMarquardt => Algorithm::LevenbergMarquardt(LevenbergMarquardt::default()),
+        Steps::Dogleg => Algorithm::Dogleg(Dogleg::default()),
     };
     let summary = solve(&mut problem, algorithm, arguments.max_iterations as usize);
     if !summary.stop.was_successful() {
