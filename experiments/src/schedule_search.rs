@@ -73,6 +73,8 @@ pub struct Axis {
 }
 
 const FIRST: &[f64] = &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+/// Softer starts gain a per cent with landmarks, and without them let a mouth take a wrong expression that it never leaves.
+const BLEND_FIRST: &[f64] = &[100.0, 300.0, 1000.0];
 const LAST: &[f64] = &[0.003, 0.007, 0.015, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3.0, 7.0, 15.0];
 const LANDMARKS_FIRST: &[f64] = &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
 const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
@@ -82,7 +84,7 @@ const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]
 pub fn axes(model: ModelKind) -> Vec<Axis> {
     let axis = |name, grid, start| Axis { name, grid, start };
     let graph = [axis("lambda_graph last", LAST, 4), axis("lambda_graph first", FIRST, 3)];
-    let blend = [axis("lambda_blend last", LAST, 7), axis("lambda_blend first", FIRST, 4)];
+    let blend = [axis("lambda_blend last", LAST, 7), axis("lambda_blend first", BLEND_FIRST, 0)];
     let smooth = [axis("lambda_smooth last", LAST, 6), axis("lambda_smooth first", FIRST, 3)];
     let mut axes = match model {
         ModelKind::Rigid | ModelKind::Similarity => Vec::new(),
