@@ -12,6 +12,8 @@ use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness, hybrid};
+use nonrigid::nlls::dense_kernels::{add_outer, rank_update_lower, vectorized};
+use nonrigid::nlls::linear::BorderedCholesky;
 use nonrigid::nlls::{
     BlockStructure, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Silent, Workspace,
 };
@@ -131,5 +133,48 @@ fn iteration(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, bordered_solve, linearisation, iteration);
+/// What an iteration cannot do without, bare: the border's rank update, the products of nodes and shapes, factorisation with the
+/// forward solve of the border. Vertices, nodes and influences are those of [`face`].
+fn floor(c: &mut Criterion) {
+    const NODES: usize = 400;
+    const INFLUENCES: usize = 4;
+    let mut group = c.benchmark_group("floor of an iteration, 5000 vertices, 400 nodes");
+    group.sample_size(20);
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for shapes in [10, 50, 100] {
+        let mut problem = face(shapes);
+        let rows = problem.samples().len();
+        let u: Vec<f64> = (0..rows * shapes).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let mut border = vec![0.0; shapes * shapes];
+        group.bench_function(BenchmarkId::new("rank update", format!("{shapes} shapes")), |b| {
+            b.iter(|| rank_update_lower(black_box(&u), rows, shapes, &mut border));
+        });
+        let y: Vec<[f64; 6]> = (0..rows).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect();
+        let mut cross = vec![0.0; 6 * shapes];
+        let of_node = rows * INFLUENCES / NODES / 4 * 4;
+        group.bench_function(BenchmarkId::new("cross products", format!("{shapes} shapes")), |b| {
+            b.iter(|| {
+                vectorized(|| {
+                    for node in 0..NODES {
+                        for s in (0..of_node).step_by(4) {
+                            let at: [usize; 4] = std::array::from_fn(|k| (node * of_node / INFLUENCES + s + k) % rows);
+                            add_outer(at.map(|i| &y[i]), at.map(|i| &u[i * shapes..(i + 1) * shapes]), &mut cross);
+                        }
+                    }
+                });
+            });
+        });
+        let x = problem.model.rest_parameters();
+        let mut equations = NormalEquations::new(problem.structure().clone());
+        problem.linearize(&x, &mut equations);
+        let damping = vec![1e-6; equations.structure().dimension()];
+        let mut solver = BorderedCholesky::new(equations.structure());
+        group.bench_function(BenchmarkId::new("factorisation and forward solve", format!("{shapes} shapes")), |b| {
+            b.iter(|| solver.reduce(black_box(&equations), &damping).map(|r| r.gradient[0]).unwrap());
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, bordered_solve, linearisation, iteration, floor);
 criterion_main!(benches);

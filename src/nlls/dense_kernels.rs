@@ -1,5 +1,6 @@
 //! Dense products that assemble normal equations. Row-major, single-threaded, the same bits on every call; instruction
-//! sets beyond the build's baseline are used where the processor has them.
+//! sets beyond the build's baseline are used where the processor has them. Products are fused with the sums that they go to, so
+//! results do not depend on the width of its registers; a processor that cannot do that (x86 before 2013) is slow.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par};

@@ -94,6 +94,8 @@ struct Placement {
     x: Vec<f64>,
     maps: Vec<AffineMap<f64>>,
     blend: Vec<Vec3>,
+    /// Empty until somebody asks.
+    positions: Vec<Vec3>,
 }
 
 impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
@@ -170,6 +172,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         if self.placed.x == x && !self.placed.maps.is_empty() {
             return;
         }
+        self.placed.positions.clear();
         self.placed.x.clear();
         self.placed.x.extend_from_slice(x);
         self.placed.maps.clear();
@@ -297,19 +300,21 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
         self.place(x);
-        let (graph, placed) = (&self.graph, &self.placed);
-        out.resize(self.rest.len(), Vec3::zeros());
-        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, v) in chunk.iter_mut().enumerate() {
-                let i = c * CHUNK + k;
-                let b = placed.blend[i];
-                *v = Vec3::zeros();
-                for &(j, omega) in graph.influences(i) {
-                    let x_j = graph.nodes()[j as usize];
-                    *v += (Vec3::from(placed.maps[j as usize].apply((b - x_j).into())) + x_j) * omega;
+        let Placement { maps, blend, positions, .. } = &mut self.placed;
+        if positions.is_empty() {
+            positions.resize(self.rest.len(), Vec3::zeros());
+            let graph = &self.graph;
+            positions.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+                for (k, v) in chunk.iter_mut().enumerate() {
+                    let i = c * CHUNK + k;
+                    for &(j, omega) in graph.influences(i) {
+                        let x_j = graph.nodes()[j as usize];
+                        *v += (Vec3::from(maps[j as usize].apply((blend[i] - x_j).into())) + x_j) * omega;
+                    }
                 }
-            }
-        });
+            });
+        }
+        out.clone_from(positions);
     }
 
     fn pull_back(&mut self, x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
