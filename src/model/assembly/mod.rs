@@ -173,6 +173,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
             return;
         }
         self.placed.positions.clear();
+        self.seeded.clear();
         self.placed.x.clear();
         self.placed.x.extend_from_slice(x);
         self.placed.maps.clear();
@@ -192,9 +193,12 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         });
     }
 
-    /// Seeds every node's map at `x`.
+    /// Seeds every node's map at `x`, where the nodes are placed.
     fn seed_nodes(&mut self, x: &[f64]) {
-        self.seeded.clear();
+        self.place(x);
+        if !self.seeded.is_empty() {
+            return;
+        }
         self.seeded.extend((0..self.node_count()).map(|j| {
             let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
             moved_map::<T, W, _>(x, j, &tangent)
@@ -318,7 +322,6 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     }
 
     fn pull_back(&mut self, x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.place(x);
         self.seed_nodes(x);
         let nb = self.shapes.len();
         let blended = Blended { graph: &self.graph, shapes: &self.shapes, vertices: &self.placed.blend };

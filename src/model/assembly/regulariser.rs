@@ -20,14 +20,15 @@ pub(super) struct GraphRegulariser<const W: usize> {
 struct NodeEdge {
     edge: u32,
     is_source: bool,
+    other: u32,
     block: Option<u32>,
 }
 
-/// Residual of (7) and its derivatives by the tangents of both ends.
+/// Residual of (7) and its derivatives by the tangent of its source. Those by the target's, `-dt_j`, are the same for all edges
+/// that end there.
 struct EdgeJacobian<const W: usize> {
     residual: [f64; 3],
     source: [[f64; W]; 3],
-    target: [[f64; W]; 3],
 }
 
 /// Residual of (7) of edge (i, j): where its ends take node j, `T_i(x_j - x_i) + x_i - T_j(0) - x_j`.
@@ -47,7 +48,7 @@ impl<const W: usize> GraphRegulariser<W> {
         for (e, &(i, j)) in graph.edges().iter().enumerate() {
             for (at, other, is_source) in [(i, j, true), (j, i, false)] {
                 let block = (other < at).then(|| position(at, other));
-                self.node_edges[at as usize].push(NodeEdge { edge: e as u32, is_source, block });
+                self.node_edges[at as usize].push(NodeEdge { edge: e as u32, is_source, other, block });
             }
         }
     }
@@ -102,19 +103,34 @@ impl<const W: usize> GraphRegulariser<W> {
                 #[inline(always)]
                 || {
                     let diagonal = row.blocks.len() - W * W;
+                    let shift = |k: u32| std::array::from_fn(|a| &maps[k as usize].derivatives[a][3]);
+                    let own_shift = shift(j as u32);
+                    let (mut ends, mut pull) = (0.0, [0.0; 3]);
                     for at in &node_edges[j] {
                         let edge = &edges[at.edge as usize];
-                        let (own, other) =
-                            if at.is_source { (&edge.source, &edge.target) } else { (&edge.target, &edge.source) };
-                        add_block(&mut row.blocks[diagonal..], own.each_ref(), own.each_ref(), lambda);
+                        let source = edge.source.each_ref();
+                        if at.is_source {
+                            add_block(&mut row.blocks[diagonal..], source, source, lambda);
+                            for (source, residual) in source.into_iter().zip(edge.residual) {
+                                for t in 0..W {
+                                    row.gradient[t] += lambda * source[t] * residual;
+                                }
+                            }
+                        } else {
+                            ends += 1.0;
+                            (0..3).for_each(|a| pull[a] += edge.residual[a]);
+                        }
                         if let Some(block) = at.block {
                             let block = &mut row.blocks[block as usize..][..W * W];
-                            add_block(block, own.each_ref(), other.each_ref(), lambda);
+                            let (own, other) =
+                                if at.is_source { (source, shift(at.other)) } else { (own_shift, source) };
+                            add_block(block, own, other, -lambda);
                         }
-                        for (own, residual) in own.iter().zip(edge.residual) {
-                            for t in 0..W {
-                                row.gradient[t] += lambda * own[t] * residual;
-                            }
+                    }
+                    add_block(&mut row.blocks[diagonal..], own_shift, own_shift, lambda * ends);
+                    for (shift, pull) in own_shift.into_iter().zip(pull) {
+                        for t in 0..W {
+                            row.gradient[t] -= lambda * shift[t] * pull;
                         }
                     }
                     for r in T::rotation_residuals(&seeded[j]).iter().flatten() {
@@ -138,16 +154,20 @@ impl<const W: usize> GraphRegulariser<W> {
 impl<const W: usize> EdgeJacobian<W> {
     #[inline(always)]
     fn new(source: &MapJacobian<W>, target: &MapJacobian<W>, [xi, xj]: [Vec3; 2]) -> Self {
-        let unit = |a: usize, length: f64| std::array::from_fn(|b| if a == b { length } else { 0.0 });
-        let mut edge = Self {
-            residual: edge_residual(&source.value, &target.value, [xi, xj]).into(),
-            source: [[0.0; W]; 3],
-            target: [[0.0; W]; 3],
+        let q = xj - xi;
+        let by_tangent = |d: &[[f64; W]; 4]| -> [f64; W] {
+            std::array::from_fn(
+                #[inline(always)]
+                |t| q[2].mul_add(d[2][t], q[1].mul_add(d[1][t], q[0].mul_add(d[0][t], d[3][t]))),
+            )
         };
-        for a in 0..3 {
-            source.add_pulled_back(unit(a, 1.0), (xj - xi).into(), &mut edge.source[a]);
-            target.add_pulled_back(unit(a, -1.0), [0.0; 3], &mut edge.target[a]);
+        Self {
+            residual: edge_residual(&source.value, &target.value, [xi, xj]).into(),
+            source: [
+                by_tangent(&source.derivatives[0]),
+                by_tangent(&source.derivatives[1]),
+                by_tangent(&source.derivatives[2]),
+            ],
         }
-        edge
     }
 }
