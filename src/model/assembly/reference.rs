@@ -4,7 +4,7 @@
 use num_dual::DualSVec64;
 
 use super::samples::{Blended, SampleChunk, SampleJacobian};
-use super::{NodeTransform, derivatives, moved_map};
+use super::{AffineMap, NodeTransform, derivatives, moved_map, node_range};
 use crate::energy::Quadric;
 use crate::nlls::Manifold;
 use crate::nlls::dense_kernels::vectorized;
@@ -17,10 +17,21 @@ impl<const W: usize> SampleChunk<W> {
     /// [`linearize`](Self::linearize) at `x`, the paper's way.
     pub fn linearize_reference<T: NodeTransform<W>>(&mut self, x: &[f64], quadrics: &[Quadric], blended: Blended<'_>) {
         let nb = blended.shapes.len();
-        vectorized(|| self.fill(quadrics, nb, |sample, quadric| strided::<T, W>(sample, quadric, x, blended)));
+        vectorized(
+            #[inline(always)]
+            || {
+                self.fill(
+                    quadrics,
+                    nb,
+                    #[inline(always)]
+                    |sample, quadric| strided::<T, W>(sample, quadric, x, blended),
+                );
+            },
+        );
     }
 }
 
+#[inline(always)]
 fn strided<T: NodeTransform<W>, const W: usize>(
     sample: SampleJacobian<'_, W>,
     quadric: &Quadric,
@@ -40,17 +51,26 @@ fn strided<T: NodeTransform<W>, const W: usize>(
             let i = corner.vertex as usize;
             let slab = shapes.vertex(i);
             let mut b: [Dual; 3] = std::array::from_fn(|a| Dual::from_re(vertices[i][a]));
-            for k in 0..nb {
+            // What this stride does not differentiate enters as numbers.
+            for k in first.saturating_sub(of_nodes)..(first + STRIDE).saturating_sub(of_nodes).min(nb) {
                 let w_k = seed(of_nodes + k, w[k]) - w[k];
                 for a in 0..3 {
                     b[a] += w_k * f64::from(slab[a * nb + k]);
                 }
             }
             for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
-                let seeds: [Dual; W] = std::array::from_fn(|t| seed(slot as usize * W + t, 0.0));
-                let map = moved_map::<T, W, _>(x, j as usize, &seeds);
+                let own = slot as usize * W..(slot as usize + 1) * W;
                 let x_j = graph.nodes()[j as usize];
-                let moved = map.apply(std::array::from_fn(|a| b[a] - x_j[a]));
+                let q: [Dual; 3] = std::array::from_fn(|a| b[a] - x_j[a]);
+                let moved = if own.start < first + STRIDE && own.end > first {
+                    let seeds: [Dual; W] = std::array::from_fn(|t| seed(own.start + t, 0.0));
+                    moved_map::<T, W, _>(x, j as usize, &seeds).apply(q)
+                } else {
+                    let AffineMap { linear, translation } = T::map::<f64>(&x[node_range::<T, W>(j as usize)]);
+                    std::array::from_fn(|a| {
+                        q[0] * linear[a][0] + q[1] * linear[a][1] + q[2] * linear[a][2] + translation[a]
+                    })
+                };
                 for a in 0..3 {
                     v[a] += (moved[a] + x_j[a]) * (omega * corner.weight);
                 }
