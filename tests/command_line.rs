@@ -608,7 +608,8 @@ fn write_cloud(bench: &Bench, name: &str) {
 
 #[test]
 fn a_point_cloud_with_normals_is_a_target() {
-    let bench = Bench::new();
+    // Points as dense as a scanner's: between those of a coarse cloud, planes say little of the surface.
+    let bench = Bench::of_size(3000, 40_000);
     write_cloud(&bench, "cloud.ply");
     let rmse = |target: &str| {
         let options = format!("--target {target} --landmarks case/landmarks.json --picture r.png --report r.json");
@@ -620,8 +621,7 @@ fn a_point_cloud_with_normals_is_a_target() {
     };
     let (mesh, quality) = (rmse("case/scan.ply"), json(bench.read("r.json"))["quality"].clone());
     let (cloud, of_cloud) = (rmse("cloud.ply"), json(bench.read("r.json"))["quality"].clone());
-    // One small template and one draw of noise; on templates of full size the two differ by a per cent.
-    assert!(cloud < 1.4 * mesh + 0.05, "mesh {mesh} mm, cloud {cloud} mm");
+    assert!(cloud < 1.2 * mesh + 0.05, "mesh {mesh} mm, cloud {cloud} mm");
     let median = |quality: &Value| quality["median_within"].as_f64().unwrap();
     assert!((median(&quality) - median(&of_cloud)).abs() < 0.1, "{quality}\n{of_cloud}");
     let drawn = picture(&bench.path("r.png"));

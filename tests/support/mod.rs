@@ -24,9 +24,14 @@ pub struct Run {
 
 impl Bench {
     pub fn new() -> Self {
+        Self::of_size(1000, 8000)
+    }
+
+    /// About so many vertices of the template and triangles of the scan.
+    pub fn of_size(vertices: usize, triangles: usize) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
-        let case = simulate_scan(&rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, 7).unwrap();
+        let rig = FaceRig::generate(&FaceOptions { vertices, identity_modes: 8 });
+        let case = simulate_scan(&rig, &ScanOptions { triangles, ..ScanOptions::default() }, 7).unwrap();
         write_rig(&folder.path().join("rig"), &rig).unwrap();
         write_case(&folder.path().join("case"), &rig, &case, &Subject::same(&rig, &case), 7).unwrap();
         Self { folder, rig, case }

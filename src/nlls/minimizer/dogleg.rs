@@ -26,8 +26,8 @@
 
 use std::ops::ControlFlow;
 
-use super::run::{Outcome, Run, positive};
-use super::{Convergence, Dogleg, StopReason};
+use super::run::{Run, positive};
+use super::{Convergence, Dogleg, IterationRecord, StopReason};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, Problem};
 
@@ -86,7 +86,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
             stale = true;
         }
         let decrease = if accepted { energy - trial } else { 0.0 };
-        let outcome = Outcome {
+        let record = IterationRecord {
             decrease,
             step_norm: proposal.step_norm,
             step_scale: 1.0,
@@ -94,8 +94,9 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
             radius: used,
             gain,
             accepted,
+            ..IterationRecord::default()
         };
-        if run.record(outcome) == ControlFlow::Break(()) {
+        if run.record(record) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
         // A step that the radius cuts short is no proof of convergence unless coordinate steps promise no more either.

@@ -12,8 +12,8 @@
 
 use std::ops::ControlFlow;
 
-use super::run::{Outcome, Proposal, Run};
-use super::{Convergence, GaussNewton, StopReason};
+use super::run::{Proposal, Run};
+use super::{Convergence, GaussNewton, IterationRecord, StopReason};
 use crate::nlls::Problem;
 
 pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &GaussNewton) -> StopReason {
@@ -53,7 +53,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         run.accept(trial);
         let decrease = energy - trial;
         let gain = decrease / (scale * (-slope - scale * curvature));
-        let outcome = Outcome {
+        let record = IterationRecord {
             decrease,
             step_norm: scale * step_norm,
             step_scale: scale,
@@ -61,8 +61,9 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
             radius: f64::INFINITY,
             gain,
             accepted: true,
+            ..IterationRecord::default()
         };
-        if run.record(outcome) == ControlFlow::Break(()) {
+        if run.record(record) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
         // A small decrease after halvings is no proof of convergence unless the model expected no more.

@@ -20,8 +20,8 @@
 
 use std::ops::ControlFlow;
 
-use super::run::{Outcome, Proposal, Run};
-use super::{Convergence, LevenbergMarquardt, StopReason};
+use super::run::{Proposal, Run};
+use super::{Convergence, IterationRecord, LevenbergMarquardt, StopReason};
 use crate::nlls::{LinearError, Problem};
 
 /// What a rejected step multiplies the damping by.
@@ -88,7 +88,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
         }
         *run.lambda = Some(lambda.min(options.max_lambda));
         let decrease = if accepted { energy - trial } else { 0.0 };
-        let outcome = Outcome {
+        let record = IterationRecord {
             decrease,
             step_norm: proposal.step_norm,
             step_scale: 1.0,
@@ -96,8 +96,9 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             radius: f64::INFINITY,
             gain,
             accepted,
+            ..IterationRecord::default()
         };
-        if run.record(outcome) == ControlFlow::Break(()) {
+        if run.record(record) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
         if accepted && decrease <= run.options.energy_tolerance * energy {

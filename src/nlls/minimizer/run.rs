@@ -55,18 +55,6 @@ pub(super) struct Proposal {
     pub step_is_small: bool,
 }
 
-/// What became of a step; the fields are those of [`IterationRecord`].
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Outcome {
-    pub decrease: f64,
-    pub step_norm: f64,
-    pub step_scale: f64,
-    pub lambda: f64,
-    pub radius: f64,
-    pub gain: f64,
-    pub accepted: bool,
-}
-
 /// The scaling of a coordinate. One that nothing has observed yet does not move, whatever its scaling is.
 pub(super) fn positive(d: f64) -> f64 {
     if d > 0.0 { d } else { 1.0 }
@@ -231,25 +219,19 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         self.summary.final_energy = energy;
     }
 
-    /// Files the iteration and shows it to the observer.
-    pub(super) fn record(&mut self, outcome: Outcome) -> ControlFlow<()> {
-        let Outcome { decrease, step_norm, step_scale, lambda, radius, gain, accepted } = outcome;
+    /// Files an iteration and shows it to the observer. What the run knows itself is filled in: number, energy, gradient, weak
+    /// directions, times.
+    pub(super) fn record(&mut self, step: IterationRecord) -> ControlFlow<()> {
         self.summary.iterations += 1;
         let times = std::mem::take(&mut self.times);
         self.summary.times += times;
         let record = IterationRecord {
             iteration: self.summary.iterations,
             energy: self.summary.final_energy,
-            decrease,
             gradient_norm: self.gradient_norm(),
-            step_norm,
-            step_scale,
-            lambda,
-            radius,
-            gain,
-            accepted,
             weak_directions: self.solver.weak_pivots(),
             times,
+            ..step
         };
         self.summary.records.push(record);
         self.observer.on_iteration(&record)

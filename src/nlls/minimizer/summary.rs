@@ -98,7 +98,7 @@ impl std::ops::AddAssign for StageTimes {
 }
 
 /// One step, accepted or not.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct IterationRecord {
     /// Counts from 1.
     pub iteration: usize,
