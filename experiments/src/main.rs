@@ -56,12 +56,12 @@ fn main() -> ExitCode {
         }
     };
     let outcome = match &cli.command {
-        None => on_threads(cli.threads).and_then(|()| first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
-        Some(Command::ScanBench(a)) => on_threads(a.threads).and_then(|()| scan_bench_command::run(a)),
-        Some(Command::StartBench(a)) => on_threads(a.threads).and_then(|()| start_bench::run(a)),
-        Some(Command::RealScans(a)) => on_threads(a.threads).and_then(|()| real_scans::run(a).map(drop)),
-        Some(Command::SearchSchedules(a)) => on_threads(a.threads).and_then(|()| schedule_search::run(a)),
-        Some(Command::SolverCase(a)) => on_threads(a.threads).and_then(|()| solver_case::run(a)),
+        None => on_threads(cli.threads, || first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
+        Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
+        Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
+        Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
+        Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
+        Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
         Some(Command::Nist(a)) => nist::run(a),
         Some(Command::MoreGarbowHillstrom(a)) => more_garbow_hillstrom::run(a),
@@ -79,7 +79,9 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
     ExitCode::from(if input { Stage::Loading } else { Stage::Computation } as u8)
 }
 
-fn on_threads(threads: Option<u16>) -> Result<()> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from));
-    Ok(pool.build_global().map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?)
+/// Does the work on so many threads, all cores without a number. On them, not beside them: a loop in parallel that is started
+/// from another thread wakes the pool and waits for it every time.
+fn on_threads(threads: Option<u16>, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from)).build();
+    pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work)
 }

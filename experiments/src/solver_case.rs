@@ -195,7 +195,7 @@ pub fn read_case(path: &Path) -> Result<SolverCase, Failure> {
         .zip(weight.chunks_exact(k.max(1)))
         .map(|(nodes, weights)| nodes.iter().copied().zip(weights.iter().copied()).collect());
     let edges = edge.chunks_exact(2).map(|e| (e[0], e[1])).collect();
-    let nodes = NodeGraph::from_influences(node, influences).with_edges(edges);
+    let nodes = NodeGraph::from_influences(node, influences).with_edges(edges).with_neighbours_together();
     let mut slab = vec![0.0; 3 * n * shape_count];
     for (displacements, rows) in
         delta.chunks_exact((3 * shape_count).max(1)).zip(slab.chunks_exact_mut((3 * shape_count).max(1)))

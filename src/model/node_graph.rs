@@ -39,7 +39,7 @@ impl NodeGraph {
                 _ => influence_weights(&reached, influences),
             }
         });
-        Ok(Self::from_influences(positions, lists))
+        Ok(Self::from_influences(positions, lists).with_neighbours_together())
     }
 
     /// [`along_surface`](Self::along_surface) with influences by distance through space.
@@ -108,6 +108,22 @@ impl NodeGraph {
         self
     }
 
+    /// The same graph with its nodes numbered anew, halves of space one after the other, so that nodes with neighbouring numbers
+    /// are neighbours in space: what an iteration reads for one node is then still in the processor's cache for the next.
+    #[must_use]
+    pub fn with_neighbours_together(self) -> Self {
+        let mut order: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        bisect(&self.nodes, &mut order);
+        let mut number = vec![0; order.len()];
+        for (new, &old) in order.iter().enumerate() {
+            number[old as usize] = new as u32;
+        }
+        let renumbered = |i: usize| self.influences(i).iter().map(|&(j, omega)| (number[j as usize], omega)).collect();
+        let nodes = order.iter().map(|&j| self.nodes[j as usize]).collect();
+        let edges = self.edges.iter().map(|&(i, j)| (number[i as usize], number[j as usize])).collect();
+        Self::from_influences(nodes, (0..self.vertex_count()).map(renumbered)).with_edges(edges)
+    }
+
     /// Node positions `x_j` in the rest shape.
     #[must_use]
     pub fn nodes(&self) -> &[Vec3] {
@@ -144,6 +160,22 @@ impl NodeGraph {
     pub fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
+}
+
+/// Orders points by halving them along the longest side of their box, over and over.
+fn bisect(points: &[Vec3], order: &mut [u32]) {
+    if order.len() < 2 {
+        return;
+    }
+    let of = |i: &u32| points[*i as usize];
+    let low = order.iter().map(of).fold(Vec3::repeat(f64::INFINITY), |a, b| a.inf(&b));
+    let high = order.iter().map(of).fold(Vec3::repeat(f64::NEG_INFINITY), |a, b| a.sup(&b));
+    let axis = (high - low).imax();
+    let middle = order.len() / 2;
+    order.select_nth_unstable_by(middle, |i, j| of(i)[axis].total_cmp(&of(j)[axis]).then(i.cmp(j)));
+    let (first, second) = order.split_at_mut(middle);
+    bisect(points, first);
+    bisect(points, second);
 }
 
 /// `(1 - d / d_(K+1))^2`, normalised, of the nearest nodes with their distances, nearest first: at most `influences` plus
@@ -229,6 +261,25 @@ mod tests {
             let strongest = graph.influences(i).iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
             assert_eq!(strongest.0, j as u32);
         }
+    }
+
+    #[test]
+    fn neighbours_have_near_numbers_and_the_graph_is_the_same() {
+        let graph = NodeGraph::along_surface(
+            &sheet(60, 60, |c, r| Vec3::new(c + 0.1 * r.sin(), r + 0.1 * c.sin(), 0.0)),
+            256,
+            4,
+        )
+        .unwrap();
+        let near = graph.edges().iter().filter(|(i, j)| i.abs_diff(*j) < 32).count();
+        assert!(2 * near > graph.edges().len(), "{near} of {}", graph.edges().len());
+        // Shuffled by hand and put together again: only the numbers change.
+        let number = |j: u32| (j * 77) % 256;
+        let mut nodes = vec![Vec3::zeros(); 256];
+        (0..256).for_each(|j| nodes[number(j) as usize] = graph.nodes()[j as usize]);
+        let influences = |i| graph.influences(i).iter().map(|&(j, omega)| (number(j), omega)).collect();
+        let shuffled = NodeGraph::from_influences(nodes, (0..3600).map(influences));
+        assert_eq!(shuffled.with_neighbours_together(), graph);
     }
 
     #[test]

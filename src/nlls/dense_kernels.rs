@@ -1,49 +1,199 @@
-//! Dense products that assemble normal equations. Row-major, single-threaded, the same bits on every call; instruction
-//! sets beyond the build's baseline are used where the processor has them. Products are fused with the sums that they go to, so
-//! results do not depend on the width of its registers; a processor that cannot do that (x86 before 2013) is slow.
+//! Dense products that assemble normal equations and factor them. Row-major, single-threaded, the same bits on every call;
+//! instruction sets beyond the build's baseline are used where the processor has them. Products are fused with the sums that they
+//! go to, and every entry is summed in the order of the rows, so results do not depend on the width of its registers; a processor
+//! that cannot fuse (x86 before 2013) is slow.
+//!
+//! All products are sums of outer products, `sum_k left_k' right_k`, in tiles that stay in registers from the first `k` to the
+//! last: [`sum_of_products`] is the inner loop, [`sweep`] cuts rows into tiles. Rows are padded to a multiple of [`PAD`] numbers, so
+//! that tiles need no ends.
 
-use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::{Accum, MatMut, MatRef, Par};
+use pulp::{Simd, WithSimd};
 
-/// `lower(c) = lower(a' a)` for `a` of `rows x n`; `c` is `n x n`, its strict upper triangle is left alone.
-pub fn rank_update_lower(a: &[f64], rows: usize, n: usize, c: &mut [f64]) {
-    if n == 0 {
-        return;
-    }
-    let a = MatRef::from_row_major_slice(&a[..rows * n], rows, n);
-    let c = MatMut::from_row_major_slice_mut(&mut c[..n * n], n, n);
-    triangular::matmul(
-        c,
-        BlockStructure::TriangularLower,
-        Accum::Replace,
-        a.transpose(),
-        BlockStructure::Rectangular,
-        a,
-        BlockStructure::Rectangular,
-        1.0,
-        Par::Seq,
-    );
+/// Rows are padded to a multiple of so many numbers: the widest register.
+pub const PAD: usize = 8;
+
+/// Length of a padded row of `n` numbers.
+#[must_use]
+pub const fn padded(n: usize) -> usize {
+    n.next_multiple_of(PAD)
 }
 
 /// Runs `work` compiled for the best instruction set that this processor has.
 #[inline]
-pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
+pub fn vectorized<R>(work: impl FnMut() -> R) -> R {
+    dispatch(Work(work))
+}
+
+/// Runs `work` with the registers of the best instruction set that this processor has.
+#[inline]
+pub fn dispatch<R>(work: impl WithSimd<Output = R>) -> R {
     pulp::Arch::new().dispatch(work)
 }
 
-/// `out += y' u` for `R` rows of `y` and of `u`; `out` is `W x n`, row-major, `n` the length of a row of `u`.
+/// `FnMut`, though it is called once: calling a closure by value goes through a shim that is not always inlined, and what is not
+/// inlined is compiled for the baseline.
+struct Work<F>(F);
+
+impl<R, F: FnMut() -> R> WithSimd for Work<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) -> R {
+        (self.0)()
+    }
+}
+
+/// `sum_k left_k' right_k` over the first `R` numbers of each `left` and the first `V` registers of each `right`.
+///
+/// # Panics
+/// If a `left` or a `right` is shorter.
 #[inline(always)]
-pub fn add_outer<const W: usize, const R: usize>(y: [&[f64; W]; R], u: [&[f64]; R], out: &mut [f64]) {
-    let n = u.first().map_or(0, |row| row.len());
-    let u = u.map(|row| &row[..n]);
-    for (i, out) in out.chunks_exact_mut(n.max(1)).take(W).enumerate() {
-        let y = y.map(|row| row[i]);
-        for k in 0..n {
-            let mut sum = out[k];
-            for r in 0..R {
-                sum = y[r].mul_add(u[r][k], sum);
+pub fn sum_of_products<'a, S: Simd, const R: usize, const V: usize>(
+    simd: S,
+    terms: impl Iterator<Item = (&'a [f64], &'a [f64])>,
+) -> [[S::f64s; V]; R] {
+    // Two functions and a sum that nobody else changes: otherwise the compiler keeps it in memory, at half the speed.
+    let mut sum = [[simd.splat_f64s(0.0); V]; R];
+    for (left, right) in terms {
+        add_product(simd, left, right, &mut sum);
+    }
+    sum
+}
+
+/// `sum += left' right`.
+#[inline(always)]
+fn add_product<S: Simd, const R: usize, const V: usize>(
+    simd: S,
+    left: &[f64],
+    right: &[f64],
+    sum: &mut [[S::f64s; V]; R],
+) {
+    let (left, right) = (&left[..R], &S::as_simd_f64s(right).0[..V]);
+    for r in 0..R {
+        let l = simd.splat_f64s(left[r]);
+        for v in 0..V {
+            sum[r][v] = simd.mul_add_f64s(l, right[v], sum[r][v]);
+        }
+    }
+}
+
+/// `out += numbers`, as many as both have. Short rows are not worth the compiler's loops: whole registers, then one that is partly
+/// used.
+#[inline(always)]
+pub fn add_to<S: Simd>(simd: S, numbers: &[f64], out: &mut [f64]) {
+    let length = numbers.len().min(out.len());
+    let (whole, rest) = S::as_simd_f64s(&numbers[..length]);
+    let (out_whole, out_rest) = S::as_mut_simd_f64s(&mut out[..length]);
+    for (o, number) in out_whole.iter_mut().zip(whole) {
+        *o = simd.add_f64s(*o, *number);
+    }
+    if !rest.is_empty() {
+        simd.partial_store_f64s(
+            out_rest,
+            simd.add_f64s(simd.partial_load_f64s(out_rest), simd.partial_load_f64s(rest)),
+        );
+    }
+}
+
+/// Starts to fetch the line of memory that number `at` of `row` lies in, if there is one. Processors foresee what follows in memory,
+/// not what an index will ask for: sums over gathered rows take twice as long without this.
+#[inline(always)]
+pub fn prefetch<T>(row: &[T], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(number) = row.get(at) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: fetching reads nothing and cannot fault; the instruction is part of every x86-64 processor.
+        #[allow(unsafe_code)]
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(number).cast());
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (row, at);
+}
+
+/// Work on a tile of `V` registers' width.
+pub trait Tile {
+    /// Does it for the tile that starts at column `first`.
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize);
+}
+
+/// Cuts `columns`, a multiple of [`PAD`], into tiles as wide as the registers allow that hold `R` rows of them.
+#[inline(always)]
+pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl Tile) {
+    let widest = (S::REGISTER_COUNT * 3 / 4 / R).min(3);
+    let mut first = 0;
+    while first < columns {
+        let left = ((columns - first) / S::F64_LANES).min(widest);
+        first += S::F64_LANES
+            * if left >= 3 {
+                work.tile::<S, 3>(simd, first);
+                3
+            } else if left == 2 {
+                work.tile::<S, 2>(simd, first);
+                2
+            } else {
+                work.tile::<S, 1>(simd, first);
+                1
+            };
+    }
+}
+
+/// `out += a' b` for the first `rows` rows of `a` and `b`, which are as wide as their padded rows; of `out`, `a` wide times `b`
+/// wide, only what a lower triangle needs if `lower`.
+pub fn add_gram([a, b]: [&[f64]; 2], [a_width, b_width]: [usize; 2], rows: usize, lower: bool, out: &mut [f64]) {
+    dispatch(Gram { a, b, a_width, b_width, rows, lower, out });
+}
+
+struct Gram<'a> {
+    a: &'a [f64],
+    b: &'a [f64],
+    a_width: usize,
+    b_width: usize,
+    rows: usize,
+    lower: bool,
+    out: &'a mut [f64],
+}
+
+/// Rows that [`add_gram`] multiplies before it turns to the next tile: few enough for the first-level cache.
+const GRAM_ROWS: usize = 32;
+
+impl WithSimd for Gram<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for first in (0..self.rows).step_by(GRAM_ROWS) {
+            let rows = first..(first + GRAM_ROWS).min(self.rows);
+            for i in (0..self.a_width).step_by(PAD) {
+                let columns = if self.lower { i + PAD } else { self.b_width };
+                let out = &mut self.out[i * self.b_width..];
+                let (a, b) = ((self.a, self.a_width), (self.b, self.b_width));
+                sweep::<S, PAD>(simd, columns, &mut GramTile { a, b, i, rows: rows.clone(), out });
             }
-            out[k] = sum;
+        }
+    }
+}
+
+struct GramTile<'a> {
+    a: (&'a [f64], usize),
+    b: (&'a [f64], usize),
+    i: usize,
+    rows: std::ops::Range<usize>,
+    out: &'a mut [f64],
+}
+
+impl Tile for GramTile<'_> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let ((a, a_width), (b, b_width)) = (self.a, self.b);
+        let rows = self.rows.clone().map(|k| (&a[k * a_width + self.i..], &b[k * b_width + first..]));
+        let sum = sum_of_products::<S, PAD, V>(simd, rows);
+        for r in 0..PAD {
+            let out = &mut S::as_mut_simd_f64s(&mut self.out[r * b_width + first..]).0[..V];
+            for v in 0..V {
+                out[v] = simd.add_f64s(out[v], sum[r][v]);
+            }
         }
     }
 }

@@ -18,7 +18,7 @@
 //! an affine one. A vertex is linear in these entries, and `b_i` is linear in `w`:
 //!
 //! ```text
-//!     dv_i/dT_j = omega_ij d[A_j t_j] [b_i - x_j; 1]                     ([`MapJacobian`])
+//!     dv_i/dT_j = omega_ij d[A_j t_j] [b_i - x_j; 1]                     ([`MapJacobians`])
 //!     dv_i/dw = Rbar_i B_i,   Rbar_i = sum_j omega_ij A_j,   B_i the constant 3 x nb slab of vertex i
 //! ```
 //!
@@ -33,17 +33,23 @@ mod regulariser;
 mod samples;
 
 use num_dual::DualSVec64;
+use pulp::Simd;
 use rayon::prelude::*;
 
 use self::regulariser::GraphRegulariser;
-use self::samples::{Blended, CHUNK, NodeSample, SampleChunk, chunks_of, fill_row, samples_of_nodes};
+use self::samples::{
+    Blended, CHUNK, NodeSamples, SampleChunk, chunks_of, fill_row, pitch, samples_of_nodes, shape_pitch,
+};
 use super::NodeGraph;
 use super::transform::{AffineMap, NodeTransform};
 use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
 use crate::mesh::Vec3;
-use crate::nlls::dense_kernels::vectorized;
+use crate::nlls::dense_kernels::{Tile, sum_of_products, sweep, vectorized};
 use crate::nlls::{BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
 use crate::rig::ShapeBasis;
+
+/// Chunks of samples whose products for the border are summed by one task.
+const BORDER_GROUP: usize = 4;
 
 /// How stiff the model is; changed from level to level of a registration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -79,12 +85,12 @@ pub struct NodeAssembly<T, const W: usize> {
     pub linearisation: Linearisation,
     placed: Placement,
     chunks: Vec<SampleChunk<W>>,
-    node_samples: Vec<Vec<NodeSample>>,
+    node_samples: Vec<NodeSamples>,
     border_partials: Vec<f64>,
     regulariser: GraphRegulariser<W>,
     /// Node maps with their tangents seeded, at the last linearisation, and their derivatives as numbers.
     seeded: Vec<AffineMap<DualSVec64<W>>>,
-    map_jacobians: Vec<MapJacobian<W>>,
+    map_jacobians: MapJacobians<W>,
     transform: std::marker::PhantomData<T>,
 }
 
@@ -129,7 +135,7 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
             node_samples: Vec::new(),
             border_partials: Vec::new(),
             seeded: Vec::new(),
-            map_jacobians: Vec::new(),
+            map_jacobians: MapJacobians::default(),
             transform: std::marker::PhantomData,
         }
     }
@@ -203,40 +209,83 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
             let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
             moved_map::<T, W, _>(x, j, &tangent)
         }));
-        self.map_jacobians.clear();
-        self.map_jacobians.extend(self.seeded.iter().map(MapJacobian::of));
+        self.map_jacobians.set(&self.seeded);
     }
 }
 
-/// A map `[A t]` at some parameters, and the derivatives of its entries by the tangent.
-struct MapJacobian<const W: usize> {
-    value: AffineMap<f64>,
-    /// By row of `[A t]`, then by its column.
-    derivatives: [[[f64; W]; 4]; 3],
+/// The nodes' maps `[A t]` at some parameters, and the derivatives of their entries by the tangent.
+#[derive(Default)]
+struct MapJacobians<const W: usize> {
+    values: Vec<AffineMap<f64>>,
+    /// By node, row of `[A t]` and its column; padded to [`pitch`].
+    derivatives: Vec<f64>,
 }
 
-impl<const W: usize> MapJacobian<W> {
-    fn of(seeded: &AffineMap<DualSVec64<W>>) -> Self {
-        let entry = |a: usize, c: usize| if c < 3 { &seeded.linear[a][c] } else { &seeded.translation[a] };
-        Self {
-            value: AffineMap {
-                linear: seeded.linear.map(|row| row.map(|e| e.re)),
-                translation: seeded.translation.map(|e| e.re),
-            },
-            derivatives: std::array::from_fn(|a| std::array::from_fn(|c| derivatives(entry(a, c)))),
+impl<const W: usize> MapJacobians<W> {
+    fn set(&mut self, seeded: &[AffineMap<DualSVec64<W>>]) {
+        self.values.clear();
+        self.derivatives.clear();
+        for map in seeded {
+            self.values.push(AffineMap {
+                linear: map.linear.map(|row| row.map(|e| e.re)),
+                translation: map.translation.map(|e| e.re),
+            });
+            for a in 0..3 {
+                for entry in map.linear[a].iter().chain([&map.translation[a]]) {
+                    self.derivatives.extend(derivatives(entry));
+                    self.derivatives.resize(self.derivatives.len() + pitch::<W>() - W, 0.0);
+                }
+            }
         }
     }
 
-    /// `out += row d(A q + t)`: how the component along `row` of where `q` goes changes with the tangent.
     #[inline(always)]
-    fn add_pulled_back(&self, row: [f64; 3], q: [f64; 3], out: &mut [f64; W]) {
+    fn value(&self, node: usize) -> &AffineMap<f64> {
+        &self.values[node]
+    }
+
+    /// Derivatives of row `a` of a node's `[A t]`, column by column, padded.
+    #[inline(always)]
+    fn of_row(&self, node: usize, a: usize) -> &[f64] {
+        &self.derivatives[(node * 3 + a) * 4 * pitch::<W>()..][..4 * pitch::<W>()]
+    }
+
+    /// Derivatives of entry `a` of a node's `t`.
+    #[inline(always)]
+    fn of_translation(&self, node: usize, a: usize) -> &[f64; W] {
+        self.of_row(node, a)[3 * pitch::<W>()..].first_chunk().expect("proven: the pitch is at least W")
+    }
+
+    /// `out += row d(A q + t)`: how the component along `row` of where `q` goes changes with a node's tangent.
+    #[inline(always)]
+    fn add_pulled_back<S: Simd>(&self, simd: S, node: usize, row: [f64; 3], q: [f64; 3], out: &mut [f64]) {
+        let derivatives = &self.derivatives[node * 12 * pitch::<W>()..][..12 * pitch::<W>()];
+        let mut factors = [0.0; 12];
         for a in 0..3 {
-            for (c, by_tangent) in self.derivatives[a].iter().enumerate() {
-                let factor = if c < 3 { row[a] * q[c] } else { row[a] };
-                for t in 0..W {
-                    out[t] = factor.mul_add(by_tangent[t], out[t]);
-                }
+            for c in 0..3 {
+                factors[4 * a + c] = row[a] * q[c];
             }
+            factors[4 * a + 3] = row[a];
+        }
+        sweep::<S, 1>(simd, pitch::<W>(), &mut PullBack::<W> { factors, derivatives, out });
+    }
+}
+
+struct PullBack<'a, const W: usize> {
+    factors: [f64; 12],
+    derivatives: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl<const W: usize> Tile for PullBack<'_, W> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let entries = self.derivatives.chunks_exact(pitch::<W>());
+        let terms = self.factors.iter().zip(entries).map(|(factor, d)| (std::slice::from_ref(factor), &d[first..]));
+        let [sum] = sum_of_products::<S, 1, V>(simd, terms);
+        let out = &mut S::as_mut_simd_f64s(&mut self.out[first..]).0[..V];
+        for v in 0..V {
+            out[v] = simd.add_f64s(out[v], sum[v]);
         }
     }
 }
@@ -297,7 +346,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
             let k = structure.row(row as usize).binary_search(&(col as usize)).expect("proven: the pair was added");
             (k * W * W) as u32
         };
-        self.node_samples = samples_of_nodes(&mut self.chunks, self.graph.nodes().len(), position);
+        self.node_samples = samples_of_nodes(&self.chunks, self.graph.nodes().len(), position);
         self.regulariser.attach(&self.graph, position);
         structure
     }
@@ -326,8 +375,10 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         let nb = self.shapes.len();
         let blended = Blended { graph: &self.graph, shapes: &self.shapes, vertices: &self.placed.blend };
         let maps = &self.map_jacobians;
-        self.border_partials.resize(self.chunks.len() * nb * nb, 0.0);
-        let partials = self.border_partials.par_chunks_mut((nb * nb).max(1));
+        let width = shape_pitch(nb);
+        self.border_partials.clear();
+        self.border_partials.resize(self.chunks.len().div_ceil(BORDER_GROUP) * width * width, 0.0);
+        let partials = self.border_partials.par_chunks_mut((width * width).max(1));
         let (quadrics, linearisation) = (field.quadrics(), self.linearisation);
         let fill = |chunk: &mut SampleChunk<W>| match linearisation {
             Linearisation::Structured => chunk.linearize(maps, quadrics, blended),
@@ -336,17 +387,21 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         if nb == 0 {
             self.chunks.par_iter_mut().for_each(fill);
         } else {
-            self.chunks.par_iter_mut().zip(partials).for_each(|(chunk, partial)| {
-                fill(chunk);
-                chunk.border_product(partial);
+            self.chunks.par_chunks_mut(BORDER_GROUP).zip(partials).for_each(|(chunks, partial)| {
+                for chunk in chunks {
+                    fill(chunk);
+                    chunk.add_border_product(nb, partial);
+                }
             });
         }
 
         let border_start = equations.structure().sparse_dimension();
-        for (c, chunk) in self.chunks.iter().enumerate() {
-            let partial = &self.border_partials[c * nb * nb..(c + 1) * nb * nb];
-            equations.border.iter_mut().zip(partial).for_each(|(h, p)| *h += p);
-            equations.gradient[border_start..].iter_mut().zip(&chunk.g_shapes).for_each(|(g, p)| *g += p);
+        for partial in self.border_partials.chunks_exact((width * width).max(1)) {
+            for r in 0..nb {
+                let sum = equations.border[r * nb..][..=r].iter_mut();
+                sum.zip(&partial[r * width..]).for_each(|(h, p)| *h += p);
+            }
+            equations.gradient[border_start..].iter_mut().zip(&partial[nb * width..]).for_each(|(g, p)| *g += p);
         }
         let (chunks, node_samples) = (&self.chunks, &self.node_samples);
         equations.for_each_block_row(&|j, row| fill_row(chunks, &node_samples[j], row, nb));
@@ -363,7 +418,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
 
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
         self.seed_nodes(x);
-        let nodes = (self.seeded.as_slice(), self.map_jacobians.as_slice());
+        let nodes = (self.seeded.as_slice(), &self.map_jacobians);
         self.regulariser.add_to::<T>(&self.graph, nodes, &self.stiffness, equations);
         let (nb, lambda) = (self.shapes.len(), self.stiffness.blend);
         let start = equations.structure().sparse_dimension();

@@ -3,7 +3,7 @@
 
 use num_dual::DualSVec64;
 
-use super::samples::{Blended, SampleChunk, SampleJacobian};
+use super::samples::{Blended, SampleChunk, SampleJacobian, pitch, shape_pitch};
 use super::{AffineMap, NodeTransform, derivatives, moved_map, node_range};
 use crate::energy::Quadric;
 use crate::nlls::Manifold;
@@ -33,14 +33,15 @@ impl<const W: usize> SampleChunk<W> {
 
 #[inline(always)]
 fn strided<T: NodeTransform<W>, const W: usize>(
-    sample: SampleJacobian<'_, W>,
+    sample: SampleJacobian<'_>,
     quadric: &Quadric,
     x: &[f64],
     Blended { graph, shapes, vertices }: Blended<'_>,
 ) {
     let nb = shapes.len();
     let w = &x[graph.nodes().len() * T::Parameters::AMBIENT..];
-    let of_nodes = sample.slots * W;
+    let rows = quadric.rows();
+    let of_nodes = sample.y.len() / rows.len() / pitch::<W>() * W;
     for first in (0..of_nodes + nb).step_by(STRIDE) {
         let seed = |k: usize, value: f64| {
             let d = Dual::from_re(value);
@@ -82,12 +83,12 @@ fn strided<T: NodeTransform<W>, const W: usize>(
             let along = |row: &[f64; 3]| row[0] * column[0] + row[1] * column[1] + row[2] * column[2];
             if k < of_nodes {
                 let (slot, t) = (k / W, k % W);
-                for (r, row) in quadric.rows().iter().enumerate() {
-                    sample.y[r * sample.slots + slot][t] = along(row);
+                for (r, row) in rows.iter().enumerate() {
+                    sample.y[(slot * rows.len() + r) * pitch::<W>() + t] = along(row);
                 }
             } else {
-                for (r, row) in quadric.rows().iter().enumerate() {
-                    sample.u[r * nb + k - of_nodes] = along(row);
+                for (r, row) in rows.iter().enumerate() {
+                    sample.u[r * shape_pitch(nb) + k - of_nodes] = along(row);
                 }
             }
         }

@@ -2,7 +2,8 @@
 
 use num_dual::DualSVec64;
 
-use super::{AffineMap, MapJacobian, NodeGraph, NodeTransform, Stiffness, derivatives};
+use super::samples::pitch;
+use super::{AffineMap, MapJacobians, NodeGraph, NodeTransform, Stiffness, derivatives};
 use crate::energy::NamedEnergy;
 use crate::mesh::Vec3;
 use crate::nlls::NormalEquations;
@@ -81,7 +82,7 @@ impl<const W: usize> GraphRegulariser<W> {
     pub fn add_to<T: NodeTransform<W>>(
         &mut self,
         graph: &NodeGraph,
-        (seeded, maps): (&[AffineMap<DualSVec64<W>>], &[MapJacobian<W>]),
+        (seeded, maps): (&[AffineMap<DualSVec64<W>>], &MapJacobians<W>),
         stiffness: &Stiffness,
         equations: &mut NormalEquations,
     ) {
@@ -92,7 +93,7 @@ impl<const W: usize> GraphRegulariser<W> {
             || {
                 for &(i, j) in graph.edges() {
                     let [i, j] = [i as usize, j as usize];
-                    edges.push(EdgeJacobian::new(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]));
+                    edges.push(EdgeJacobian::new(maps, [i, j], [graph.nodes()[i], graph.nodes()[j]]));
                 }
             },
         );
@@ -103,7 +104,7 @@ impl<const W: usize> GraphRegulariser<W> {
                 #[inline(always)]
                 || {
                     let diagonal = row.blocks.len() - W * W;
-                    let shift = |k: u32| std::array::from_fn(|a| &maps[k as usize].derivatives[a][3]);
+                    let shift = |k: u32| std::array::from_fn(|a| maps.of_translation(k as usize, a));
                     let own_shift = shift(j as u32);
                     let (mut ends, mut pull) = (0.0, [0.0; 3]);
                     for at in &node_edges[j] {
@@ -153,21 +154,16 @@ impl<const W: usize> GraphRegulariser<W> {
 
 impl<const W: usize> EdgeJacobian<W> {
     #[inline(always)]
-    fn new(source: &MapJacobian<W>, target: &MapJacobian<W>, [xi, xj]: [Vec3; 2]) -> Self {
+    fn new(maps: &MapJacobians<W>, [i, j]: [usize; 2], [xi, xj]: [Vec3; 2]) -> Self {
         let q = xj - xi;
-        let by_tangent = |d: &[[f64; W]; 4]| -> [f64; W] {
-            std::array::from_fn(
-                #[inline(always)]
-                |t| q[2].mul_add(d[2][t], q[1].mul_add(d[1][t], q[0].mul_add(d[0][t], d[3][t]))),
-            )
-        };
-        Self {
-            residual: edge_residual(&source.value, &target.value, [xi, xj]).into(),
-            source: [
-                by_tangent(&source.derivatives[0]),
-                by_tangent(&source.derivatives[1]),
-                by_tangent(&source.derivatives[2]),
-            ],
+        let mut source = [[0.0; W]; 3];
+        for (a, row) in source.iter_mut().enumerate() {
+            let d = maps.of_row(i, a);
+            for t in 0..W {
+                let [d0, d1, d2, d3] = [0, 1, 2, 3].map(|c| d[c * pitch::<W>() + t]);
+                row[t] = q[2].mul_add(d2, q[1].mul_add(d1, q[0].mul_add(d0, d3)));
+            }
         }
+        Self { residual: edge_residual(maps.value(i), maps.value(j), [xi, xj]).into(), source }
     }
 }

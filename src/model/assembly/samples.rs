@@ -1,11 +1,13 @@
 //! The data side of the assembly: samples in chunks of fixed size, each the work of one task, with their Jacobians `Y_sj`
 //! and `U_s`, and the sums of their products that make `H`. All orders of summation are fixed.
 
-use super::{MapJacobian, NodeGraph, ShapeBasis};
+use pulp::{Simd, WithSimd, bytemuck};
+
+use super::{MapJacobians, NodeGraph, ShapeBasis};
 use crate::energy::{Quadric, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::BlockRow;
-use crate::nlls::dense_kernels::{add_block, add_outer, rank_update_lower, vectorized};
+use crate::nlls::dense_kernels::{Tile, add_gram, add_to, dispatch, padded, prefetch, sum_of_products, sweep};
 
 /// Samples (and vertices) that one task works on.
 pub(super) const CHUNK: usize = 512;
@@ -25,20 +27,24 @@ pub(super) struct SampleChunk<const W: usize> {
     corners: Vec<Corner>,
     /// Node of each slot.
     nodes: Vec<u32>,
-    /// For slots `p >= q` of a sample, where in block row `nodes[p]` block (`nodes[p]`, `nodes[q]`) starts.
-    targets: Vec<u32>,
     /// Where the rows of each sample's quadric start; one more for the end of the last.
     row_starts: Vec<u32>,
-    /// Where each sample's `Y_sj` start.
+    /// Where each sample's `Y_sj` start, in rows of `y`.
     y_starts: Vec<u32>,
-    /// `Y_sj`: row by row of a sample's quadric, slot by slot.
-    y: Vec<[f64; W]>,
-    /// Residual of each row.
-    residuals: Vec<f64>,
-    /// `U_s`: rows of nb.
+    /// `Y_sj`: slot by slot of a sample, row by row of its quadric; each padded to [`pitch`], the row's residual after its end.
+    y: Vec<f64>,
+    /// `[U_s e_s]`: shapes and the residual, rows padded.
     u: Vec<f64>,
-    /// `sum_s (dv_s/dw)' g_s`.
-    pub g_shapes: Vec<f64>,
+}
+
+/// Length of a row of `Y_sj` with the residual after it.
+pub(super) const fn pitch<const W: usize>() -> usize {
+    padded(W + 1)
+}
+
+/// Length of a row of `U_s` with the residual after it.
+pub(super) const fn shape_pitch(nb: usize) -> usize {
+    if nb == 0 { 0 } else { padded(nb + 1) }
 }
 
 struct SampleSlots {
@@ -46,13 +52,6 @@ struct SampleSlots {
     index: u32,
     corners: std::ops::Range<u32>,
     slots: std::ops::Range<u32>,
-    targets: u32,
-}
-
-impl SampleSlots {
-    fn slots(&self) -> std::ops::Range<usize> {
-        self.slots.start as usize..self.slots.end as usize
-    }
 }
 
 /// One vertex of a sample with its weight, and the slot of each of the vertex' influences.
@@ -62,20 +61,37 @@ pub(super) struct Corner {
     pub slots: Vec<u32>,
 }
 
+/// What a node has to add up.
+pub(super) struct NodeSamples {
+    /// The samples that it moves.
+    samples: Vec<NodeSample>,
+    /// Blocks left of the diagonal: where each starts in the node's block row, and where its pairs end.
+    blocks: Vec<(u32, u32)>,
+    pairs: Vec<SlotPair>,
+}
+
 /// A sample that a node moves: its chunk, index in the chunk and slot within the sample.
-pub(super) struct NodeSample {
+#[derive(Clone, Copy)]
+struct NodeSample {
     chunk: u32,
     sample: u32,
     slot: u32,
 }
 
+/// A sample that two nodes move.
+struct SlotPair {
+    own: NodeSample,
+    other: u32,
+}
+
 /// One sample's share of a chunk, for a linearisation to fill.
-pub(super) struct SampleJacobian<'a, const W: usize> {
+pub(super) struct SampleJacobian<'a> {
     pub corners: &'a [Corner],
-    /// `Y_sj`, cleared: row by row of the quadric, slot by slot.
-    pub y: &'a mut [[f64; W]],
-    pub slots: usize,
-    /// `U_s`, rows of nb; holds anything.
+    /// Corners of a sample that comes soon.
+    pub later: &'a [Corner],
+    /// `Y_sj`, cleared: slot by slot, row by row of the quadric, each padded to [`pitch`].
+    pub y: &'a mut [f64],
+    /// `U_s`, rows of [`shape_pitch`]; holds anything.
     pub u: &'a mut [f64],
 }
 
@@ -86,7 +102,7 @@ pub(super) fn chunks_of<const W: usize>(
     pairs: &mut Vec<(usize, usize)>,
 ) -> Vec<SampleChunk<W>> {
     let mut chunks = Vec::new();
-    for run in neighbours_together(samples, graph).chunks(CHUNK) {
+    for run in by_strongest_node(samples, graph).chunks(CHUNK) {
         let mut chunk = SampleChunk::new();
         for &s in run {
             let nodes = chunk.push(s, samples.corners(s as usize), graph);
@@ -99,60 +115,46 @@ pub(super) fn chunks_of<const W: usize>(
     chunks
 }
 
-/// The samples in an order in which those that the same nodes move follow each other: nodes by breadth-first search along the
-/// graph's edges, at each the samples that it moves most. What a node then reads of its samples lies close together.
-fn neighbours_together(samples: &Samples, graph: &NodeGraph) -> Vec<u32> {
-    let count = graph.nodes().len();
-    let from = |j: u32| graph.edges().partition_point(|e| e.0 < j);
-    let mut rank = vec![usize::MAX; count];
-    let mut queue = Vec::with_capacity(count);
-    for seed in 0..count as u32 {
-        if rank[seed as usize] != usize::MAX {
-            continue;
-        }
-        let mut next = queue.len();
-        rank[seed as usize] = next;
-        queue.push(seed);
-        while next < queue.len() {
-            let j = queue[next];
-            next += 1;
-            for &(_, k) in graph.edges()[from(j)..].iter().take_while(|e| e.0 == j) {
-                if rank[k as usize] == usize::MAX {
-                    rank[k as usize] = queue.len();
-                    queue.push(k);
-                }
-            }
-        }
-    }
+/// The samples by the node that moves each most: what a node reads of its samples then lies close together.
+fn by_strongest_node(samples: &Samples, graph: &NodeGraph) -> Vec<u32> {
     let strongest = |s: u32| {
         let corner = samples.corners(s as usize).first()?;
-        let influence = graph.influences(corner.0 as usize).iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        Some(rank[influence.0 as usize])
+        graph.influences(corner.0 as usize).iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|influence| influence.0)
     };
     let mut order: Vec<u32> = (0..samples.len() as u32).collect();
     order.sort_by_cached_key(|&s| strongest(s));
     order
 }
 
-/// The samples that each node moves. Tells the chunks where their blocks lie: `position(j, k)`, `j >= k`, is where block
-/// (`j`, `k`) starts in block row `j`.
+/// What each node has to add up. `position(j, k)`, `j > k`, is where block (`j`, `k`) starts in block row `j`.
 pub(super) fn samples_of_nodes<const W: usize>(
-    chunks: &mut [SampleChunk<W>],
+    chunks: &[SampleChunk<W>],
     node_count: usize,
     position: impl Fn(u32, u32) -> u32,
-) -> Vec<Vec<NodeSample>> {
-    let mut of_nodes: Vec<Vec<NodeSample>> = (0..node_count).map(|_| Vec::new()).collect();
-    for (c, chunk) in chunks.iter_mut().enumerate() {
-        for (s, sample) in chunk.samples.iter_mut().enumerate() {
-            sample.targets = chunk.targets.len() as u32;
-            let nodes = &chunk.nodes[sample.slots()];
+) -> Vec<NodeSamples> {
+    let mut samples: Vec<Vec<NodeSample>> = vec![Vec::new(); node_count];
+    let mut pairs: Vec<Vec<(u32, SlotPair)>> = (0..node_count).map(|_| Vec::new()).collect();
+    for (c, chunk) in chunks.iter().enumerate() {
+        for (s, sample) in chunk.samples.iter().enumerate() {
+            let nodes = &chunk.nodes[sample.slots.start as usize..sample.slots.end as usize];
             for (p, &j) in nodes.iter().enumerate() {
-                chunk.targets.extend(nodes[..=p].iter().map(|&k| position(j, k)));
-                of_nodes[j as usize].push(NodeSample { chunk: c as u32, sample: s as u32, slot: p as u32 });
+                let own = NodeSample { chunk: c as u32, sample: s as u32, slot: p as u32 };
+                samples[j as usize].push(own);
+                let others = nodes[..p].iter().enumerate();
+                pairs[j as usize].extend(others.map(|(q, &k)| (position(j, k), SlotPair { own, other: q as u32 })));
             }
         }
     }
-    of_nodes
+    let by_block = |(samples, mut pairs): (Vec<NodeSample>, Vec<(u32, SlotPair)>)| {
+        pairs.sort_by_key(|pair| pair.0);
+        let runs = pairs.chunk_by(|a, b| a.0 == b.0);
+        let blocks = runs.scan(0, |end, run| {
+            *end += run.len() as u32;
+            Some((run[0].0, *end))
+        });
+        NodeSamples { samples, blocks: blocks.collect(), pairs: pairs.into_iter().map(|pair| pair.1).collect() }
+    };
+    samples.into_iter().zip(pairs).map(by_block).collect()
 }
 
 impl<const W: usize> SampleChunk<W> {
@@ -161,13 +163,10 @@ impl<const W: usize> SampleChunk<W> {
             samples: Vec::new(),
             corners: Vec::new(),
             nodes: Vec::new(),
-            targets: Vec::new(),
             row_starts: Vec::new(),
             y_starts: Vec::new(),
             y: Vec::new(),
-            residuals: Vec::new(),
             u: Vec::new(),
-            g_shapes: Vec::new(),
         }
     }
 
@@ -186,166 +185,267 @@ impl<const W: usize> SampleChunk<W> {
         let start = self.nodes.len() as u32;
         self.nodes.extend(nodes);
         let slots = start..self.nodes.len() as u32;
-        self.samples.push(SampleSlots { index, corners: first..self.corners.len() as u32, slots, targets: 0 });
+        self.samples.push(SampleSlots { index, corners: first..self.corners.len() as u32, slots });
         &self.nodes[start as usize..]
     }
 
-    /// Lays out the Jacobians for the rows of the problem's `quadrics`, and has `fill` write those of every sample that has a quadric.
+    /// Lays out the Jacobians for the rows of the problem's `quadrics`, and has `fill` write those of every sample that has one.
     #[inline(always)]
-    pub fn fill(&mut self, quadrics: &[Quadric], nb: usize, mut fill: impl FnMut(SampleJacobian<'_, W>, &Quadric)) {
+    pub fn fill(&mut self, quadrics: &[Quadric], nb: usize, mut fill: impl FnMut(SampleJacobian<'_>, &Quadric)) {
         let (mut rows, mut blocks) = (0, 0);
         self.row_starts.clear();
         self.y_starts.clear();
-        self.residuals.clear();
         for sample in &self.samples {
-            let quadric = &quadrics[sample.index as usize];
             self.row_starts.push(rows);
             self.y_starts.push(blocks);
-            self.residuals.extend(quadric.residuals());
-            rows += quadric.rows().len() as u32;
-            blocks += (quadric.rows().len() * sample.slots().len()) as u32;
+            let count = quadrics[sample.index as usize].rows().len() as u32;
+            rows += count;
+            blocks += count * (sample.slots.end - sample.slots.start);
         }
         self.row_starts.push(rows);
-        self.y.clear();
-        self.y.resize(blocks as usize, [0.0; W]);
-        self.u.resize(rows as usize * nb, 0.0);
-        self.g_shapes.clear();
-        self.g_shapes.resize(nb, 0.0);
+        self.y_starts.push(blocks);
+        let width = shape_pitch(nb);
+        self.y.resize(blocks as usize * pitch::<W>(), 0.0);
+        self.u.resize(rows as usize * width, 0.0);
         for (s, sample) in self.samples.iter().enumerate() {
             let quadric = &quadrics[sample.index as usize];
-            let count = quadric.rows().len();
-            if count == 0 {
+            let residuals = quadric.residuals();
+            if residuals.is_empty() {
                 continue;
             }
-            let slots = sample.slots().len();
-            let y = &mut self.y[self.y_starts[s] as usize..][..count * slots];
-            let corners = &self.corners[sample.corners.start as usize..sample.corners.end as usize];
-            let u = &mut self.u[self.row_starts[s] as usize * nb..][..count * nb];
-            fill(SampleJacobian { corners, y, slots, u: &mut *u }, quadric);
-            for (u, e) in u.chunks_exact(nb.max(1)).zip(quadric.residuals()) {
-                for (g, u) in self.g_shapes.iter_mut().zip(u) {
-                    *g = e.mul_add(*u, *g);
+            let y = &mut self.y[self.y_starts[s] as usize * pitch::<W>()..self.y_starts[s + 1] as usize * pitch::<W>()];
+            let u = &mut self.u[self.row_starts[s] as usize * width..self.row_starts[s + 1] as usize * width];
+            let corners_of = |sample: &SampleSlots| sample.corners.start as usize..sample.corners.end as usize;
+            let corners = &self.corners[corners_of(sample)];
+            let later = self.samples.get(s + SAMPLES_AHEAD).map_or(&[][..], |later| &self.corners[corners_of(later)]);
+            y.fill(0.0);
+            fill(SampleJacobian { corners, later, y: &mut *y, u: &mut *u }, quadric);
+            for (y, e) in y.chunks_exact_mut(pitch::<W>()).zip(residuals.iter().cycle()) {
+                y[W] = *e;
+            }
+            if nb > 0 {
+                for (u, e) in u.chunks_exact_mut(width).zip(residuals) {
+                    u[nb] = *e;
                 }
             }
         }
     }
 
     /// Forward-mode duals through every node's map, then the product rule; blendshapes enter as constant slabs.
-    pub fn linearize(&mut self, maps: &[MapJacobian<W>], quadrics: &[Quadric], blended: Blended<'_>) {
-        vectorized(
-            #[inline(always)]
-            || {
-                self.fill(
-                    quadrics,
-                    blended.shapes.len(),
-                    #[inline(always)]
-                    |sample, quadric| structured(sample, quadric, maps, blended),
-                )
-            },
-        );
+    pub fn linearize(&mut self, maps: &MapJacobians<W>, quadrics: &[Quadric], blended: Blended<'_>) {
+        dispatch(Structured { chunk: self, maps, quadrics, blended });
     }
 
-    /// `lower(sum_s U_s' U_s)`.
-    pub fn border_product(&self, out: &mut [f64]) {
+    /// Adds `lower([U e]' [U e])`, whose last row is `sum_s (dv_s/dw)' g_s`.
+    pub fn add_border_product(&self, nb: usize, out: &mut [f64]) {
         let rows = self.row_starts.last().map_or(0, |&r| r as usize);
-        rank_update_lower(&self.u, rows, self.g_shapes.len(), out);
+        add_gram([&self.u; 2], [shape_pitch(nb); 2], rows, true, out);
     }
 
-    fn rows_of(&self, s: usize) -> std::ops::Range<usize> {
-        self.row_starts[s] as usize..self.row_starts[s + 1] as usize
+    /// Rows of a node's `Y_sj` at one of its samples.
+    #[inline(always)]
+    fn rows_of(&self, at: NodeSample) -> std::ops::Range<usize> {
+        let s = at.sample as usize;
+        let count = (self.row_starts[s + 1] - self.row_starts[s]) as usize;
+        let start = self.y_starts[s] as usize + at.slot as usize * count;
+        start..start + count
+    }
+}
+
+struct Structured<'a, const W: usize> {
+    chunk: &'a mut SampleChunk<W>,
+    maps: &'a MapJacobians<W>,
+    quadrics: &'a [Quadric],
+    blended: Blended<'a>,
+}
+
+impl<const W: usize> WithSimd for Structured<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chunk, maps, quadrics, blended } = self;
+        chunk.fill(
+            quadrics,
+            blended.shapes.len(),
+            #[inline(always)]
+            |sample, quadric| structured(simd, sample, quadric, maps, blended),
+        );
     }
 }
 
 #[inline(always)]
-fn structured<const W: usize>(
-    sample: SampleJacobian<'_, W>,
+fn structured<S: Simd, const W: usize>(
+    simd: S,
+    sample: SampleJacobian<'_>,
     quadric: &Quadric,
-    maps: &[MapJacobian<W>],
+    maps: &MapJacobians<W>,
     Blended { graph, shapes, vertices }: Blended<'_>,
 ) {
-    let nb = shapes.len();
+    let (nb, rows) = (shapes.len(), quadric.rows());
+    for corner in sample.later {
+        let slab = shapes.vertex(corner.vertex as usize);
+        (0..slab.len()).step_by(16).for_each(|at| prefetch(slab, at));
+    }
     for (c, corner) in sample.corners.iter().enumerate() {
         let i = corner.vertex as usize;
         // Rbar_i, scaled by the corner's weight.
         let mut rbar = [[0.0; 3]; 3];
         for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
-            let (map, slot, weight) = (&maps[j as usize], slot as usize, corner.weight * omega);
+            let (map, weight) = (maps.value(j as usize), corner.weight * omega);
             let q = (vertices[i] - graph.nodes()[j as usize]).into();
             for a in 0..3 {
                 for b in 0..3 {
-                    rbar[a][b] += weight * map.value.linear[a][b];
+                    rbar[a][b] += weight * map.linear[a][b];
                 }
             }
-            for (r, row) in quadric.rows().iter().enumerate() {
-                map.add_pulled_back(row.map(|e| weight * e), q, &mut sample.y[r * sample.slots + slot]);
+            for (r, row) in rows.iter().enumerate() {
+                let at = (slot as usize * rows.len() + r) * pitch::<W>();
+                let y = &mut sample.y[at..at + pitch::<W>()];
+                maps.add_pulled_back(simd, j as usize, row.map(|e| weight * e), q, y);
             }
         }
         if nb > 0 {
             let slab = shapes.vertex(i);
-            for (u, row) in sample.u.chunks_exact_mut(nb).zip(quadric.rows()) {
+            for (u, row) in sample.u.chunks_exact_mut(shape_pitch(nb)).zip(rows) {
+                let direction = times(row, &rbar);
                 if c == 0 {
-                    u.fill(0.0);
+                    shape_row::<false>(&mut u[..nb], direction, slab);
+                } else {
+                    shape_row::<true>(&mut u[..nb], direction, slab);
                 }
-                add_shape_row(u, times(row, &rbar), slab);
             }
         }
     }
 }
 
-/// Rows of Y and U that [`fill_row`] multiplies at a time.
-const BATCH: usize = 4;
-
 /// Adds to a node's block row the products `Y_sj' Y_sk` and `Y_sj' U_s` of its `samples`.
-pub(super) fn fill_row<const W: usize>(
-    chunks: &[SampleChunk<W>],
-    samples: &[NodeSample],
-    row: BlockRow<'_>,
-    nb: usize,
-) {
-    vectorized(
-        #[inline(always)]
-        || fill_row_inline(chunks, samples, row, nb),
-    );
+pub(super) fn fill_row<const W: usize>(chunks: &[SampleChunk<W>], samples: &NodeSamples, row: BlockRow<'_>, nb: usize) {
+    dispatch(FillRow { chunks, samples, row, nb });
 }
 
-#[inline(always)]
-fn fill_row_inline<const W: usize>(chunks: &[SampleChunk<W>], samples: &[NodeSample], row: BlockRow<'_>, nb: usize) {
-    let mut y: [&[f64; W]; BATCH] = [&[0.0; W]; BATCH];
-    let mut u: [&[f64]; BATCH] = [&[]; BATCH];
-    let mut batched = 0;
-    for at in samples {
-        let chunk = &chunks[at.chunk as usize];
-        let (s, p) = (at.sample as usize, at.slot as usize);
-        let rows = chunk.rows_of(s);
-        if rows.is_empty() {
-            continue;
+struct FillRow<'a, const W: usize> {
+    chunks: &'a [SampleChunk<W>],
+    samples: &'a NodeSamples,
+    row: BlockRow<'a>,
+    nb: usize,
+}
+
+/// Rows of Y and U that [`fill_row`] gathers before it multiplies them.
+const BATCH: usize = 96;
+
+/// How many rows of U before a row it is fetched.
+const ROWS_AHEAD: usize = 8;
+
+/// How many samples before a sample its shapes are fetched.
+const SAMPLES_AHEAD: usize = 3;
+
+impl<const W: usize> WithSimd for FillRow<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chunks, samples, mut row, nb } = self;
+        let mut first = 0;
+        for &(block, end) in &samples.blocks {
+            let pairs = &samples.pairs[first..end as usize];
+            first = end as usize;
+            let block = &mut row.blocks[block as usize..][..W * W];
+            sweep::<S, W>(simd, pitch::<W>(), &mut BlockTile::<W> { chunks, pairs, block });
         }
-        let sample = &chunk.samples[s];
-        let slots = sample.slots();
-        let of_sample = &chunk.y[chunk.y_starts[s] as usize..][..rows.len() * slots.len()];
-        let targets = &chunk.targets[sample.targets as usize + p * (p + 1) / 2..][..=p];
-        for (of_row, e) in of_sample.chunks_exact(slots.len()).zip(&chunk.residuals[rows.clone()]) {
-            for t in 0..W {
-                row.gradient[t] = e.mul_add(of_row[p][t], row.gradient[t]);
-            }
-            for (other, &target) in of_row.iter().zip(targets) {
-                add_block(&mut row.blocks[target as usize..][..W * W], [&of_row[p]], [other], 1.0);
-            }
-        }
-        if nb > 0 {
-            for (r, at) in rows.enumerate() {
-                y[batched] = &of_sample[r * slots.len() + p];
-                u[batched] = &chunk.u[at * nb..][..nb];
+
+        let (mut y, mut u): ([&[f64]; BATCH], [&[f64]; BATCH]) = ([&[]; BATCH], [&[]; BATCH]);
+        let mut batched = 0;
+        let (pitch, width) = (pitch::<W>(), shape_pitch(nb));
+        for &at in &samples.samples {
+            let chunk = &chunks[at.chunk as usize];
+            let u_start = chunk.row_starts[at.sample as usize] as usize;
+            for (r, k) in chunk.rows_of(at).enumerate() {
+                y[batched] = &chunk.y[k * pitch..][..pitch];
+                u[batched] = &chunk.u[(u_start + r) * width..][..width];
                 batched += 1;
                 if batched == BATCH {
-                    add_outer(y, u, row.cross);
+                    multiply::<S, W>(simd, &y, &u, &mut row, nb);
                     batched = 0;
                 }
             }
         }
+        multiply::<S, W>(simd, &y[..batched], &u[..batched], &mut row, nb);
     }
-    for (y, u) in y.iter().zip(u).take(batched) {
-        add_outer([y], [u], row.cross);
+}
+
+/// Adds the products of rows of `y` with themselves and with rows of `u`.
+#[inline(always)]
+fn multiply<S: Simd, const W: usize>(simd: S, y: &[&[f64]], u: &[&[f64]], row: &mut BlockRow<'_>, nb: usize) {
+    let diagonal = row.blocks.len() - W * W;
+    let (block, gradient) = (&mut row.blocks[diagonal..], &mut *row.gradient);
+    sweep::<S, W>(simd, pitch::<W>(), &mut DiagonalTile::<W> { y, block, gradient });
+    sweep::<S, W>(simd, shape_pitch(nb), &mut CrossTile::<W> { y, u, nb, cross: row.cross });
+}
+
+/// `Y_sj' Y_sk` of a block.
+struct BlockTile<'a, const W: usize> {
+    chunks: &'a [SampleChunk<W>],
+    pairs: &'a [SlotPair],
+    block: &'a mut [f64],
+}
+
+impl<const W: usize> Tile for BlockTile<'_, W> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let rows = self.pairs.iter().flat_map(|pair| {
+            let chunk = &self.chunks[pair.own.chunk as usize];
+            let other = NodeSample { slot: pair.other, ..pair.own };
+            let rows = chunk.rows_of(pair.own).zip(chunk.rows_of(other));
+            rows.map(|(own, other)| (&chunk.y[own * pitch::<W>()..], &chunk.y[other * pitch::<W>() + first..]))
+        });
+        let sum = sum_of_products::<S, W, V>(simd, rows);
+        for (row, sum) in self.block.chunks_exact_mut(W).zip(&sum) {
+            add_to(simd, bytemuck::cast_slice(sum), &mut row[first.min(W)..]);
+        }
+    }
+}
+
+/// `Y_sj' [Y_sj e_s]`: the diagonal block and the gradient.
+struct DiagonalTile<'a, const W: usize> {
+    y: &'a [&'a [f64]],
+    block: &'a mut [f64],
+    gradient: &'a mut [f64],
+}
+
+impl<const W: usize> Tile for DiagonalTile<'_, W> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let sum = sum_of_products::<S, W, V>(simd, self.y.iter().map(|y| (*y, &y[first..])));
+        for (t, sum) in sum.iter().enumerate() {
+            add_to(simd, bytemuck::cast_slice(sum), &mut self.block[t * W..][..W][first.min(W)..]);
+            if (first..first + V * S::F64_LANES).contains(&W) {
+                self.gradient[t] += bytemuck::cast_slice::<S::f64s, f64>(sum)[W - first];
+            }
+        }
+    }
+}
+
+/// `Y_sj' U_s`.
+struct CrossTile<'a, const W: usize> {
+    y: &'a [&'a [f64]],
+    u: &'a [&'a [f64]],
+    nb: usize,
+    cross: &'a mut [f64],
+}
+
+impl<const W: usize> Tile for CrossTile<'_, W> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let rows = self.y.iter().zip(self.u).enumerate().map(|(k, (y, u))| {
+            let later = self.u.get(k + ROWS_AHEAD).copied().unwrap_or(&[]);
+            (0..V).for_each(|v| prefetch(later, first + v * S::F64_LANES));
+            (*y, &u[first..])
+        });
+        let sum = sum_of_products::<S, W, V>(simd, rows);
+        for (row, sum) in self.cross.chunks_exact_mut(self.nb).zip(&sum) {
+            add_to(simd, bytemuck::cast_slice(sum), &mut row[first.min(self.nb)..]);
+        }
     }
 }
 
@@ -354,14 +454,15 @@ fn times(row: &[f64; 3], m: &[[f64; 3]; 3]) -> [f64; 3] {
     std::array::from_fn(|b| row[0] * m[0][b] + row[1] * m[1][b] + row[2] * m[2][b])
 }
 
-/// `out += c' slab` for a `3 x nb` slab.
+/// `out = c' slab` for a `3 x nb` slab, or its sum with `out`.
 #[inline(always)]
-fn add_shape_row(out: &mut [f64], c: [f64; 3], slab: &[f32]) {
+fn shape_row<const ADD: bool>(out: &mut [f64], c: [f64; 3], slab: &[f32]) {
     let nb = out.len();
     let (s0, rest) = slab.split_at(nb);
     let (s1, s2) = rest.split_at(nb);
     for k in 0..nb {
         let [d0, d1, d2] = [s0[k], s1[k], s2[k]].map(f64::from);
-        out[k] = c[2].mul_add(d2, c[1].mul_add(d1, c[0].mul_add(d0, out[k])));
+        let before = if ADD { out[k] } else { 0.0 };
+        out[k] = c[2].mul_add(d2, c[1].mul_add(d1, c[0].mul_add(d0, before)));
     }
 }

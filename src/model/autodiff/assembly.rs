@@ -245,11 +245,11 @@ impl<B: Manifold> Assembly<B> {
 
     /// Adds `scale` times what was linearised last to the normal equations.
     pub(super) fn add_to(&self, equations: &mut NormalEquations, scale: f64) {
-        equations.for_each_block_row(&|j, row| {
+        equations.for_each_block_row(&|j, mut row| {
             vectorized(
                 #[inline(always)]
                 || {
-                    let BlockRow { blocks, gradient, .. } = row;
+                    let BlockRow { blocks, gradient, .. } = &mut row;
                     for holder in &self.holders[j] {
                         let element = &self.batches[holder.batch as usize].elements[holder.element as usize];
                         element.add_products(holder, scale, blocks, B::TANGENT);

@@ -25,14 +25,14 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use faer::linalg::matmul::{matmul, triangular};
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::{Accum, MatMut, MatRef, Par};
+use pulp::{Simd, WithSimd};
 
 use super::dense::DenseFactor;
+use super::front::ForwardTile;
 use super::supernodal::SupernodalFactor;
 use super::vector::dot;
 use super::{LinearError, LinearSolver, breakdown, check_step, damping_at, same_structure};
+use crate::nlls::dense_kernels::{PAD, add_gram, dispatch, padded, sweep, vectorized};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -90,13 +90,11 @@ pub struct ReducedSystem<'a> {
 #[derive(Debug)]
 struct Chunk {
     columns: Range<usize>,
-    /// Row-major, permuted rows.
+    /// Row-major, permuted rows, padded.
     values: Vec<f64>,
-    /// Product of one supernode's rectangle, row-major.
-    product: Vec<f64>,
 }
 
-/// Product of two chunks, `Z_a' Z_b` with a >= b, column-major.
+/// Product of two chunks, `Z_a' Z_b` with a >= b, row-major, rows and columns padded.
 #[derive(Debug)]
 struct Piece {
     a: usize,
@@ -114,11 +112,10 @@ impl BorderedCholesky {
         let chunks: Vec<Chunk> = (0..count)
             .map(|k| {
                 let columns = k * CHUNK..((k + 1) * CHUNK).min(m + 1);
-                let width = columns.len();
-                Chunk { columns, values: vec![0.0; n * width], product: vec![0.0; factor.longest_pattern() * width] }
+                Chunk { values: vec![0.0; n * padded(columns.len())], columns }
             })
             .collect();
-        let width = |k: usize| chunks[k].columns.len();
+        let width = |k: usize| padded(chunks[k].columns.len());
         let pieces = (0..count)
             .flat_map(|a| (0..=a).map(move |b| (a, b)))
             .map(|(a, b)| Piece { a, b, values: vec![0.0; width(a) * width(b)] })
@@ -164,8 +161,8 @@ impl BorderedCholesky {
         self.reduced_gradient.copy_from_slice(&equations.gradient[n..]);
         for piece in &self.pieces {
             let (rows, columns) = (&self.chunks[piece.a].columns, &self.chunks[piece.b].columns);
-            for (c, column) in columns.clone().zip(piece.values.chunks_exact(rows.len())) {
-                for (r, v) in rows.clone().zip(column) {
+            for (r, row) in rows.clone().zip(piece.values.chunks_exact(padded(columns.len()))) {
+                for (c, v) in columns.clone().zip(row) {
                     if r == m && c < m {
                         self.reduced_gradient[c] -= v;
                     } else if r < m && c <= r {
@@ -196,15 +193,21 @@ impl BorderedCholesky {
         let (d_g, d_w) = step.split_at_mut(n);
         self.permuted.fill(0.0);
         for chunk in &self.chunks {
-            let width = chunk.columns.len();
             // The last column, z, has weight one.
             let mut weights = [0.0; CHUNK];
             for (k, c) in chunk.columns.clone().enumerate() {
                 weights[k] = if c == m { 1.0 } else { d_w[c] };
             }
-            for (x, row) in self.permuted.iter_mut().zip(chunk.values.chunks_exact(width)) {
-                *x -= dot(row, &weights[..width]);
-            }
+            let width = padded(chunk.columns.len());
+            let permuted = &mut self.permuted;
+            vectorized(
+                #[inline(always)]
+                || {
+                    for (x, row) in permuted.iter_mut().zip(chunk.values.chunks_exact(width)) {
+                        *x -= dot(row, &weights[..width]);
+                    }
+                },
+            );
         }
         self.factor.backward(&mut self.permuted);
         for (&p, d) in self.factor.position().iter().zip(d_g) {
@@ -248,45 +251,47 @@ impl Chunk {
     /// Copies this chunk's columns of `P [H_gw g_g]`.
     fn load(&mut self, equations: &NormalEquations, position: &[usize]) {
         let m = equations.structure().border();
-        let width = self.columns.len();
+        let (count, width) = (self.columns.len(), padded(self.columns.len()));
         let from_cross = self.columns.start..self.columns.end.min(m);
         for (i, &p) in position.iter().enumerate() {
             let row = &mut self.values[p * width..(p + 1) * width];
             row[..from_cross.len()].copy_from_slice(&equations.cross[i * m..][from_cross.clone()]);
             if self.columns.end > m {
-                row[width - 1] = equations.gradient[i];
+                row[count - 1] = equations.gradient[i];
             }
         }
     }
 
     /// Solves `L Z = Z` in place.
     fn forward(&mut self, factor: &SupernodalFactor) {
-        let width = self.columns.len();
+        dispatch(Forward { factor, pitch: padded(self.columns.len()), x: &mut self.values });
+    }
+}
+
+struct Forward<'a> {
+    factor: &'a SupernodalFactor,
+    x: &'a mut [f64],
+    pitch: usize,
+}
+
+impl WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { factor, x, pitch } = self;
         for k in 0..factor.supernode_count() {
             let node = factor.supernode(k);
-            let (triangle, rectangle) = node.parts();
-            let end = node.start + node.width;
-            let top = &mut self.values[node.start * width..end * width];
-            let mut top = MatMut::from_row_major_slice_mut(top, node.width, width);
-            solve_lower_triangular_in_place(triangle, top.as_mut(), Par::Seq);
-            let rows = node.pattern.len();
-            if rows == 0 {
-                continue;
-            }
-            let product = &mut self.product[..rows * width];
-            matmul(
-                MatMut::from_row_major_slice_mut(&mut *product, rows, width),
-                Accum::Replace,
-                rectangle,
-                top.as_ref(),
-                1.0,
-                Par::Seq,
-            );
-            for (&row, update) in node.pattern.iter().zip(product.chunks_exact(width)) {
-                for (x, u) in self.values[row * width..(row + 1) * width].iter_mut().zip(update) {
-                    *x -= u;
-                }
-            }
+            let mut tile = ForwardTile {
+                columns: node.values,
+                stride: node.stride,
+                width: node.width,
+                start: node.start,
+                pattern: node.pattern,
+                x: &mut *x,
+                pitch,
+            };
+            sweep::<S, PAD>(simd, pitch, &mut tile);
         }
     }
 }
@@ -294,16 +299,8 @@ impl Chunk {
 impl Piece {
     /// `values = Z_a' Z_b`; of a diagonal piece the lower triangle only.
     fn multiply(&mut self, a: &Chunk, b: &Chunk, n: usize) {
-        let (rows, columns) = (a.columns.len(), b.columns.len());
-        let product = MatMut::from_column_major_slice_mut(&mut self.values, rows, columns);
-        let left = MatRef::from_row_major_slice(&a.values, n, rows).transpose();
-        let right = MatRef::from_row_major_slice(&b.values, n, columns);
-        if self.a == self.b {
-            use triangular::BlockStructure::{Rectangular, TriangularLower};
-            let replace = Accum::Replace;
-            triangular::matmul(product, TriangularLower, replace, left, Rectangular, right, Rectangular, 1.0, Par::Seq);
-        } else {
-            matmul(product, Accum::Replace, left, right, 1.0, Par::Seq);
-        }
+        self.values.fill(0.0);
+        let widths = [a, b].map(|chunk| padded(chunk.columns.len()));
+        add_gram([&a.values, &b.values], widths, n, self.a == self.b, &mut self.values);
     }
 }

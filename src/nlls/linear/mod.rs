@@ -22,6 +22,7 @@ mod bounded;
 mod box_qp;
 mod decoupled;
 mod dense;
+mod front;
 mod multifrontal;
 mod ordering;
 mod pcg;

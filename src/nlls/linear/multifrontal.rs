@@ -11,13 +11,11 @@
 //! so all arithmetic is on dense blocks as large as the supernode: one Cholesky, one triangular solve and one product each
 //! (Duff & Reid 1983; Liu 1992). Updates wait on a stack, in the order of a depth-first walk of the tree.
 
-use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization, cholesky_in_place, cholesky_in_place_scratch};
-use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
-use faer::{Accum, MatMut, Par};
+use pulp::{Simd, WithSimd};
 
-use super::scratch::Scratch;
+use super::front::{factor_columns, negative_square};
+use super::supernodal::Layout;
+use crate::nlls::dense_kernels::{dispatch, padded};
 
 /// The tree of fronts with all memory that a factorisation needs.
 #[derive(Debug)]
@@ -29,7 +27,6 @@ pub(super) struct Multifrontal {
     /// Updates that wait for their parents, those of even depth in the tree and those of odd: a front reads from one stack
     /// and writes to the other.
     updates: [Vec<f64>; 2],
-    memory: Scratch,
 }
 
 /// One supernode's place in the tree.
@@ -42,6 +39,8 @@ struct Front {
     below: usize,
     /// Where its columns start in the factor.
     values: usize,
+    /// Distance between its columns.
+    stride: usize,
     runs: std::ops::Range<usize>,
     /// Number of children: the fronts whose updates are on top of the other stack.
     children: usize,
@@ -62,7 +61,7 @@ struct Run {
 impl Front {
     /// Entries of its update.
     fn update(&self) -> usize {
-        self.below * self.below
+        padded(self.below) * self.below
     }
 }
 
@@ -77,14 +76,9 @@ fn children(fronts: &[Front], k: usize, top: usize) -> impl Iterator<Item = (&Fr
 }
 
 impl Multifrontal {
-    pub(super) fn new(symbolic: &SymbolicSupernodalCholesky<usize>) -> Self {
-        let count = symbolic.n_supernodes();
-        let (begin, end) = (symbolic.supernode_begin(), symbolic.supernode_end());
-        let mut owner = vec![0; end.last().map_or(0, |&n| n)];
-        for k in 0..count {
-            owner[begin[k]..end[k]].fill(k);
-        }
-        let parent = |k: usize| symbolic.supernode(k).pattern().first().map(|&row| owner[row]);
+    pub(super) fn new(layout: &Layout) -> Self {
+        let count = layout.supernodes.len();
+        let parent = |k: usize| layout.pattern(k).first().map(|&row| layout.owner[row]);
         let mut children = vec![Vec::new(); count];
         let mut stack = Vec::new();
         for k in (0..count).rev() {
@@ -107,29 +101,27 @@ impl Multifrontal {
         let (mut fronts, mut runs): (Vec<Front>, Vec<Run>) = (Vec::new(), Vec::new());
         let (mut tops, mut highest) = ([0; 2], [0; 2]);
         for (k, parity) in order {
-            let (pattern, width) = (symbolic.supernode(k).pattern(), end[k] - begin[k]);
+            let (node, pattern) = (&layout.supernodes[k], layout.pattern(k));
             let first_run = runs.len();
             if let Some(p) = parent(k) {
-                let above = symbolic.supernode(p).pattern();
                 for (from, &row) in pattern.iter().enumerate() {
-                    let to = if row < end[p] {
-                        row - begin[p]
-                    } else {
-                        end[p] - begin[p] + above.binary_search(&row).expect("proven: a parent has its children's rows")
-                    };
+                    let to = layout.local_row(p, row);
                     let (from, to) = (from as u32, to as u32);
                     match runs[first_run..].last_mut() {
                         // No run crosses from the parent's columns to the rows below them.
-                        Some(run) if run.to + run.length == to && to as usize != end[p] - begin[p] => run.length += 1,
+                        Some(run) if run.to + run.length == to && to as usize != layout.supernodes[p].width => {
+                            run.length += 1
+                        }
                         _ => runs.push(Run { from, to, length: 1 }),
                     }
                 }
             }
             fronts.push(Front {
-                start: begin[k],
-                width,
+                start: node.start,
+                width: node.width,
                 below: pattern.len(),
-                values: symbolic.col_ptr_for_val()[k],
+                values: node.values,
+                stride: node.stride,
                 runs: first_run..runs.len(),
                 children: children[k].len(),
                 subtree: 1,
@@ -144,9 +136,7 @@ impl Multifrontal {
             tops[parity] += fronts[last].update();
             highest[parity] = highest[parity].max(tops[parity]);
         }
-        let widest = fronts.iter().map(|f| f.width).max().unwrap_or(0);
-        let memory = cholesky_in_place_scratch::<f64>(widest, Par::Seq, Default::default());
-        Self { fronts, runs, updates: highest.map(|length| vec![0.0; length]), memory: Scratch::new(memory) }
+        Self { fronts, runs, updates: highest.map(|length| vec![0.0; length]) }
     }
 
     /// Overwrites the lower triangle of a matrix, laid out like its factor, with the factor: supernode after supernode, each
@@ -155,47 +145,47 @@ impl Multifrontal {
     /// # Errors
     /// The column, in permuted order, whose pivot is not positive.
     pub(super) fn factorize(&mut self, factor: &mut [f64]) -> Result<(), usize> {
-        let Self { fronts, runs, updates: [even, odd], memory } = self;
+        dispatch(Factorize { tree: self, factor })
+    }
+}
+
+struct Factorize<'a> {
+    tree: &'a mut Multifrontal,
+    factor: &'a mut [f64],
+}
+
+impl WithSimd for Factorize<'_> {
+    type Output = Result<(), usize>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { tree: Multifrontal { fronts, runs, updates: [even, odd] }, factor } = self;
         let mut tops = [0; 2];
         for (k, front) in fronts.iter().enumerate() {
-            let &Front { width, below, parity, .. } = front;
-            let height = width + below;
-            let columns = &mut factor[front.values..front.values + height * width];
+            let &Front { width, below, parity, stride, .. } = front;
+            let columns = &mut factor[front.values..];
             let (own, others) = if parity == 0 { (&mut *even, &*odd) } else { (&mut *odd, &*even) };
             let top = tops[1 - parity];
             for (child, start) in children(fronts, k, top) {
                 let runs = &runs[child.runs.clone()];
                 let split = runs.partition_point(|run| (run.to as usize) < width);
-                add_columns(&others[start..], child.below, &runs[..split], runs, |to| to as usize * height, 0, columns);
+                let column = |to: u32| to as usize * stride;
+                add_columns(&others[start..], child.below, (&runs[..split], runs), column, 0, columns);
                 tops[1 - parity] = start;
             }
 
-            let whole = MatMut::from_column_major_slice_mut(columns, height, width);
-            let (mut triangle, mut rectangle) = whole.split_at_row_mut(width);
-            let options = (LltRegularization::default(), Par::Seq, Default::default());
-            cholesky_in_place(triangle.as_mut(), options.0, options.1, memory.stack(), options.2)
-                .map_err(|LltError::NonPositivePivot { index }| front.start + index)?;
+            factor_columns(simd, &mut columns[..stride * width], stride, width).map_err(|c| front.start + c)?;
             if below == 0 {
                 continue;
             }
-            solve_lower_triangular_in_place(triangle.as_ref(), rectangle.as_mut().transpose_mut(), Par::Seq);
             let update = &mut own[tops[parity]..][..front.update()];
-            triangular::matmul(
-                MatMut::from_column_major_slice_mut(update, below, below),
-                BlockStructure::TriangularLower,
-                Accum::Replace,
-                rectangle.as_ref(),
-                BlockStructure::Rectangular,
-                rectangle.as_ref().transpose(),
-                BlockStructure::Rectangular,
-                -1.0,
-                Par::Seq,
-            );
+            negative_square(simd, columns, stride, width, below, update);
             for (child, start) in children(fronts, k, top) {
                 let runs = &runs[child.runs.clone()];
                 let below_columns = &runs[runs.partition_point(|run| (run.to as usize) < width)..];
-                let column = |to: u32| (to as usize - width) * below;
-                add_columns(&others[start..], child.below, below_columns, below_columns, column, width, update);
+                let column = |to: u32| (to as usize - width) * padded(below);
+                let runs = (below_columns, below_columns);
+                add_columns(&others[start..], child.below, runs, column, width, update);
             }
             tops[parity] += front.update();
         }
@@ -210,15 +200,14 @@ impl Multifrontal {
 fn add_columns(
     update: &[f64],
     below: usize,
-    columns: &[Run],
-    rows: &[Run],
+    (columns, rows): (&[Run], &[Run]),
     column: impl Fn(u32) -> usize,
     first: usize,
     out: &mut [f64],
 ) {
     for (r, run) in columns.iter().enumerate() {
         for c in 0..run.length {
-            let from = &update[(run.from + c) as usize * below..][..below];
+            let from = &update[(run.from + c) as usize * padded(below)..][..below];
             let out = &mut out[column(run.to + c)..];
             for (i, rows) in rows[r..].iter().enumerate() {
                 // In the diagonal's own run, rows above it hold nothing.

@@ -8,10 +8,12 @@
 //!   supernode s, columns [start, start + width):      L_s = [ T ]  width x width, lower triangular
 //!                                                           [ B ]  one row for each index in `pattern`, ascending
 //! ```
+//!
+//! column-major, columns padded (see [`front`](super::front)).
 
+use std::ops::Range;
 use std::sync::Arc;
 
-use faer::MatRef;
 use faer::dyn_stack::StackReq;
 use faer::sparse::SymbolicSparseColMat;
 use faer::sparse::linalg::SymbolicSupernodalParams;
@@ -22,6 +24,7 @@ use super::ordering::block_ordering;
 use super::scratch::Scratch;
 use super::vector::{axpy, dot};
 use super::{damping_at, pivot_is_sound};
+use crate::nlls::dense_kernels::{PAD, padded, vectorized};
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Where one stored block goes in the factor's memory.
@@ -35,6 +38,71 @@ struct Placement {
     transposed: bool,
 }
 
+/// The supernodes of a factor and where their values lie.
+#[derive(Debug)]
+pub(super) struct Layout {
+    pub supernodes: Vec<SupernodeLayout>,
+    patterns: Vec<usize>,
+    /// The supernode of each column.
+    pub owner: Vec<usize>,
+    /// Numbers in all, with [`PAD`] more at the end.
+    len: usize,
+}
+
+/// One supernode of a [`Layout`].
+#[derive(Debug)]
+pub(super) struct SupernodeLayout {
+    /// First column, in permuted order.
+    pub start: usize,
+    /// Number of columns.
+    pub width: usize,
+    /// Where its values start.
+    pub values: usize,
+    /// Distance between its columns.
+    pub stride: usize,
+    pattern: Range<usize>,
+}
+
+impl Layout {
+    fn new(symbolic: &supernodal::SymbolicSupernodalCholesky<usize>) -> Self {
+        let ends = symbolic.supernode_end();
+        let mut layout = Self {
+            supernodes: Vec::new(),
+            patterns: Vec::new(),
+            owner: vec![0; ends.last().map_or(0, |&n| n)],
+            len: 0,
+        };
+        for (k, (&start, &end)) in symbolic.supernode_begin().iter().zip(ends).enumerate() {
+            let first = layout.patterns.len();
+            layout.patterns.extend_from_slice(symbolic.supernode(k).pattern());
+            let pattern = first..layout.patterns.len();
+            let (width, values) = (end - start, layout.len);
+            let stride = padded(width + pattern.len());
+            layout.owner[start..end].fill(k);
+            layout.len += width * stride;
+            layout.supernodes.push(SupernodeLayout { start, width, values, stride, pattern });
+        }
+        layout.len += PAD;
+        layout
+    }
+
+    /// Rows below the triangle of supernode `k`, ascending, in permuted order.
+    pub fn pattern(&self, k: usize) -> &[usize] {
+        &self.patterns[self.supernodes[k].pattern.clone()]
+    }
+
+    /// The row of supernode `k` that is row `row` of the matrix, in permuted order.
+    pub fn local_row(&self, k: usize, row: usize) -> usize {
+        let node = &self.supernodes[k];
+        if row < node.start + node.width {
+            row - node.start
+        } else {
+            node.width
+                + self.pattern(k).binary_search(&row).expect("proven: the factor has the rows that are asked for")
+        }
+    }
+}
+
 /// Symbolic and numeric factor of `H_gg`.
 #[derive(Debug)]
 pub(super) struct SupernodalFactor {
@@ -43,7 +111,7 @@ pub(super) struct SupernodalFactor {
     /// Inverse of `position`.
     coordinate: Vec<usize>,
     placements: Vec<Placement>,
-    symbolic: supernodal::SymbolicSupernodalCholesky<usize>,
+    layout: Layout,
     numeric: Multifrontal,
     factor: Vec<f64>,
     gathered: Vec<f64>,
@@ -87,22 +155,15 @@ impl SupernodalFactor {
             }
         }
         let symbolic = symbolic_cholesky(&SymbolicSparseColMat::new_checked(n, n, col_starts, None, rows));
+        let layout = Layout::new(&symbolic);
 
-        let mut owner = vec![0; n];
-        for k in 0..symbolic.n_supernodes() {
-            owner[symbolic.supernode_begin()[k]..symbolic.supernode_end()[k]].fill(k);
-        }
         // A block's columns lie in one supernode and its rows follow each other there: both come whole.
         let place = |i: usize, j: usize| {
             let (row, col) = (starts[rank[i].max(rank[j])], starts[rank[i].min(rank[j])]);
-            let k = owner[col];
-            let (begin, end) = (symbolic.supernode_begin()[k], symbolic.supernode_end()[k]);
-            let pattern = symbolic.supernode(k).pattern();
-            let below = || pattern.binary_search(&row).expect("proven: the factor has the matrix' entries");
-            let local = if row < end { row - begin } else { end - begin + below() };
-            let stride = end - begin + pattern.len();
+            let k = layout.owner[col];
+            let SupernodeLayout { start, values, stride, .. } = layout.supernodes[k];
             Placement {
-                start: symbolic.col_ptr_for_val()[k] + (col - begin) * stride + local,
+                start: values + (col - start) * stride + layout.local_row(k, row),
                 stride,
                 transposed: rank[i] < rank[j],
             }
@@ -111,14 +172,14 @@ impl SupernodalFactor {
             .flat_map(|i| s.row(i).iter().map(move |&j| (i, j)))
             .map(|(i, j)| place(i, j))
             .collect();
-        let longest = (0..symbolic.n_supernodes()).map(|k| symbolic.supernode(k).pattern().len()).max().unwrap_or(0);
+        let longest = layout.supernodes.iter().map(|node| node.pattern.len()).max().unwrap_or(0);
         Self {
             position,
             coordinate,
             placements,
-            numeric: Multifrontal::new(&symbolic),
-            factor: vec![0.0; symbolic.len_val()],
-            symbolic,
+            numeric: Multifrontal::new(&layout),
+            factor: vec![0.0; layout.len],
+            layout,
             gathered: vec![0.0; longest],
         }
     }
@@ -162,12 +223,12 @@ impl SupernodalFactor {
         }
         self.numeric.factorize(&mut self.factor).map_err(|column| self.coordinate[column])?;
         let mut weak = 0;
-        for k in 0..self.symbolic.n_supernodes() {
+        for k in 0..self.supernode_count() {
             let node = self.supernode(k);
             for c in 0..node.width {
                 let i = self.coordinate[node.start + c];
                 let damp = damping_at(damping, i);
-                let pivot = node.values[c * node.height() + c].powi(2);
+                let pivot = node.column(c)[c].powi(2);
                 if !pivot_is_sound(pivot, equations.diagonal(i) + damp, damp, &mut weak) {
                     return Err(i);
                 }
@@ -178,39 +239,38 @@ impl SupernodalFactor {
 
     /// Number of supernodes.
     pub(super) fn supernode_count(&self) -> usize {
-        self.symbolic.n_supernodes()
+        self.layout.supernodes.len()
     }
 
     /// Columns `start..start + width` of L.
     pub(super) fn supernode(&self, k: usize) -> Supernode<'_> {
-        let start = self.symbolic.supernode_begin()[k];
-        let values = self.symbolic.col_ptr_for_val();
-        Supernode {
-            start,
-            width: self.symbolic.supernode_end()[k] - start,
-            pattern: self.symbolic.supernode(k).pattern(),
-            values: &self.factor[values[k]..values[k + 1]],
-        }
+        let &SupernodeLayout { start, width, values, stride, .. } = &self.layout.supernodes[k];
+        Supernode { start, width, stride, pattern: self.layout.pattern(k), values: &self.factor[values..] }
     }
 
     /// Solves `L x = b` in place; `x` is in permuted order.
     pub(super) fn forward(&mut self, x: &mut [f64]) {
         let mut gathered = std::mem::take(&mut self.gathered);
-        for k in 0..self.supernode_count() {
-            let node = self.supernode(k);
-            let below = &mut gathered[..node.pattern.len()];
-            below.fill(0.0);
-            for c in 0..node.width {
-                let column = node.column(c);
-                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                head[c] /= column[c];
-                axpy(-head[c], &column[c + 1..node.width], tail);
-                axpy(head[c], &column[node.width..], below);
-            }
-            for (&row, v) in node.pattern.iter().zip(below) {
-                x[row] -= *v;
-            }
-        }
+        vectorized(
+            #[inline(always)]
+            || {
+                for k in 0..self.supernode_count() {
+                    let node = self.supernode(k);
+                    let below = &mut gathered[..node.pattern.len()];
+                    below.fill(0.0);
+                    for c in 0..node.width {
+                        let column = node.column(c);
+                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                        head[c] /= column[c];
+                        axpy(-head[c], &column[c + 1..node.width], tail);
+                        axpy(head[c], &column[node.width..], below);
+                    }
+                    for (&row, v) in node.pattern.iter().zip(below) {
+                        x[row] -= *v;
+                    }
+                }
+            },
+        );
         self.gathered = gathered;
     }
 
@@ -263,19 +323,24 @@ impl SupernodalFactor {
     /// Solves `L' x = b` in place; `x` is in permuted order.
     pub(super) fn backward(&mut self, x: &mut [f64]) {
         let mut gathered = std::mem::take(&mut self.gathered);
-        for k in (0..self.supernode_count()).rev() {
-            let node = self.supernode(k);
-            let below = &mut gathered[..node.pattern.len()];
-            for (&row, v) in node.pattern.iter().zip(&mut *below) {
-                *v = x[row];
-            }
-            for c in (0..node.width).rev() {
-                let column = node.column(c);
-                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                let sum = dot(&column[c + 1..node.width], tail) + dot(&column[node.width..], below);
-                head[c] = (head[c] - sum) / column[c];
-            }
-        }
+        vectorized(
+            #[inline(always)]
+            || {
+                for k in (0..self.supernode_count()).rev() {
+                    let node = self.supernode(k);
+                    let below = &mut gathered[..node.pattern.len()];
+                    for (&row, v) in node.pattern.iter().zip(&mut *below) {
+                        *v = x[row];
+                    }
+                    for c in (0..node.width).rev() {
+                        let column = node.column(c);
+                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                        let sum = dot(&column[c + 1..node.width], tail) + dot(&column[node.width..], below);
+                        head[c] = (head[c] - sum) / column[c];
+                    }
+                }
+            },
+        );
         self.gathered = gathered;
     }
 }
@@ -297,21 +362,15 @@ pub(super) struct Supernode<'a> {
     pub width: usize,
     /// Rows below the triangle, ascending, in permuted order.
     pub pattern: &'a [usize],
-    values: &'a [f64],
+    /// Distance between its columns.
+    pub stride: usize,
+    /// Its columns, and what comes after them.
+    pub values: &'a [f64],
 }
 
 impl<'a> Supernode<'a> {
-    fn height(&self) -> usize {
-        self.width + self.pattern.len()
-    }
-
     fn column(&self, c: usize) -> &'a [f64] {
-        &self.values[c * self.height()..(c + 1) * self.height()]
-    }
-
-    /// The triangle T (its upper half is meaningless) and the rectangle B.
-    pub(super) fn parts(&self) -> (MatRef<'a, f64>, MatRef<'a, f64>) {
-        MatRef::from_column_major_slice(self.values, self.height(), self.width).split_at_row(self.width)
+        &self.values[c * self.stride..][..self.width + self.pattern.len()]
     }
 }
 
