@@ -5,6 +5,7 @@
 //! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
 //! | [`SparseCholesky`] | blocks, no (or a narrow) border | supernodal `P H P' = L L'`, AMD on the block graph |
 //! | [`BorderedCholesky`] | blocks and a dense border | Schur complement of the border by a forward solve |
+//! | [`BlockJacobi`] | blocks and a dense border, too many to factor | conjugate gradients, preconditioned by the diagonal blocks |
 //! | [`SplitCg`] | blocks split by coordinate | conjugate gradients, preconditioned by the coordinates' common factor or two levels |
 //!
 //! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
@@ -17,6 +18,8 @@ use thiserror::Error;
 
 use super::{BlockStructure, NormalEquations};
 
+mod block_diagonal;
+mod block_jacobi;
 mod bordered;
 mod bounded;
 mod box_qp;
@@ -32,6 +35,7 @@ mod supernodal;
 mod two_level;
 mod vector;
 
+pub use block_jacobi::BlockJacobi;
 pub use bordered::{BorderedCholesky, ReducedSystem};
 pub(super) use bounded::{BoundedStep, inverse_of_reduced};
 pub(super) use box_qp::Side;
@@ -154,6 +158,11 @@ pub trait LinearSolver: fmt::Debug + Send {
         None
     }
 
+    /// Iterations of the last [`solve`](Self::solve); `None` from direct solvers.
+    fn iterations(&self) -> Option<usize> {
+        None
+    }
+
     /// A short name for reports, such as `"bordered Cholesky"`.
     fn name(&self) -> &'static str;
 }
@@ -173,6 +182,8 @@ pub enum LinearSolverKind {
     Bordered,
     /// [`SplitCg`].
     SplitCg,
+    /// [`BlockJacobi`].
+    BlockJacobi,
 }
 
 impl LinearSolverKind {
@@ -185,6 +196,7 @@ impl LinearSolverKind {
             Self::Sparse => Box::new(SparseCholesky::new(structure)),
             Self::Bordered => Box::new(BorderedCholesky::new(structure)),
             Self::SplitCg => Box::new(SplitCg::new(structure)),
+            Self::BlockJacobi => Box::new(BlockJacobi::new(structure)),
         }
     }
 }

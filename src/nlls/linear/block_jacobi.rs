@@ -1,0 +1,303 @@
+//! Conjugate gradients on the bordered equations, preconditioned by their diagonal: for graphs too large to factor.
+//!
+//! ```text
+//!          [ H_11                   |      ]
+//!          [       H_22             |      ]        every block on the diagonal of H, and the border's square,
+//!      P = [              ...       |      ]        by its own Cholesky factor (block Jacobi)
+//!          [ -----------------------+----- ]
+//!          [                        | H_ww ]
+//! ```
+//!
+//! Nothing fills in: memory is that of the equations, and an iteration reads each of their numbers at most twice, where the factor
+//! of a graph on a surface grows like `n log n` and its arithmetic like `n^1.5`.
+//!
+//! Products are with the assembled H, not with `J' W J`. A node of a hybrid with `K = 4` influences meets about 18 others and moves
+//! some `V / n` = 100 vertices strongest, so the assembled product reads 36 numbers for each of 10 stored blocks (twice) and 6 for
+//! each of m shapes: `6 (120 + m)` = 1,000 a node with 50 shapes. J itself is 3 rows a vertex of `6 K + m` columns:
+//! `100 * 3 * (24 + m)` = 22,000 numbers a node, and twice that for J' after J; with one row a vertex (point-to-plane) still 15 times as much. Since
+//! Gauss-Newton needs H's diagonal blocks for P in any case, most of the assembly is paid for already.
+//!
+//! The lower triangle is all that is stored. A block row therefore gathers its own blocks, and through an index made once those
+//! below the diagonal in its column, transposed: every entry of the product is one sum in one order. Products with the border,
+//! `H_gw' x_g`, are summed over parts of fixed size, then over parts. So the bits are the same at any number of threads.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::block_diagonal::BlockDiagonal;
+use super::dense::DenseFactor;
+use super::vector::{axpy, dot};
+use super::{
+    Coordinate, LinearError, LinearSolver, Pcg, breakdown, check_step, damping_at, first_non_finite, same_structure,
+};
+use crate::nlls::dense_kernels::vectorized;
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// Block rows to a part: enough work for a thread to be worth asking, few enough to spread 400 nodes.
+const PART: usize = 32;
+
+/// Preconditioned conjugate gradients on blocks and border as they are: see the head of the source file.
+///
+/// The number of iterations grows with the ratio of the stiffest to the softest motion of neighbouring blocks together, so with
+/// the weight of a regulariser that joins them, and is about that of the blocks between two ends of the graph where nothing else
+/// holds them. Weak pivots are those of the blocks, each with all others held: a lower bound of the factorisations' count.
+#[derive(Debug)]
+pub struct BlockJacobi {
+    structure: Arc<BlockStructure>,
+    below: Below,
+    diagonal: BlockDiagonal,
+    border: DenseFactor,
+    /// `H_gw' x_g` of each part.
+    partial: Vec<f64>,
+    right: Vec<f64>,
+    pcg: Pcg,
+    iterations: usize,
+    weak: usize,
+}
+
+/// The stored blocks of each block column below the diagonal.
+#[derive(Debug)]
+struct Below {
+    starts: Vec<usize>,
+    /// Block row and slot, rows ascending.
+    blocks: Vec<(usize, usize)>,
+}
+
+impl Below {
+    fn new(s: &BlockStructure) -> Self {
+        let n = s.block_count();
+        let off_diagonal = || (0..n).flat_map(|i| s.row_slots(i).zip(s.row(i)).map(move |(slot, &j)| (i, j, slot)));
+        let mut starts = vec![0; n + 1];
+        off_diagonal().filter(|(i, j, _)| i != j).for_each(|(_, j, _)| starts[j + 1] += 1);
+        for j in 0..n {
+            starts[j + 1] += starts[j];
+        }
+        let (mut next, mut blocks) = (starts.clone(), vec![(0, 0); starts[n]]);
+        for (i, j, slot) in off_diagonal().filter(|(i, j, _)| i != j) {
+            blocks[next[j]] = (i, slot);
+            next[j] += 1;
+        }
+        Self { starts, blocks }
+    }
+
+    fn of(&self, j: usize) -> &[(usize, usize)] {
+        &self.blocks[self.starts[j]..self.starts[j + 1]]
+    }
+}
+
+impl BlockJacobi {
+    /// Buffers and the gather index for a structure. Equations of another structure are analysed when they come.
+    #[must_use]
+    pub fn new(structure: &Arc<BlockStructure>) -> Self {
+        Self::with_pcg(structure, Pcg::default())
+    }
+
+    /// The same with other settings of the conjugate gradients than the default ones.
+    #[must_use]
+    pub fn with_pcg(structure: &Arc<BlockStructure>, pcg: Pcg) -> Self {
+        let s = structure;
+        Self {
+            structure: s.clone(),
+            below: Below::new(s),
+            diagonal: BlockDiagonal::new(s),
+            border: DenseFactor::new(s.border()),
+            partial: vec![0.0; s.block_count().div_ceil(PART) * s.border()],
+            right: vec![0.0; s.dimension()],
+            pcg,
+            iterations: 0,
+            weak: 0,
+        }
+    }
+
+    /// Factorises the diagonal. Returns the number of weak pivots, or the tangent coordinate that broke it.
+    fn precondition(&mut self, h: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
+        let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
+        let weak = self.diagonal.invert(h, damping, |_| true)?;
+        let square = self.border.matrix_mut();
+        for r in 0..m {
+            for c in 0..=r {
+                square[c * m + r] = h.border[r * m + c];
+            }
+            square[r * (m + 1)] += damping_at(damping, n + r);
+        }
+        let damping = |k: usize| damping_at(damping, n + k);
+        let border = self.border.factorize(|k| h.border[k * (m + 1)] + damping(k), damping);
+        Ok(weak + border.map_err(|k| n + k)?)
+    }
+}
+
+impl LinearSolver for BlockJacobi {
+    fn solve(&mut self, equations: &NormalEquations, damping: &[f64], step: &mut [f64]) -> Result<(), LinearError> {
+        if !same_structure(equations.structure(), &self.structure) {
+            *self = Self::with_pcg(equations.structure(), std::mem::take(&mut self.pcg));
+        }
+        self.weak = self.precondition(equations, damping).map_err(|i| breakdown(equations, damping, i))?;
+        self.right.iter_mut().zip(&equations.gradient).for_each(|(b, g)| *b = -g);
+        let Self { structure: s, below, diagonal, border, partial, right, pcg, .. } = self;
+        let n = s.sparse_dimension();
+        let multiply = |x: &[f64], out: &mut [f64]| {
+            let (out_g, out_w) = out.split_at_mut(n);
+            for_each_part(s, 0..s.block_count(), out_g, partial, &|rows, out, partial| {
+                vectorized(
+                    #[inline(always)]
+                    || multiply_rows(equations, below, damping, rows, x, out, partial),
+                );
+            });
+            multiply_border(equations, damping, &x[n..], partial, out_w);
+        };
+        let precondition = |r: &[f64], z: &mut [f64]| {
+            let (z_g, z_w) = z.split_at_mut(n);
+            for_each_part(s, 0..s.block_count(), z_g, &mut [], &|rows, z, _| {
+                let first = s.offset(rows.start);
+                for i in rows {
+                    let own = s.offset(i)..s.offset(i + 1);
+                    diagonal.apply(i, &r[own.clone()], &mut z[own.start - first..own.end - first]);
+                }
+            });
+            z_w.copy_from_slice(&r[n..]);
+            border.solve(z_w);
+        };
+        self.iterations = pcg.solve(right, step, multiply, precondition).map_err(|error| {
+            match first_non_finite(equations, damping) {
+                Some(i) => LinearError::NonFinite { at: Coordinate::of(s, i) },
+                None => error,
+            }
+        })?;
+        check_step(equations, damping, step)
+    }
+
+    fn weak_pivots(&self) -> usize {
+        self.weak
+    }
+
+    fn iterations(&self) -> Option<usize> {
+        Some(self.iterations)
+    }
+
+    fn name(&self) -> &'static str {
+        "block-Jacobi conjugate gradients"
+    }
+}
+
+/// Calls `work` for runs of up to [`PART`] block rows, in parallel and without allocating, with the run's share of `out` and its
+/// slice of `partial` (empty, or one border for each part).
+fn for_each_part(
+    s: &BlockStructure,
+    rows: Range<usize>,
+    out: &mut [f64],
+    partial: &mut [f64],
+    work: &(impl Fn(Range<usize>, &mut [f64], &mut [f64]) + Sync),
+) {
+    let parts = rows.len().div_ceil(PART);
+    if parts <= 1 {
+        if !rows.is_empty() {
+            work(rows, out, partial);
+        }
+        return;
+    }
+    let left = parts / 2;
+    let middle = rows.start + left * PART;
+    let (out_left, out_right) = out.split_at_mut(s.offset(middle) - s.offset(rows.start));
+    let (partial_left, partial_right) = partial.split_at_mut(partial.len() / parts * left);
+    rayon::join(
+        || for_each_part(s, rows.start..middle, out_left, partial_left, work),
+        || for_each_part(s, middle..rows.end, out_right, partial_right, work),
+    );
+}
+
+/// `out = (H_gg + D) x_g + H_gw x_w` of some block rows, `partial = H_gw' x_g` of these.
+#[inline(always)]
+fn multiply_rows(
+    h: &NormalEquations,
+    below: &Below,
+    damping: &[f64],
+    rows: Range<usize>,
+    x: &[f64],
+    out: &mut [f64],
+    partial: &mut [f64],
+) {
+    let s = h.structure();
+    let (n, m) = (s.sparse_dimension(), s.border());
+    let first = s.offset(rows.start);
+    partial.fill(0.0);
+    for i in rows {
+        let own = s.offset(i)..s.offset(i + 1);
+        let out = &mut out[own.start - first..own.end - first];
+        for (a, out) in own.clone().zip(&mut *out) {
+            *out = damping_at(damping, a) * x[a];
+        }
+        for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+            let (block, x) = (&h.blocks[s.values(slot)], &x[s.offset(j)..s.offset(j + 1)]);
+            match (s.size(i), s.size(j)) {
+                (6, 6) => add_product::<6>(block, x, out),
+                (12, 12) => add_product::<12>(block, x, out),
+                (_, columns) => {
+                    for (out, row) in out.iter_mut().zip(block.chunks_exact(columns)) {
+                        *out += dot(row, x);
+                    }
+                }
+            }
+        }
+        for &(j, slot) in below.of(i) {
+            let (block, x) = (&h.blocks[s.values(slot)], &x[s.offset(j)..s.offset(j + 1)]);
+            match (s.size(j), s.size(i)) {
+                (6, 6) => add_transposed::<6>(block, x, out),
+                (12, 12) => add_transposed::<12>(block, x, out),
+                (_, columns) => {
+                    for (x, row) in x.iter().zip(block.chunks_exact(columns)) {
+                        axpy(*x, row, out);
+                    }
+                }
+            }
+        }
+        if m > 0 {
+            for ((a, out), row) in own.clone().zip(out).zip(h.cross[own.start * m..own.end * m].chunks_exact(m)) {
+                *out += dot(row, &x[n..]);
+                axpy(x[a], row, partial);
+            }
+        }
+    }
+}
+
+/// `out += A x`, A row-major of side N.
+#[inline(always)]
+fn add_product<const N: usize>(block: &[f64], x: &[f64], out: &mut [f64]) {
+    let x: &[f64; N] = x.try_into().expect("proven: matched sizes");
+    for (out, row) in out.iter_mut().zip(block.chunks_exact(N)) {
+        let mut sums = [0.0; 2];
+        for k in 0..N {
+            sums[k % 2] += row[k] * x[k];
+        }
+        *out += sums[0] + sums[1];
+    }
+}
+
+/// `out += A' x`, A row-major of side N.
+#[inline(always)]
+fn add_transposed<const N: usize>(block: &[f64], x: &[f64], out: &mut [f64]) {
+    let out: &mut [f64; N] = out.try_into().expect("proven: matched sizes");
+    let mut sum = *out;
+    for (x, row) in x.iter().zip(block.chunks_exact(N)) {
+        for k in 0..N {
+            sum[k] += x * row[k];
+        }
+    }
+    *out = sum;
+}
+
+/// `out = (H_ww + D) x_w + sum of the parts' H_gw' x_g`.
+fn multiply_border(h: &NormalEquations, damping: &[f64], x: &[f64], partial: &[f64], out: &mut [f64]) {
+    let (n, m) = (h.structure().sparse_dimension(), h.structure().border());
+    for (k, (out, x)) in out.iter_mut().zip(x).enumerate() {
+        *out = damping_at(damping, n + k) * x;
+    }
+    // The lower triangle and, off the diagonal, its transpose.
+    for r in 0..m {
+        let row = &h.border[r * m..=r * m + r];
+        out[r] += dot(row, &x[..=r]);
+        axpy(x[r], &row[..r], &mut out[..r]);
+    }
+    for part in partial.chunks_exact(m.max(1)) {
+        axpy(1.0, part, out);
+    }
+}
