@@ -186,7 +186,42 @@ pub enum LinearSolverKind {
     BlockJacobi,
 }
 
+/// No linear solver has this name.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("no linear solver is called {0:?}; there are {names}", names = LinearSolverKind::ALL.map(LinearSolverKind::name).join(", "))]
+pub struct UnknownLinearSolver(pub String);
+
+impl std::str::FromStr for LinearSolverKind {
+    type Err = UnknownLinearSolver;
+
+    fn from_str(name: &str) -> Result<Self, UnknownLinearSolver> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| UnknownLinearSolver(name.to_owned()))
+    }
+}
+
+impl fmt::Display for LinearSolverKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
 impl LinearSolverKind {
+    /// All kinds.
+    pub const ALL: [Self; 6] = [Self::Auto, Self::Dense, Self::Sparse, Self::Bordered, Self::SplitCg, Self::BlockJacobi];
+
+    /// Its name on command lines, such as `"block-jacobi"`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Dense => "dense",
+            Self::Sparse => "sparse",
+            Self::Bordered => "bordered",
+            Self::SplitCg => "split-cg",
+            Self::BlockJacobi => "block-jacobi",
+        }
+    }
+
     /// A solver of this kind, with its symbolic analysis done.
     #[must_use]
     pub fn build(self, structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
