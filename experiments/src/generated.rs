@@ -8,8 +8,8 @@ use data_gen::{
     FaceModel, FaceOptions, FaceRig, STANDARD_CASES, ScanOptions, Subject, simulate_scan, write_case, write_rig,
 };
 use nonrigid::cli::Failure;
-use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
 use nonrigid::mesh::io::{Landmark, Scan, TemplatePoint};
+use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

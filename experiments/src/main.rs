@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command, schedule_search, solver_case,
-    start_bench,
+    compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command, schedule_search,
+    solver_case, start_bench,
 };
 use nonrigid::cli::{Failure, Stage};
 use nonrigid::registration::RegistrationError;

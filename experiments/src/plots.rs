@@ -93,7 +93,8 @@ fn draw(svg: &mut String, plot: &LogLog<'_>) -> Result<(), Box<dyn std::error::E
     let axis = |k: usize| range_of(shown().map(|p| p[k])).ok_or("no positive values to plot");
     let (x, y) = (axis(0)?, axis(1)?);
     // Room for the legend above the lines.
-    let (wide, high) = (x.start / 1.25..x.end * 1.25, y.start / 2.0..y.end * 2.0 * (y.end / y.start).powf(0.4).max(3.0));
+    let (wide, high) =
+        (x.start / 1.25..x.end * 1.25, y.start / 2.0..y.end * 2.0 * (y.end / y.start).powf(0.4).max(3.0));
 
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
@@ -187,7 +188,8 @@ mod tests {
         let law = PowerLaw::fit(&points).unwrap();
         assert!((law.exponent - 1.5).abs() < 1e-13 && (law.factor - 0.25).abs() < 1e-13, "{law:?}");
         assert_eq!((law.from, law.to), (3.0, 1000.0));
-        for none in [&points[..1], &[[2.0, 1.0], [2.0, 3.0]], &[[1.0, 0.0], [2.0, 3.0]], &[[1.0, f64::NAN], [2.0, 3.0]]] {
+        for none in [&points[..1], &[[2.0, 1.0], [2.0, 3.0]], &[[1.0, 0.0], [2.0, 3.0]], &[[1.0, f64::NAN], [2.0, 3.0]]]
+        {
             assert_eq!(PowerLaw::fit(none), None);
         }
     }

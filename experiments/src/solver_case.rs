@@ -17,7 +17,8 @@ use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness, hybrid};
 use nonrigid::nlls::{
-    Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, LinearSolverKind, Minimizer, Options, Silent, Summary, Workspace,
+    Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, LinearSolverKind, Minimizer, Options, Silent, Summary,
+    Workspace,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;

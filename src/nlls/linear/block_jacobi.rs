@@ -1,31 +1,33 @@
 //! Conjugate gradients on the bordered equations, preconditioned by their diagonal: for graphs too large to factor.
 //!
 //! ```text
-//!          [ H_11                   |      ]
-//!          [       H_22             |      ]        every block on the diagonal of H, and the border's square,
-//!      P = [              ...       |      ]        by its own Cholesky factor (block Jacobi)
-//!          [ -----------------------+----- ]
-//!          [                        | H_ww ]
+//!          [ H_11               |      ]
+//!          [      H_22          |      ]      every block on the diagonal of H and the border's square by its own Cholesky
+//!      P = [           ...      |      ]      factor (block Jacobi); over the blocks a coarse level besides, in which aggregates
+//!          [ -------------------+----- ]      of neighbours change alike, see `two_level.rs`
+//!          [                    | H_ww ]
 //! ```
 //!
-//! Nothing fills in: memory is that of the equations, and an iteration reads each of their numbers at most twice, where the factor
-//! of a graph on a surface grows like `n log n` and its arithmetic like `n^1.5`.
+//! Nothing fills in, so memory is little more than that of the equations. The coarse level is what makes the method usable: what
+//! block Jacobi alone leaves is smooth over the graph, and on a hybrid's it takes 116, 247, 609 and more than 1000 iterations to
+//! 1e-8 with 200, 1000, 5000 and 20,000 nodes; with the coarse level, to 1e-6, 84, 99, 138 and 204 with 400, 1000, 5000, 20,000.
 //!
-//! Products are with the assembled H, not with `J' W J`. A node of a hybrid with `K = 4` influences meets about 18 others and moves
-//! some `V / n` = 100 vertices strongest, so the assembled product reads 36 numbers for each of 10 stored blocks (twice) and 6 for
-//! each of m shapes: `6 (120 + m)` = 1,000 a node with 50 shapes. J itself is 3 rows a vertex of `6 K + m` columns:
-//! `100 * 3 * (24 + m)` = 22,000 numbers a node, and twice that for J' after J; with one row a vertex (point-to-plane) still 15 times as much. Since
-//! Gauss-Newton needs H's diagonal blocks for P in any case, most of the assembly is paid for already.
+//! Products are with the assembled H, not with `J' W J`. Take a node of a hybrid with K = 4 influences, one for each hundred
+//! vertices: it meets 15 others, so a product reads 7.5 blocks twice and the diagonal's, 36 numbers each, and 6 rows of the m
+//! shapes: `576 + 6 m` = 876 with 50 shapes. Its hundred vertices have a row of `6 K + m` numbers each in J if one residual is a
+//! vertex (point-to-plane), and J is read twice: `200 (24 + m)` = 14,800, three times that for point-to-point. H is needed for its
+//! diagonal in any case.
 //!
-//! The lower triangle is all that is stored. A block row therefore gathers its own blocks, and through an index made once those
-//! below the diagonal in its column, transposed: every entry of the product is one sum in one order. Products with the border,
-//! `H_gw' x_g`, are summed over parts of fixed size, then over parts. So the bits are the same at any number of threads.
+//! Only the lower triangle of H is stored. A block row gathers its own blocks, and through an index made once those below the
+//! diagonal in its column, transposed: every entry of the product is one sum in one order. Products with the border, `H_gw' x_g`,
+//! are summed over parts of fixed size, then over the parts. So the bits are the same at any number of threads.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::block_diagonal::BlockDiagonal;
 use super::dense::DenseFactor;
+use super::supernodal::SupernodalFactor;
+use super::two_level::TwoLevel;
 use super::vector::{axpy, dot};
 use super::{
     Coordinate, LinearError, LinearSolver, Pcg, breakdown, check_step, damping_at, first_non_finite, same_structure,
@@ -38,14 +40,14 @@ const PART: usize = 32;
 
 /// Preconditioned conjugate gradients on blocks and border as they are: see the head of the source file.
 ///
-/// The number of iterations grows with the ratio of the stiffest to the softest motion of neighbouring blocks together, so with
-/// the weight of a regulariser that joins them, and is about that of the blocks between two ends of the graph where nothing else
-/// holds them. Weak pivots are those of the blocks, each with all others held: a lower bound of the factorisations' count.
+/// The number of iterations grows as the regulariser that joins neighbours outweighs what holds each of them. Weak pivots are those
+/// of each block with all others held, which the factorisations' count exceeds. A direction that only damping holds moves with its
+/// neighbours, as far as the tolerance sees it.
 #[derive(Debug)]
 pub struct BlockJacobi {
     structure: Arc<BlockStructure>,
     below: Below,
-    diagonal: BlockDiagonal,
+    blocks: TwoLevel,
     border: DenseFactor,
     /// `H_gw' x_g` of each part.
     partial: Vec<f64>,
@@ -86,10 +88,28 @@ impl Below {
 }
 
 impl BlockJacobi {
+    /// Iterations that [`choose`](super::choose) expects of a solve.
+    pub const EXPECTED_ITERATIONS: f64 = 150.0;
+
+    /// Time of one multiplication of an iteration in those of a factorisation, for [`choose`](super::choose): 7 while the equations
+    /// fit the caches, 20 beyond, measured on hybrids of 1000 and of 10,000 nodes.
+    pub const SLOWNESS: f64 = 16.0;
+
+    /// Memory of a factor, in bytes, beyond which [`choose`](super::choose) does without one.
+    pub const FACTOR_BYTES: f64 = 4.0 * 1_073_741_824.0;
+
+    /// Residual to which the default solver goes, as a share of the first: see [`Pcg::tolerance`]. The step's energy is then minimal
+    /// to about ten digits, more than the quadratic model is worth.
+    pub const TOLERANCE: f64 = 1e-6;
+
+    /// Iterations after which the default solver gives up.
+    pub const MAX_ITERATIONS: usize = 10_000;
+
     /// Buffers and the gather index for a structure. Equations of another structure are analysed when they come.
     #[must_use]
     pub fn new(structure: &Arc<BlockStructure>) -> Self {
-        Self::with_pcg(structure, Pcg::default())
+        let pcg = Pcg::default().with_tolerance(Self::TOLERANCE).with_max_iterations(Self::MAX_ITERATIONS);
+        Self::with_pcg(structure, pcg)
     }
 
     /// The same with other settings of the conjugate gradients than the default ones.
@@ -99,7 +119,7 @@ impl BlockJacobi {
         Self {
             structure: s.clone(),
             below: Below::new(s),
-            diagonal: BlockDiagonal::new(s),
+            blocks: TwoLevel::analyse(s),
             border: DenseFactor::new(s.border()),
             partial: vec![0.0; s.block_count().div_ceil(PART) * s.border()],
             right: vec![0.0; s.dimension()],
@@ -109,10 +129,26 @@ impl BlockJacobi {
         }
     }
 
+    /// Whether conjugate gradients are expected to beat the factor whose analysis is given: see [`choose`](super::choose).
+    pub(super) fn pays(s: &BlockStructure, factor: &SupernodalFactor) -> bool {
+        let (n, m) = (s.sparse_dimension() as f64, s.border() as f64);
+        let (mut multiplications, mut values) = (n * m * m / 2.0, n * (m + 1.0));
+        for k in 0..factor.supernode_count() {
+            let node = factor.supernode(k);
+            let (width, below) = (node.width as f64, node.pattern.len() as f64);
+            let elimination = width * (width * width / 6.0 + below * (width + below) / 2.0);
+            multiplications += elimination + width * (width / 2.0 + below) * m;
+            values += width * (width + below);
+        }
+        // Blocks count twice, the diagonal's once more in the preconditioner; so do the border's rows.
+        let iteration = 2.0 * (s.value_count() as f64 + n * m);
+        multiplications > Self::EXPECTED_ITERATIONS * Self::SLOWNESS * iteration || 8.0 * values > Self::FACTOR_BYTES
+    }
+
     /// Factorises the diagonal. Returns the number of weak pivots, or the tangent coordinate that broke it.
     fn precondition(&mut self, h: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
         let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
-        let weak = self.diagonal.invert(h, damping, |_| true)?;
+        let weak = self.blocks.factorize(h, damping)?;
         let square = self.border.matrix_mut();
         for r in 0..m {
             for c in 0..=r {
@@ -133,7 +169,7 @@ impl LinearSolver for BlockJacobi {
         }
         self.weak = self.precondition(equations, damping).map_err(|i| breakdown(equations, damping, i))?;
         self.right.iter_mut().zip(&equations.gradient).for_each(|(b, g)| *b = -g);
-        let Self { structure: s, below, diagonal, border, partial, right, pcg, .. } = self;
+        let Self { structure: s, below, blocks, border, partial, right, pcg, .. } = self;
         let n = s.sparse_dimension();
         let multiply = |x: &[f64], out: &mut [f64]| {
             let (out_g, out_w) = out.split_at_mut(n);
@@ -147,13 +183,7 @@ impl LinearSolver for BlockJacobi {
         };
         let precondition = |r: &[f64], z: &mut [f64]| {
             let (z_g, z_w) = z.split_at_mut(n);
-            for_each_part(s, 0..s.block_count(), z_g, &mut [], &|rows, z, _| {
-                let first = s.offset(rows.start);
-                for i in rows {
-                    let own = s.offset(i)..s.offset(i + 1);
-                    diagonal.apply(i, &r[own.clone()], &mut z[own.start - first..own.end - first]);
-                }
-            });
+            blocks.apply(s, &r[..n], z_g);
             z_w.copy_from_slice(&r[n..]);
             border.solve(z_w);
         };
@@ -180,7 +210,7 @@ impl LinearSolver for BlockJacobi {
 }
 
 /// Calls `work` for runs of up to [`PART`] block rows, in parallel and without allocating, with the run's share of `out` and its
-/// slice of `partial` (empty, or one border for each part).
+/// slice of `partial`, one border for each part.
 fn for_each_part(
     s: &BlockStructure,
     rows: Range<usize>,
@@ -266,7 +296,7 @@ fn add_product<const N: usize>(block: &[f64], x: &[f64], out: &mut [f64]) {
     for (out, row) in out.iter_mut().zip(block.chunks_exact(N)) {
         let mut sums = [0.0; 2];
         for k in 0..N {
-            sums[k % 2] += row[k] * x[k];
+            sums[k % 2] = row[k].mul_add(x[k], sums[k % 2]);
         }
         *out += sums[0] + sums[1];
     }
@@ -279,7 +309,7 @@ fn add_transposed<const N: usize>(block: &[f64], x: &[f64], out: &mut [f64]) {
     let mut sum = *out;
     for (x, row) in x.iter().zip(block.chunks_exact(N)) {
         for k in 0..N {
-            sum[k] += x * row[k];
+            sum[k] = x.mul_add(row[k], sum[k]);
         }
     }
     *out = sum;

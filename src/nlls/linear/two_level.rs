@@ -12,9 +12,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::block_diagonal::BlockDiagonal;
-use super::damping_at;
 use super::supernodal::SupernodalFactor;
+use super::vector::{dense_cholesky_solve, dot};
+use super::{damping_at, pivot_is_sound};
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Blocks to an aggregate. Half of it takes a quarter fewer iterations, which do not pay for the larger coarse problem.
@@ -38,7 +38,10 @@ pub(super) struct TwoLevel {
     in_company: Vec<bool>,
     /// Per slot.
     targets: Vec<Target>,
-    diagonal: BlockDiagonal,
+    /// Where the inverse of each diagonal block starts.
+    starts: Vec<usize>,
+    inverses: Vec<f64>,
+    triangle: Vec<f64>,
     coarse: NormalEquations,
     coarse_damping: Vec<f64>,
     factor: SupernodalFactor,
@@ -65,12 +68,19 @@ impl TwoLevel {
         let targets = all().map(target).collect();
         let mut members = vec![0; sizes.len()];
         aggregate.iter().for_each(|&a| members[a] += 1);
+        let mut starts = vec![0];
+        for i in 0..s.block_count() {
+            starts.push(starts[i] + s.size(i) * s.size(i));
+        }
+        let largest = (0..s.block_count()).map(|i| s.size(i)).max().unwrap_or(0);
         let thin = Arc::new(thin);
         Self {
             in_company: aggregate.iter().map(|&a| members[a] > 1).collect(),
             aggregate,
             targets,
-            diagonal: BlockDiagonal::new(s),
+            inverses: vec![0.0; starts[s.block_count()]],
+            starts,
+            triangle: vec![0.0; largest * largest],
             coarse_damping: vec![0.0; thin.dimension()],
             permuted: vec![0.0; thin.dimension()],
             factor: SupernodalFactor::analyse(&thin),
@@ -82,8 +92,13 @@ impl TwoLevel {
     /// or the tangent coordinate that broke it.
     pub(super) fn factorize(&mut self, h: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
         let s = h.structure();
-        // A block that is an aggregate of its own is counted with the coarse matrix.
-        let weak = self.diagonal.invert(h, damping, |i| self.in_company[i])?;
+        let mut weak = 0;
+        for i in 0..s.block_count() {
+            let mut own = 0;
+            self.invert(h, damping, i, &mut own)?;
+            // A block that is an aggregate of its own is counted with the coarse matrix.
+            weak += if self.in_company[i] { own } else { 0 };
+        }
         self.coarse.clear();
         let thin = self.coarse.structure().clone();
         for i in 0..s.block_count() {
@@ -119,14 +134,48 @@ impl TwoLevel {
         Ok(weak + self.factor.factorize(&self.coarse, &self.coarse_damping).map_err(member)?)
     }
 
+    /// Inverts diagonal block `i`.
+    fn invert(&mut self, h: &NormalEquations, damping: &[f64], i: usize, weak: &mut usize) -> Result<(), usize> {
+        let s = h.structure();
+        let n = s.size(i);
+        let block = &h.blocks[s.values(s.row_slots(i).end - 1)];
+        let l = &mut self.triangle[..n * n];
+        l.copy_from_slice(block);
+        // Symmetric, so row-major is column-major; column by column.
+        for c in 0..n {
+            let damp = damping_at(damping, s.offset(i) + c);
+            let diagonal = block[c * (n + 1)] + damp;
+            let pivot = diagonal - (0..c).map(|k| l[k * n + c] * l[k * n + c]).sum::<f64>();
+            if !pivot_is_sound(pivot, diagonal, damp, weak) {
+                return Err(s.offset(i) + c);
+            }
+            l[c * (n + 1)] = pivot.sqrt();
+            for r in c + 1..n {
+                let sum: f64 = (0..c).map(|k| l[k * n + r] * l[k * n + c]).sum();
+                l[c * n + r] = (l[c * n + r] - sum) / l[c * (n + 1)];
+            }
+        }
+        let inverse = &mut self.inverses[self.starts[i]..self.starts[i + 1]];
+        inverse.fill(0.0);
+        for (c, column) in inverse.chunks_exact_mut(n).enumerate() {
+            column[c] = 1.0;
+            dense_cholesky_solve(l, column);
+        }
+        Ok(())
+    }
+
     /// `z = P^-1 r`.
     pub(super) fn apply(&mut self, s: &BlockStructure, r: &[f64], z: &mut [f64]) {
-        let Self { aggregate, diagonal, coarse, factor, permuted, .. } = self;
+        let Self { aggregate, starts, inverses, coarse, factor, permuted, .. } = self;
         let offset = |i: usize| coarse.structure().offset(aggregate[i]);
         let fine = || {
             for i in 0..s.block_count() {
-                let own = s.offset(i)..s.offset(i + 1);
-                diagonal.apply(i, &r[own.clone()], &mut z[own]);
+                let n = s.size(i);
+                let own = s.offset(i)..s.offset(i) + n;
+                let inverse = &inverses[starts[i]..starts[i + 1]];
+                for (z, row) in z[own.clone()].iter_mut().zip(inverse.chunks_exact(n)) {
+                    *z = dot(row, &r[own.clone()]);
+                }
             }
         };
         let solve_coarse = || {
