@@ -269,7 +269,7 @@ const SOLVER: &[Quantity] = &[
 ];
 
 const REGISTRATION: &[Quantity] = &[
-    seconds("registration_seconds", "registration"),
+    seconds("registration_seconds", "the whole run"),
     seconds("setup_seconds", "before the first step"),
     seconds("steps_seconds", "all steps"),
     PEAK,
@@ -328,8 +328,8 @@ fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<Line> {
         let Some(y) = measured["median"].as_f64().or_else(|| measured.as_f64()) else { continue };
         let threads = format!("threads {}", row["threads"]);
         let name = match (row["linear_solver"].as_str(), row["reference"].as_bool()) {
-            (Some(solver), Some(true)) => format!("{solver}, reference, {threads}"),
-            (Some(solver), _) => format!("{solver}, {threads}"),
+            (Some(solver), Some(true)) => format!("{}, reference, {threads}", solver.replace('_', "-")),
+            (Some(solver), _) => format!("{}, {threads}", solver.replace('_', "-")),
             _ => threads,
         };
         let point = [row[x].as_f64().unwrap_or(f64::NAN), y / quantity.worth];
