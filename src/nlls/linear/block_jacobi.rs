@@ -13,8 +13,8 @@
 //! 1e-8 with 200, 1000, 5000 and 20,000 nodes; with the coarse level, to 1e-6, 84, 99, 138 and 204 with 400, 1000, 5000, 20,000.
 //!
 //! Products are with the assembled H, not with `J' W J`. Take a node of a hybrid with K = 4 influences, one for each hundred
-//! vertices: it meets 15 others, so a product reads 7.5 blocks twice and the diagonal's, 36 numbers each, and 6 rows of the m
-//! shapes: `576 + 6 m` = 876 with 50 shapes. Its hundred vertices have a row of `6 K + m` numbers each in J if one residual is a
+//! vertices: it meets 14 others, so a product reads 7 blocks twice and the diagonal's, 36 numbers each, and 6 rows of the m
+//! shapes: `540 + 6 m` = 840 with 50 shapes. Its hundred vertices have a row of `6 K + m` numbers each in J if one residual is a
 //! vertex (point-to-plane), and J is read twice: `200 (24 + m)` = 14,800, three times that for point-to-point. H is needed for its
 //! diagonal in any case.
 //!
@@ -43,6 +43,10 @@ const PART: usize = 32;
 /// The number of iterations grows as the regulariser that joins neighbours outweighs what holds each of them. Weak pivots are those
 /// of each block with all others held, which the factorisations' count exceeds. A direction that only damping holds moves with its
 /// neighbours, as far as the tolerance sees it.
+///
+/// It does not eliminate the blocks. A step that runs into a bound of the border, and the border's covariance, are therefore computed
+/// by a [`BorderedCholesky`](super::BorderedCholesky) that the minimiser makes, with that one's memory and time on top: with 50,000
+/// nodes and 50 shapes 2 GB. The minimiser makes it as soon as a problem has bounds; its memory is touched at the first such step.
 #[derive(Debug)]
 pub struct BlockJacobi {
     structure: Arc<BlockStructure>,
@@ -92,7 +96,7 @@ impl BlockJacobi {
     pub const EXPECTED_ITERATIONS: f64 = 150.0;
 
     /// Time of one multiplication of an iteration in those of a factorisation, for [`choose`](super::choose): 7 while the equations
-    /// fit the caches, 20 beyond, measured on hybrids of 1000 and of 10,000 nodes.
+    /// fit the caches, over 20 beyond, measured on hybrids of 1000 and of 10,000 nodes.
     pub const SLOWNESS: f64 = 16.0;
 
     /// Memory of a factor, in bytes, beyond which [`choose`](super::choose) does without one.
