@@ -68,7 +68,8 @@ fn single_steps_do_not_allocate_after_the_first() {
 
 fn check(problem: &mut (impl Problem + Send), start: &[f64]) {
     for options in [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()] {
-        for kind in [LinearSolverKind::Dense, LinearSolverKind::Sparse, LinearSolverKind::Bordered] {
+        use LinearSolverKind::{BlockJacobi, Bordered, Dense, Sparse};
+        for kind in [Dense, Sparse, Bordered, BlockJacobi] {
             let options = options.with_linear_solver(kind).with_max_iterations(1).with_damping_floor(1e-9);
             let minimizer = Minimizer::new(options).unwrap();
             let mut workspace = Workspace::new();

@@ -17,7 +17,8 @@ use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness, hybrid};
 use nonrigid::nlls::{
-    Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, Minimizer, Options, Silent, Summary, Workspace,
+    Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, LinearSolverKind, Minimizer, Options, Silent, Summary,
+    Workspace,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;
@@ -39,6 +40,9 @@ pub struct Arguments {
     /// Which steps are taken
     #[arg(long, value_enum, default_value_t = Steps::LevenbergMarquardt)]
     algorithm: Steps,
+    /// What solves for a step: auto, dense, sparse, bordered, split-cg, block-jacobi
+    #[arg(long, default_value_t, value_parser = str::parse::<LinearSolverKind>)]
+    linear_solver: LinearSolverKind,
     /// Print one line of JSON
     #[arg(long)]
     json: bool,
@@ -78,7 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Steps::LevenbergMarquardt => Algorithm::LevenbergMarquardt(LevenbergMarquardt::default()),
         Steps::Dogleg => Algorithm::Dogleg(Dogleg::default()),
     };
-    let summary = solve(&mut problem, algorithm, arguments.max_iterations as usize);
+    let summary = solve(&mut problem, algorithm, arguments.linear_solver, arguments.max_iterations as usize);
     if !summary.stop.was_successful() {
         return Err(Failure::computation(format!("{}: {}", arguments.case.display(), summary.stop)).into());
     }
@@ -97,6 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
                 "other_seconds": stages.other,
                 "threads": rayon::current_num_threads(),
                 "linear_solver": summary.linear_solver,
+                "linear_iterations": summary.records.iter().map(|r| r.linear_iterations).sum::<usize>(),
                 "stop": summary.stop.to_string(),
             })
         );
@@ -142,8 +147,14 @@ pub type SolverCase = Deformation<Hybrid, Pointwise<PointToPlane, Kernel, 1>>;
 
 /// Minimises from the rest shape, all parameters zero.
 #[must_use]
-pub fn solve(problem: &mut SolverCase, algorithm: Algorithm, max_iterations: usize) -> Summary {
+pub fn solve(
+    problem: &mut SolverCase,
+    algorithm: Algorithm,
+    linear_solver: LinearSolverKind,
+    max_iterations: usize,
+) -> Summary {
     let options = Options::default().with_algorithm(algorithm).with_max_iterations(max_iterations);
+    let options = options.with_linear_solver(linear_solver);
     let options = options.with_energy_tolerance(1e-12).with_step_tolerance(1e-14).with_gradient_tolerance(1e-14);
     let minimizer = Minimizer::new(options).expect("proven: defaults with positive tolerances");
     let mut x = problem.model.rest_parameters();

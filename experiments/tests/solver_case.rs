@@ -128,6 +128,8 @@ fn all_ways_to_solve_a_case_start_at_its_energy_and_end_at_one_minimum() {
             &["--linearisation", "reference"][..],
             &["--algorithm", "gauss-newton"],
             &["--algorithm", "dogleg"],
+            &["--linear-solver", "bordered"],
+            &["--linear-solver", "block-jacobi"],
             &["--threads", "1"],
         ] {
             let other = run(&[options, &["--max-iterations", "500"]].concat());

@@ -118,49 +118,39 @@ impl Best {
 }
 
 impl BoxTree {
-    fn build(boxes: &[Bounds]) -> Self {
-        let mut tree =
-            Self { nodes: Vec::with_capacity(boxes.len() / 2 + 1), order: (0..boxes.len() as u32).collect() };
-        if !boxes.is_empty() {
-            let mut order = std::mem::take(&mut tree.order);
-            let all = bounds_of(boxes, &order);
+    fn build(boxes: impl ExactSizeIterator<Item = Bounds>) -> Self {
+        // Boxes move with their numbers: a million of them are more than the caches hold, and every level reads all.
+        let mut items: Vec<Item> = boxes.zip(0..).collect();
+        let mut tree = Self { nodes: Vec::with_capacity(items.len() / 2 + 1), order: Vec::new() };
+        if !items.is_empty() {
+            let all = bounds_of(&items);
             // a root of one child: the other box is empty and never entered
             tree.nodes.push(Node { low: [[f32::MAX; 2]; 3], high: [[f32::MAX; 2]; 3], first: [0; 2], count: [0; 2] });
-            tree.child(0, 0, boxes, &mut order, 0, all, 0);
+            tree.child(0, 0, &mut items, 0, all, 0);
             tree.nodes[0].count[1] = u32::MAX;
-            tree.order = order;
+            tree.order = items.into_iter().map(|item| item.1).collect();
         }
         tree
     }
 
-    /// Makes `order` (slots from `first` on) the child `side` of `parent`.
-    #[allow(clippy::too_many_arguments)] // a recursion's state
-    fn child(
-        &mut self,
-        parent: usize,
-        side: usize,
-        boxes: &[Bounds],
-        order: &mut [u32],
-        first: usize,
-        bounds: Bounds,
-        depth: usize,
-    ) {
+    /// Makes `items` (slots from `first` on) the child `side` of `parent`.
+    fn child(&mut self, parent: usize, side: usize, items: &mut [Item], first: usize, bounds: Bounds, depth: usize) {
         for axis in 0..3 {
             self.nodes[parent].low[axis][side] = below(bounds.low[axis]);
             self.nodes[parent].high[axis][side] = above(bounds.high[axis]);
         }
-        if order.len() <= LEAF {
+        if items.len() <= LEAF {
             self.nodes[parent].first[side] = first as u32;
-            self.nodes[parent].count[side] = order.len() as u32;
+            self.nodes[parent].count[side] = items.len() as u32;
             return;
         }
-        let (middle, left, right) = split(boxes, order, depth);
+        let (middle, left, right) = split(items, depth);
         let index = self.nodes.len();
         self.nodes.push(Node { low: [[0.0; 2]; 3], high: [[0.0; 2]; 3], first: [0; 2], count: [0; 2] });
         self.nodes[parent].first[side] = index as u32;
-        let (low, high) = order.split_at_mut(middle);
-        self.child(index, 0, boxes, low, first, left, depth + 1);
-        self.child(index, 1, boxes, high, first + middle, right, depth + 1);
+        let (low, high) = items.split_at_mut(middle);
+        self.child(index, 0, low, first, left, depth + 1);
+        self.child(index, 1, high, first + middle, right, depth + 1);
     }
 
     /// Visits the leaves that may hold something at least as good as `best`, nearest first.
@@ -235,19 +225,22 @@ impl BoxTree {
     }
 }
 
-fn bounds_of(boxes: &[Bounds], order: &[u32]) -> Bounds {
+/// A box, and the number of what lies in it.
+type Item = (Bounds, u32);
+
+fn bounds_of(items: &[Item]) -> Bounds {
     let mut bounds = Bounds::EMPTY;
-    order.iter().for_each(|&i| bounds.include(&boxes[i as usize]));
+    items.iter().for_each(|(b, _)| bounds.include(b));
     bounds
 }
 
-/// Reorders `order` into two parts; returns the size of the first and the boxes of both. Neither part is empty.
-fn split(boxes: &[Bounds], order: &mut [u32], depth: usize) -> (usize, Bounds, Bounds) {
+/// Reorders `items` into two parts; returns the size of the first and the boxes of both. Neither part is empty.
+fn split(items: &mut [Item], depth: usize) -> (usize, Bounds, Bounds) {
     let mut low = [f64::INFINITY; 3];
     let mut high = [f64::NEG_INFINITY; 3];
-    for &i in order.iter() {
+    for (bounds, _) in items.iter() {
         for axis in 0..3 {
-            let center = boxes[i as usize].center(axis);
+            let center = bounds.center(axis);
             low[axis] = low[axis].min(center);
             high[axis] = high[axis].max(center);
         }
@@ -256,11 +249,11 @@ fn split(boxes: &[Bounds], order: &mut [u32], depth: usize) -> (usize, Bounds, B
     let axis = (0..3).fold(0, |widest, axis| if extent[axis] > extent[widest] { axis } else { widest });
     let scale = BINS as f64 / extent[axis];
     if depth < HALVES_FROM_DEPTH && scale.is_finite() && scale > 0.0 {
-        let bin = |i: u32| (((boxes[i as usize].center(axis) - low[axis]) * scale) as usize).min(BINS - 1);
+        let bin = |item: &Item| (((item.0.center(axis) - low[axis]) * scale) as usize).min(BINS - 1);
         let mut bins = [(Bounds::EMPTY, 0usize); BINS];
-        for &i in order.iter() {
-            let (bounds, count) = &mut bins[bin(i)];
-            bounds.include(&boxes[i as usize]);
+        for item in items.iter() {
+            let (bounds, count) = &mut bins[bin(item)];
+            bounds.include(&item.0);
             *count += 1;
         }
         // cost of the part from bin b on, for every cut b
@@ -277,15 +270,15 @@ fn split(boxes: &[Bounds], order: &mut [u32], depth: usize) -> (usize, Bounds, B
             bounds.include(&bins[b - 1].0);
             count += bins[b - 1].1;
             let cost = bounds.half_area() * count as f64 + after[b];
-            if count > 0 && count < order.len() && cost < best.0 {
+            if count > 0 && count < items.len() && cost < best.0 {
                 best = (cost, b);
             }
         }
         if best.1 > 0 {
             let mut middle = 0;
-            for i in 0..order.len() {
-                if bin(order[i]) < best.1 {
-                    order.swap(i, middle);
+            for i in 0..items.len() {
+                if bin(&items[i]) < best.1 {
+                    items.swap(i, middle);
                     middle += 1;
                 }
             }
@@ -295,11 +288,10 @@ fn split(boxes: &[Bounds], order: &mut [u32], depth: usize) -> (usize, Bounds, B
             return (middle, left, right);
         }
     }
-    let middle = order.len() / 2;
-    let by_center =
-        |a: &u32, b: &u32| boxes[*a as usize].center(axis).total_cmp(&boxes[*b as usize].center(axis)).then(a.cmp(b));
-    order.select_nth_unstable_by(middle, by_center);
-    (middle, bounds_of(boxes, &order[..middle]), bounds_of(boxes, &order[middle..]))
+    let middle = items.len() / 2;
+    let by_center = |a: &Item, b: &Item| a.0.center(axis).total_cmp(&b.0.center(axis)).then(a.1.cmp(&b.1));
+    items.select_nth_unstable_by(middle, by_center);
+    (middle, bounds_of(&items[..middle]), bounds_of(&items[middle..]))
 }
 
 #[inline(always)]
@@ -421,7 +413,7 @@ impl ClosestPoint {
             boxes.push(bounds);
             corners.push(points);
         }
-        let tree = BoxTree::build(&boxes);
+        let tree = BoxTree::build(boxes.into_iter());
         let triangles = tree.order.iter().map(|&t| corners[t as usize]).collect();
         let mut slots = vec![0; corners.len()];
         tree.order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
@@ -522,8 +514,7 @@ impl ClosestVertices {
     /// When a point is not finite.
     pub fn new(positions: &[Vec3]) -> Result<Self, MeshError> {
         let points: Vec<Point> = positions.iter().enumerate().map(|(i, p)| finite(i, p)).collect::<Result<_, _>>()?;
-        let boxes: Vec<Bounds> = points.iter().map(|&p| Bounds { low: p, high: p }).collect();
-        let tree = BoxTree::build(&boxes);
+        let tree = BoxTree::build(points.iter().map(|&p| Bounds { low: p, high: p }));
         let points = tree.order.iter().map(|&i| points[i as usize]).collect();
         Ok(Self { tree, points })
     }

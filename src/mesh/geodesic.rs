@@ -82,21 +82,21 @@ fn unkey(key: u128) -> (f64, u32, u32) {
 
 type Queue = BinaryHeap<Reverse<u128>>;
 
-/// Lowers `distance` to what is reachable from `source`, visiting nothing that is already nearer or beyond `limit`.
-fn relax_from(graph: &WeightedGraph, source: u32, limit: f64, distance: &mut [f64], queue: &mut Queue) {
-    if distance[source as usize] > 0.0 {
-        distance[source as usize] = 0.0;
-        queue.push(Reverse(key(0.0, source, 0)));
-    }
-    drain(graph, limit, distance, queue);
-}
-
-fn drain(graph: &WeightedGraph, limit: f64, distance: &mut [f64], queue: &mut Queue) {
+/// Lowers `distance` to what is reachable from what is in the queue, visiting nothing that is already nearer or beyond `limit`.
+/// `settled` hears of every vertex whose distance falls, once, with the final one.
+fn drain(
+    graph: &WeightedGraph,
+    limit: f64,
+    distance: &mut [f64],
+    queue: &mut Queue,
+    mut settled: impl FnMut(u32, f64),
+) {
     while let Some(Reverse(next)) = queue.pop() {
         let (d, v, _) = unkey(next);
         if d > distance[v as usize] {
             continue;
         }
+        settled(v, d);
         for &(w, length) in graph.arcs(v) {
             let through = d + length;
             if through < distance[w as usize] && through <= limit {
@@ -121,7 +121,7 @@ pub fn distances(graph: &WeightedGraph, sources: &[u32], limit: f64) -> Vec<f64>
             queue.push(Reverse(key(0.0, source, 0)));
         }
     }
-    drain(graph, limit, &mut distance, &mut queue);
+    drain(graph, limit, &mut distance, &mut queue, |_, _| {});
     distance
 }
 
@@ -153,18 +153,25 @@ pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, c
     assert_eq!(counts.len(), components.count(), "one count per component");
     let mut sampling = Sampling { distances: vec![f64::INFINITY; graph.vertex_count()], ..Sampling::default() };
     let mut queue = Queue::new();
+    // The place of every vertex in its component.
+    let mut place = vec![0u32; graph.vertex_count()];
     for (c, &count) in counts.iter().enumerate() {
         let vertices = components.vertices(c);
+        vertices.iter().enumerate().for_each(|(k, &v)| place[v as usize] = k as u32);
+        let mut farthest = Farthest::new(vertices.len());
         let mut next = vertices[0];
         for _ in 0..count {
-            relax_from(graph, next, f64::INFINITY, &mut sampling.distances, &mut queue);
+            if sampling.distances[next as usize] > 0.0 {
+                sampling.distances[next as usize] = 0.0;
+                queue.push(Reverse(key(0.0, next, 0)));
+            }
+            let lower = |v: u32, distance: f64| farthest.lower(place[v as usize] as usize, distance);
+            drain(graph, f64::INFINITY, &mut sampling.distances, &mut queue, lower);
             sampling.nodes.push(next);
             sampling.components.push(c as u32);
-            let distance = |v: u32| sampling.distances[v as usize];
-            let radius = vertices.iter().map(|&v| distance(v)).fold(0.0, f64::max);
+            let radius = farthest.greatest();
             // Rounding must not decide between vertices that are equally far, as on a symmetric mesh.
-            let far = vertices.iter().find(|&&v| distance(v) >= radius * (1.0 - TIE));
-            next = far.copied().unwrap_or(next);
+            next = vertices[farthest.first_of_at_least(radius * (1.0 - TIE))];
             sampling.radii.push(radius);
             if radius == 0.0 {
                 break;
@@ -172,6 +179,53 @@ pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, c
         }
     }
     sampling
+}
+
+/// Distances of a component's vertices under a tree of maxima, so that a further node costs what it changes and not a look at
+/// every vertex: `tree[1]` is the greatest of all, `tree[i]` that of `tree[2 i]` and `tree[2 i + 1]`, leaves are the last half.
+struct Farthest {
+    tree: Vec<f64>,
+}
+
+impl Farthest {
+    /// All distances infinite.
+    fn new(count: usize) -> Self {
+        let leaves = count.next_power_of_two();
+        let mut tree = vec![f64::INFINITY; 2 * leaves];
+        tree[leaves + count..].fill(f64::NEG_INFINITY);
+        for i in (1..leaves).rev() {
+            tree[i] = tree[2 * i].max(tree[2 * i + 1]);
+        }
+        Self { tree }
+    }
+
+    /// Sets the distance at place `k`, which must not have been less.
+    fn lower(&mut self, k: usize, distance: f64) {
+        let mut i = self.tree.len() / 2 + k;
+        self.tree[i] = distance;
+        while i > 1 {
+            let greater = self.tree[i].max(self.tree[i ^ 1]);
+            i /= 2;
+            if self.tree[i] == greater {
+                break;
+            }
+            self.tree[i] = greater;
+        }
+    }
+
+    fn greatest(&self) -> f64 {
+        self.tree[1]
+    }
+
+    /// The lowest place whose distance is `bound`, at most the greatest, or more.
+    fn first_of_at_least(&self, bound: f64) -> usize {
+        let leaves = self.tree.len() / 2;
+        let mut i = 1;
+        while i < leaves {
+            i = if self.tree[2 * i] >= bound { 2 * i } else { 2 * i + 1 };
+        }
+        i - leaves
+    }
 }
 
 /// Shares `total` nodes among components by their sizes: at least one each (even if that exceeds `total`), at most one a

@@ -48,7 +48,7 @@ pub use check::{GradientCheck, GradientEntry, GradientReport, HessianReport, che
 pub use covariance::border_covariance;
 pub use error::OptionError;
 pub use kernel::{Kernel, RobustKernel, Scaled, check_kernel, mad_scale};
-pub use linear::{LinearError, LinearSolver, LinearSolverKind};
+pub use linear::{LinearError, LinearSolver, LinearSolverKind, UnknownLinearSolver};
 pub use manifold::{Euclidean, Manifold, PointArray, Se3, Sim3, So3, UnitQuaternion, check_manifold, so3};
 pub use minimizer::{
     Algorithm, Convergence, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Observer, Options,

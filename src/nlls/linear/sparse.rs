@@ -16,7 +16,7 @@ pub struct SparseCholesky {
     structure: Arc<BlockStructure>,
     /// The equations with the border moved into a last block, if there is a border.
     flattened: Option<NormalEquations>,
-    factor: SupernodalFactor,
+    pub(super) factor: SupernodalFactor,
     permuted: Vec<f64>,
     weak: usize,
 }

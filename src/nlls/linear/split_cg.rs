@@ -75,12 +75,6 @@ impl SplitCg {
             weak: 0,
         }
     }
-
-    /// Iterations of the last solve.
-    #[must_use]
-    pub fn iterations(&self) -> usize {
-        self.iterations
-    }
 }
 
 impl LinearSolver for SplitCg {
@@ -123,6 +117,10 @@ impl LinearSolver for SplitCg {
 
     fn weak_pivots(&self) -> usize {
         self.weak
+    }
+
+    fn iterations(&self) -> Option<usize> {
+        Some(self.iterations)
     }
 
     fn name(&self) -> &'static str {

@@ -230,6 +230,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             energy: self.summary.final_energy,
             gradient_norm: self.gradient_norm(),
             weak_directions: self.solver.weak_pivots(),
+            linear_iterations: self.solver.iterations().unwrap_or(0),
             times,
             ..step
         };

@@ -124,6 +124,8 @@ pub struct IterationRecord {
     pub accepted: bool,
     /// Directions in which nothing but damping holds the parameters.
     pub weak_directions: usize,
+    /// Iterations of the linear solver; 0 from direct ones.
+    pub linear_iterations: usize,
     /// Wall times; not serialised.
     #[serde(skip)]
     pub times: StageTimes,
@@ -236,7 +238,7 @@ impl Summary {
             Algorithm::LevenbergMarquardt(_) => "Levenberg-Marquardt",
             Algorithm::Dogleg(_) => "dogleg",
         };
-        let given = format!("{:?}", o.linear_solver).to_lowercase();
+        let given = o.linear_solver;
         writeln!(f, "Minimisation report")?;
         writeln!(f, "  parameters      {:>12}   tangent coordinates {}", self.size.parameters, self.size.tangent)?;
         writeln!(

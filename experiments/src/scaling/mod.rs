@@ -1,0 +1,359 @@
+//! `scaling`: how time and memory grow. Two things are varied, each in a table of its own.
+//!
+//! - The solver: the hybrid on generated faces of growing vertex count, nodes in proportion (one for each hundred vertices unless
+//!   said otherwise, at least 50), correspondences fixed; seconds per iteration and stage, iterations of the linear solver, memory.
+//! - Registrations of one template to scans of growing triangle count: seconds by stage, memory.
+//!
+//! Every configuration runs in a process of its own, so that its peak memory is its own; making the data does not count. One line
+//! of JSON a run on standard output; tables, plots and the fitted exponents in the output folder.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::str::FromStr;
+
+use anyhow::Result;
+use nonrigid::cli::{Failure, Stage};
+use nonrigid::nlls::LinearSolverKind;
+use serde_json::Value;
+
+use crate::generated::shapes_at_most;
+use crate::plots::{Line, LogLog, PowerLaw, write_log_log};
+use crate::tables::{csv_text, table, write_csv};
+
+mod measure;
+
+pub use measure::{Configuration, RegistrationRun, SolverRun};
+
+/// Numbers separated by commas, or `none`.
+#[derive(Debug, Clone)]
+struct Numbers(Vec<usize>);
+
+impl FromStr for Numbers {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "none" {
+            return Ok(Self(Vec::new()));
+        }
+        let number = |t: &str| t.trim().parse().map_err(|_| format!("{t:?} is not a number"));
+        text.split(',').map(number).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// `auto`, or numbers.
+#[derive(Debug, Clone)]
+enum Nodes {
+    Auto,
+    List(Vec<usize>),
+}
+
+impl FromStr for Nodes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "auto" { Ok(Self::Auto) } else { text.parse().map(|Numbers(list)| Self::List(list)) }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Derivatives {
+    Structured,
+    Reference,
+}
+
+/// What to run.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Vertices of the faces, 1,000 to 500,000 each, or none
+    #[arg(long, value_name = "LIST", default_value = "5000,20000,100000,500000")]
+    sizes: Numbers,
+    /// Blendshapes
+    #[arg(long, default_value_t = 50)]
+    shapes: usize,
+    /// Nodes of each face's graph, one number a size; auto: one for each hundred vertices, at least 50
+    #[arg(long, value_name = "auto|LIST", default_value = "auto")]
+    nodes: Nodes,
+    /// Numbers of threads
+    #[arg(long, value_name = "LIST", default_value = "1,2")]
+    threads: Numbers,
+    /// What solves for a step: auto, dense, sparse, bordered, split-cg, block-jacobi
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "auto", value_parser = str::parse::<LinearSolverKind>)]
+    linear_solver: Vec<LinearSolverKind>,
+    /// How derivatives are taken
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum, default_value = "structured")]
+    linearisation: Vec<Derivatives>,
+    /// Gauss-Newton iterations of a run at most
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// How often each run is repeated
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    repeats: u32,
+    /// Triangles of the scans that are registered, 500 to 10,000,000 each, or none; they take the default solver
+    #[arg(long, value_name = "LIST", default_value = "none")]
+    scan_triangles: Numbers,
+    /// Vertices of the template that is registered to them
+    #[arg(long, value_name = "N", default_value_t = 5000)]
+    scan_template: usize,
+    /// Seed of goals and scans
+    #[arg(long, default_value_t = 7)]
+    seed: u64,
+    /// Where tables and plots go
+    #[arg(long, value_name = "DIR", default_value = "out/scaling")]
+    out: PathBuf,
+    /// Run this configuration here and print its line
+    #[arg(long, hide = true, value_name = "JSON")]
+    run: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A [`Failure`] of the arguments before anything runs; of the computation, with the configuration, when a run fails; of writing.
+pub fn run(a: &Arguments) -> Result<()> {
+    if let Some(configuration) = &a.run {
+        return run_here(configuration);
+    }
+    let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
+    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    let mut rows = Vec::new();
+    for (k, configuration) in configurations.iter().enumerate() {
+        eprintln!("{}/{}  {}", k + 1, configurations.len(), describe(configuration));
+        let row = run_apart(configuration)?;
+        println!("{row}");
+        rows.push(row);
+    }
+    write_results(a, &rows)
+}
+
+/// Every combination, smallest first, or what is wrong with one.
+fn configurations(a: &Arguments) -> Result<Vec<Configuration>, String> {
+    let (Numbers(sizes), Numbers(threads), Numbers(scans)) = (&a.sizes, &a.threads, &a.scan_triangles);
+    if sizes.is_empty() && scans.is_empty() {
+        return Err("--sizes none and --scan-triangles none leave nothing to run".to_owned());
+    }
+    let within = |option: &str, values: &[usize], least: usize, most: usize| match values
+        .iter()
+        .find(|v| !(least..=most).contains(v))
+    {
+        Some(v) => Err(format!("{option}: {v}, expected {least} to {most}")),
+        None => Ok(()),
+    };
+    within("--sizes", sizes, 1000, 500_000)?;
+    within("--threads", threads, 1, 1024)?;
+    within("--scan-triangles", scans, 500, 10_000_000)?;
+    within("--scan-template", &[a.scan_template], 1000, 500_000)?;
+    within("--shapes", &[a.shapes], 0, shapes_at_most())?;
+    if threads.is_empty() {
+        return Err("--threads: none, expected at least one number".to_owned());
+    }
+    let nodes: Vec<usize> = match &a.nodes {
+        Nodes::Auto => sizes.iter().map(|v| (v / 100).max(50)).collect(),
+        Nodes::List(list) if list.len() != sizes.len() => {
+            return Err(format!("--nodes: {} numbers for {} --sizes", list.len(), sizes.len()));
+        }
+        Nodes::List(list) => list.clone(),
+    };
+    let (iterations, repeats) = (a.iterations as usize, a.repeats as usize);
+    let mut all = Vec::new();
+    for (&vertices, &nodes) in sizes.iter().zip(&nodes) {
+        within("--nodes", &[nodes], 1, vertices)?;
+        for &linear_solver in &a.linear_solver {
+            fits(linear_solver, nodes, a.shapes)?;
+            for derivatives in &a.linearisation {
+                let reference = *derivatives == Derivatives::Reference;
+                all.extend(threads.iter().map(|&threads| {
+                    let (shapes, seed) = (a.shapes, a.seed);
+                    Configuration::Solver(SolverRun {
+                        vertices,
+                        nodes,
+                        shapes,
+                        threads,
+                        linear_solver,
+                        reference,
+                        iterations,
+                        repeats,
+                        seed,
+                    })
+                }));
+            }
+        }
+    }
+    for &triangles in scans {
+        all.extend(threads.iter().map(|&threads| {
+            let (template, seed) = (a.scan_template, a.seed);
+            Configuration::Registration(RegistrationRun { triangles, template, threads, repeats, seed })
+        }));
+    }
+    Ok(all)
+}
+
+/// Unknowns beyond which one dense square does not fit where the rest of the study does.
+const DENSE_UNKNOWNS: usize = 20_000;
+
+fn fits(solver: LinearSolverKind, nodes: usize, shapes: usize) -> Result<(), String> {
+    let unknowns = 6 * nodes + shapes;
+    if solver == LinearSolverKind::Dense && unknowns > DENSE_UNKNOWNS {
+        let gigabytes = 8e-9 * (unknowns * unknowns) as f64;
+        return Err(format!(
+            "--linear-solver dense with {nodes} nodes: {unknowns} unknowns, a square of {gigabytes:.1} GB; at most {DENSE_UNKNOWNS} unknowns"
+        ));
+    }
+    Ok(())
+}
+
+fn describe(configuration: &Configuration) -> String {
+    match configuration {
+        Configuration::Solver(r) => format!(
+            "{} vertices, {} nodes, {} shapes, {}, {}, threads {}",
+            r.vertices,
+            r.nodes,
+            r.shapes,
+            r.linear_solver,
+            if r.reference { "reference" } else { "structured" },
+            r.threads
+        ),
+        Configuration::Registration(r) => {
+            format!("scan of {} triangles, template of {} vertices, threads {}", r.triangles, r.template, r.threads)
+        }
+    }
+}
+
+fn run_here(configuration: &str) -> Result<()> {
+    let configuration: Configuration =
+        serde_json::from_str(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e}")))?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(configuration.threads());
+    pool.build_global().map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?;
+    println!("{}", configuration.measure()?);
+    Ok(())
+}
+
+/// Runs a configuration in a process of its own.
+fn run_apart(configuration: &Configuration) -> Result<Value> {
+    let failed = |what: String| Failure::computation(format!("{}: {what}", describe(configuration)));
+    let program = std::env::current_exe().map_err(|e| failed(format!("this program's own file: {e}")))?;
+    let mut command = Command::new(program);
+    command.args(["scaling", "--run"]).arg(serde_json::to_string(configuration)?).stdin(Stdio::null());
+    let output = command.output().map_err(|e| failed(format!("cannot be started: {e}")))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let said = said.trim().trim_start_matches("error: ");
+        return Err(failed(if said.is_empty() { output.status.to_string() } else { said.to_owned() }).into());
+    }
+    Ok(serde_json::from_slice(&output.stdout).map_err(|e| failed(format!("its result: {e}")))?)
+}
+
+/// A quantity that is fitted and plotted: key in a row, name, unit, what one of its units is worth.
+struct Quantity {
+    key: &'static str,
+    name: &'static str,
+    unit: &'static str,
+    worth: f64,
+}
+
+const fn seconds(key: &'static str, name: &'static str) -> Quantity {
+    Quantity { key, name, unit: "seconds", worth: 1.0 }
+}
+
+const PEAK: Quantity = Quantity { key: "peak_bytes", name: "peak memory", unit: "MiB", worth: 1048576.0 };
+
+const SOLVER: &[Quantity] = &[
+    seconds("iteration_seconds", "one iteration"),
+    seconds("linearise_seconds", "linearisation, of an iteration"),
+    seconds("solve_seconds", "linear solve, of an iteration"),
+    seconds("energy_seconds", "energy, of an iteration"),
+    seconds("graph_seconds", "construction of the graph"),
+    seconds("attach_seconds", "assembly's preparation"),
+    seconds("analysis_seconds", "analysis of the equations"),
+    PEAK,
+];
+
+const REGISTRATION: &[Quantity] = &[
+    seconds("registration_seconds", "the whole run"),
+    seconds("setup_seconds", "before the first step"),
+    seconds("steps_seconds", "all steps"),
+    PEAK,
+];
+
+fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
+    let mut exponents = Vec::new();
+    for (study, x, title, quantities) in [
+        ("solver", "vertices", "Hybrid, fixed correspondences", SOLVER),
+        ("registration", "triangles", "Registration of the hybrid", REGISTRATION),
+    ] {
+        let rows: Vec<&Value> = rows.iter().filter(|r| r["study"] == study).collect();
+        if rows.is_empty() {
+            continue;
+        }
+        write_rows(&a.out.join(format!("{study}.csv")), &rows)?;
+        for quantity in quantities {
+            let lines = lines(&rows, x, quantity);
+            for line in &lines {
+                if let Some(law) = PowerLaw::fit(&line.points) {
+                    exponents.push((study, quantity, line.name.clone(), law));
+                }
+            }
+            if lines.iter().any(|l| l.points.iter().any(|p| p[1] > 0.0)) {
+                let stem = quantity.key.trim_end_matches("_seconds").trim_end_matches("_bytes");
+                let plot = LogLog {
+                    title: &format!("{title}: {}", quantity.name),
+                    x: &format!("{x} of the {}", if study == "solver" { "template" } else { "scan" }),
+                    y: quantity.unit,
+                    lines: &lines,
+                };
+                write_log_log(&a.out.join(format!("{study}-{stem}.svg")), &plot)?;
+            }
+        }
+    }
+    let fields = |(study, quantity, name, law): &(&str, &Quantity, String, PowerLaw)| {
+        let (exponent, range) = (format!("{:.3}", law.exponent), [law.from, law.to].map(|v| v.to_string()));
+        let [from, to] = range;
+        [(*study).to_owned(), quantity.key.to_owned(), name.clone(), exponent, from, to].to_vec()
+    };
+    let csv = exponents.iter().map(|e| fields(e).iter().map(|f| csv_text(f)).collect::<Vec<_>>().join(","));
+    write_csv(&a.out.join("exponents.csv"), "study,quantity,series,exponent,from,to", csv)?;
+    if !exponents.is_empty() {
+        let header = ["study", "quantity", "series", "exponent", "from", "to"];
+        eprintln!("{}", table(&header, exponents.iter().map(fields)));
+    }
+    eprintln!("tables and plots are in {}", a.out.display());
+    Ok(())
+}
+
+/// One line for each solver, linearisation and number of threads: what was repeated counts by its median.
+fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<Line> {
+    let mut lines: Vec<Line> = Vec::new();
+    for row in rows {
+        let measured = &row[quantity.key];
+        let Some(y) = measured["median"].as_f64().or_else(|| measured.as_f64()) else { continue };
+        let threads = format!("threads {}", row["threads"]);
+        let name = match (row["linear_solver"].as_str(), row["reference"].as_bool()) {
+            (Some(solver), Some(true)) => format!("{}, reference, {threads}", solver.replace('_', "-")),
+            (Some(solver), _) => format!("{}, {threads}", solver.replace('_', "-")),
+            _ => threads,
+        };
+        let point = [row[x].as_f64().unwrap_or(f64::NAN), y / quantity.worth];
+        match lines.iter_mut().find(|l| l.name == name) {
+            Some(line) => line.points.push(point),
+            None => lines.push(Line { name, points: vec![point] }),
+        }
+    }
+    lines.iter_mut().for_each(|l| l.points.sort_by(|a, b| a[0].total_cmp(&b[0])));
+    lines
+}
+
+/// All that rows hold, a column for each number.
+fn write_rows(path: &std::path::Path, rows: &[&Value]) -> Result<()> {
+    let flat = |row: &Value| -> Vec<(String, String)> {
+        let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), csv_text);
+        let object = row.as_object().into_iter().flatten();
+        let cells = object.flat_map(|(key, value)| match value.as_object() {
+            Some(parts) => parts.iter().map(|(part, v)| (format!("{key}_{part}"), text(v))).collect(),
+            None => vec![(key.clone(), text(value))],
+        });
+        cells.collect()
+    };
+    let header = flat(rows[0]).into_iter().map(|c| c.0).collect::<Vec<_>>().join(",");
+    let line = |row: &&Value| flat(row).into_iter().map(|c| c.1).collect::<Vec<_>>().join(",");
+    write_csv(path, &header, rows.iter().map(line))
+}
