@@ -204,7 +204,18 @@ pub fn quadratic(model: impl DeformationModel) -> impl Fn(&[f64]) -> Reference {
 
 /// As-rigid-as-possible surfaces: residuals `(v_i - v_j) - exp(omega_i^) R_i (n_i - n_j)` at the best `R_i`, by dual numbers in
 /// `v` and `omega`. Local/global holds `omega`, joint eliminates it.
-pub struct Rigidity {
+pub fn rigidity(
+    mesh: &TriangleMesh,
+    options: ArapOptions,
+    lambda: f64,
+    held: &[bool],
+    places: &[Vec3],
+    x: &[f64],
+) -> Reference {
+    Rigidity::new(mesh, options, lambda, held, places).reference(x)
+}
+
+struct Rigidity {
     rest: Vec<Vec3>,
     /// `(i, j, w_ij)`, each pair in both directions.
     spokes: Vec<(usize, usize, f64)>,
@@ -217,7 +228,7 @@ pub struct Rigidity {
 const TURN_FLOOR: f64 = 1e-9;
 
 impl Rigidity {
-    pub fn new(mesh: &TriangleMesh, options: ArapOptions, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
+    fn new(mesh: &TriangleMesh, options: ArapOptions, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
         let rest = mesh.positions.clone();
         let graph = EdgeGraph::of(mesh);
         let mut edges: Vec<(usize, usize, f64)> = Vec::new();
@@ -268,7 +279,7 @@ impl Rigidity {
         a.into_iter().map(closest).collect()
     }
 
-    pub fn reference(&self, x: &[f64]) -> Reference {
+    fn reference(&self, x: &[f64]) -> Reference {
         let rotations = self.rotations(&self.place(x));
         let (n, turns) = (x.len(), 3 * self.rest.len());
         let evaluate = |step: &[Dual64]| {

@@ -115,10 +115,11 @@ impl Zoo {
             for clamp in [true, false] {
                 let options = ArapOptions { solver, clamp };
                 let model = Arap::new(mesh, options, 0.7).expect("a sound mesh");
-                let stated = reference::Rigidity::new(mesh, options, 0.7, &self.held, &self.places);
                 let model = model.with_held_at(&self.held, &self.places);
+                let (mesh, held, places) = (mesh.clone(), self.held.clone(), self.places.clone());
+                let stated = move |x: &[f64]| reference::rigidity(&mesh, options, 0.7, &held, &places, x);
                 let name = format!("arap, {solver:?}, {}", if clamp { "clamped" } else { "as it comes" });
-                all.push(Specimen::new(name, model, move |x| stated.reference(x)));
+                all.push(Specimen::new(name, model, stated));
             }
         }
         let stated = || stated_graph(rest, &self.nodes, 0.7);
