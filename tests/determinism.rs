@@ -58,15 +58,12 @@ fn all_equations(zoo: &Zoo) -> Prints {
     prints
 }
 
-/// Its negative weights make H indefinite here, so that it has no Gauss-Newton step.
-const INDEFINITE: &str = "arap, Joint, as it comes";
-
 /// Where three Gauss-Newton steps from rest lead every model of at most so many coordinates.
 fn all_steps(zoo: &Zoo, kind: LinearSolverKind, largest: usize, some: std::ops::Range<usize>) -> Prints {
     let mut prints = Prints::new();
     for Specimen { name, model, .. } in zoo.models() {
         let (mut problem, mut x) = problem(zoo, model, some.clone());
-        if problem.structure().dimension() > largest || name == INDEFINITE {
+        if problem.structure().dimension() > largest || name == zoo::INDEFINITE {
             continue;
         }
         let options = Options::gauss_newton().with_linear_solver(kind).with_max_iterations(3);

@@ -164,6 +164,9 @@ fn triangles(columns: usize, rows: usize) -> Vec<[u32; 3]> {
     quads.flat_map(|a| [[a, a + 1, a + next + 1], [a, a + next + 1, a + next]]).collect()
 }
 
+/// Its negative weights make H indefinite, so that it has no Gauss-Newton step.
+pub const INDEFINITE: &str = "arap, Joint, as it comes";
+
 /// A model, and another way to its derivatives.
 pub struct Specimen {
     pub name: String,
