@@ -85,7 +85,10 @@ fn compare(least: usize, work: impl Fn() -> Prints + Sync) {
     for (threads, other) in [(2, two), (4, four)] {
         for ((name, expected), (_, found)) in one.iter().zip(&other) {
             let differ = expected.iter().zip(found).filter(|(a, b)| a != b).count();
-            assert!(expected.len() == found.len() && differ == 0, "{name}: {differ} numbers differ at {threads} threads");
+            assert!(
+                expected.len() == found.len() && differ == 0,
+                "{name}: {differ} numbers differ at {threads} threads"
+            );
         }
     }
 }

@@ -10,8 +10,8 @@ use nonrigid::energy::Deformation;
 use nonrigid::mesh::Vec3;
 use nonrigid::model::Linearisation;
 use nonrigid::nlls::{
-    Euclidean, GradientCheck, Kernel, Manifold, NormalEquations, Problem, Se3, Sim3, So3, UnitQuaternion, check_gradient,
-    check_manifold,
+    Euclidean, GradientCheck, Kernel, Manifold, NormalEquations, Problem, Se3, Sim3, So3, UnitQuaternion,
+    check_gradient, check_manifold,
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -119,13 +119,7 @@ fn count(pool: &rayon::ThreadPool) -> usize {
     pool.broadcast(|_| COUNT.get()).iter().sum()
 }
 
-fn check(
-    problem: &mut (impl Problem + Send),
-    start: &[f64],
-    kinds: &[LinearSolverKind],
-    threads: usize,
-    what: &str,
-) {
+fn check(problem: &mut (impl Problem + Send), start: &[f64], kinds: &[LinearSolverKind], threads: usize, what: &str) {
     // What is counted is what these threads do.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     // The library of matrix products keeps four megabytes for each thread from its first product on, and which thread takes the

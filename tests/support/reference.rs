@@ -53,10 +53,7 @@ pub fn formula(formula: impl Formula) -> impl Fn(&[f64]) -> Reference {
 }
 
 /// `J' W J` and `J' W r`.
-pub fn normal(
-    jacobian: &DMatrix<f64>,
-    residuals: impl Iterator<Item = (f64, f64)>,
-) -> (DMatrix<f64>, DVector<f64>) {
+pub fn normal(jacobian: &DMatrix<f64>, residuals: impl Iterator<Item = (f64, f64)>) -> (DMatrix<f64>, DVector<f64>) {
     let (mut weighted, mut right) = (jacobian.clone(), DVector::zeros(jacobian.nrows()));
     for (row, (weight, r)) in residuals.enumerate() {
         weighted.row_mut(row).scale_mut(weight);
@@ -81,8 +78,7 @@ impl<T: NodeTransform<W>, const W: usize> Formula for NodeAssembly<T, W> {
                 T::map(point.as_ref())
             })
             .collect();
-        let w: Vec<D> =
-            (0..shapes.len()).map(|k| step[nodes.len() * W + k] + x[nodes.len() * ambient + k]).collect();
+        let w: Vec<D> = (0..shapes.len()).map(|k| step[nodes.len() * W + k] + x[nodes.len() * ambient + k]).collect();
         let place = |(i, n): (usize, &Vec3)| {
             let mut b: [D; 3] = std::array::from_fn(|a| D::from(n[a]));
             for a in 0..3 {
@@ -288,9 +284,7 @@ impl Rigidity {
             let residual = |&(i, j, _): &(usize, usize, f64)| -> [Dual64; 3] {
                 let p = rotations[i] * (self.rest[i] - self.rest[j]);
                 let turn = so3::exp([0, 1, 2].map(|a| step[n + 3 * i + a]));
-                std::array::from_fn(|a| {
-                    v[i][a] - v[j][a] - (turn[a][0] * p[0] + turn[a][1] * p[1] + turn[a][2] * p[2])
-                })
+                std::array::from_fn(|a| v[i][a] - v[j][a] - (turn[a][0] * p[0] + turn[a][1] * p[1] + turn[a][2] * p[2]))
             };
             let residuals: Vec<Dual64> = self.spokes.iter().flat_map(residual).collect();
             (v, residuals)

@@ -243,8 +243,7 @@ impl<T: SampleResidual<R>, const R: usize> TestTerm for Pointwise<T, Kernel, R> 
 /// near enough to a kink of the kernel (Huber, Tukey) for differences to see it. Some samples weigh nothing.
 pub fn terms(rng: &mut ChaCha8Rng, positions: &[Vec3], kernel: Kernel) -> Vec<Box<dyn TestTerm>> {
     let count = positions.len();
-    let weights: Vec<f64> =
-        (0..count).map(|i| if i % 7 == 3 { 0.0 } else { rng.random_range(0.5..1.5) }).collect();
+    let weights: Vec<f64> = (0..count).map(|i| if i % 7 == 3 { 0.0 } else { rng.random_range(0.5..1.5) }).collect();
     let directions: [Vec<Vec3>; 3] =
         std::array::from_fn(|_| (0..count).map(|_| random_vec(rng, 1.0).normalize()).collect());
     let [normals, source_normals, target_normals] = directions;
@@ -273,7 +272,11 @@ pub fn terms(rng: &mut ChaCha8Rng, positions: &[Vec3], kernel: Kernel) -> Vec<Bo
     let marked = vec![5, count - 4, count - 3, count - 2, count - 1];
     let marks = marked.iter().map(|&s| near(s, &|offset| offset.norm())).collect();
     vec![
-        Box::new(Pointwise::new("point to point", PointToPoint { targets: point, weights: weights.clone(), scale: 0.2 }, kernel)),
+        Box::new(Pointwise::new(
+            "point to point",
+            PointToPoint { targets: point, weights: weights.clone(), scale: 0.2 },
+            kernel,
+        )),
         Box::new(Pointwise::new(
             "point to plane",
             PointToPlane { targets: plane, normals: normals.clone(), weights: weights.clone(), scale: 1.3 },
