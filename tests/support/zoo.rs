@@ -96,6 +96,13 @@ impl Zoo {
         samples
     }
 
+    /// Where the samples rest.
+    pub fn resting(&self) -> Vec<Vec3> {
+        let mut positions = Vec::new();
+        self.samples().positions(&self.mesh.positions, &mut positions);
+        positions
+    }
+
     /// Every model.
     pub fn models(&self) -> Vec<Specimen> {
         let mut all = self.assembled();
