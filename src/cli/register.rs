@@ -259,7 +259,7 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         quality.median_within,
         quality.flipped
     ))?;
-    say(&quality.mesh)?;
+    say(quality.mesh)?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;

@@ -174,11 +174,14 @@ fn triangles(columns: usize, rows: usize) -> Vec<[u32; 3]> {
 /// Its negative weights make H indefinite, so that it has no Gauss-Newton step.
 pub const INDEFINITE: &str = "arap, Joint, as it comes";
 
+/// Derivatives at some parameters.
+pub type Differentiate = Box<dyn Fn(&[f64]) -> Reference>;
+
 /// A model, and another way to its derivatives.
 pub struct Specimen {
     pub name: String,
     pub model: Box<dyn TestModel>,
-    pub reference: Box<dyn Fn(&[f64]) -> Reference>,
+    pub reference: Differentiate,
 }
 
 impl Specimen {

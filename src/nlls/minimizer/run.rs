@@ -174,8 +174,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             self.buffers.kept.copy_from_slice(self.x);
             self.accept(trial);
             self.linearize();
-            // Written so that NaN does not count as a fall.
-            if !(self.gradient_norm() <= GRADIENT_FALL * gradient) {
+            let left = self.gradient_norm();
+            if left.is_nan() || left > GRADIENT_FALL * gradient {
                 self.x.copy_from_slice(&self.buffers.kept);
                 self.summary.final_energy = energy;
                 return stop;

@@ -1,0 +1,121 @@
+//! One Gauss-Newton iteration of the hybrid, over its size and next to the kernels that it cannot do without.
+//!
+//! `cargo bench --bench iteration`
+#![allow(missing_docs)] // of what `criterion_group` makes
+
+mod support;
+
+use std::hint::black_box;
+
+use criterion::measurement::WallTime;
+use criterion::{BenchmarkGroup, BenchmarkId, Criterion, criterion_group, criterion_main};
+use nonrigid::model::Hybrid;
+use nonrigid::nlls::dense_kernels::{add_outer, rank_update_lower, vectorized};
+use nonrigid::nlls::linear::BorderedCholesky;
+use nonrigid::nlls::{Minimizer, NormalEquations, Options, Problem, Silent, Workspace};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use support::{Data, Face, NODES, Step, short};
+
+/// Linearise, solve, try the step: from the same start each time.
+fn one_iteration(group: &mut BenchmarkGroup<'_, WallTime>, id: BenchmarkId, step: &mut Step<Hybrid>) {
+    let options = Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9);
+    let minimizer = Minimizer::new(options).expect("options in bounds");
+    let mut workspace = Workspace::new();
+    let mut x = Vec::new();
+    group.bench_function(id, |b| {
+        b.iter(|| {
+            let (problem, start) = step.next();
+            x.clear();
+            x.extend_from_slice(start);
+            minimizer.minimize_with(problem, &mut x, &mut workspace, &mut Silent).final_energy
+        });
+    });
+}
+
+fn iteration(c: &mut Criterion) {
+    let mut group = c.benchmark_group("iteration over vertices, 400 nodes, 50 shapes");
+    for vertices in [1250, 2500, 5000, 10_000, 20_000] {
+        let face = Face::of_size(vertices);
+        let mut step = face.problem(face.hybrid(NODES, 50), Data::PointToPlane);
+        one_iteration(&mut group, BenchmarkId::new("vertices", vertices), &mut step);
+    }
+    group.finish();
+    let mut group = c.benchmark_group("iteration over shapes, 5000 vertices, 400 nodes");
+    let face = Face::of_size(5000);
+    for shapes in [0, 25, 50, 100, 200] {
+        let mut step = face.problem(face.hybrid(NODES, shapes), Data::PointToPlane);
+        one_iteration(&mut group, BenchmarkId::new("shapes", shapes), &mut step);
+    }
+    group.finish();
+}
+
+/// An iteration, and bare what it cannot do without: the border's rank update, the products of nodes and shapes, factorisation with
+/// the forward solve of the border. The iteration over the sum of these three is the price of everything else: data terms,
+/// derivatives, the energy of the step.
+fn floor(c: &mut Criterion) {
+    let face = Face::of_size(5000);
+    for data in [Data::PointToPlane, Data::PointToPoint] {
+        let mut group = c.benchmark_group(format!("floor, {data:?}, 5000 vertices, 400 nodes"));
+        for shapes in [10, 50, 100] {
+            let mut step = face.problem(face.hybrid(NODES, shapes), data);
+            let id = |what: &str| BenchmarkId::new(what, format!("{shapes} shapes"));
+            one_iteration(&mut group, id("iteration"), &mut step);
+
+            let mut rng = ChaCha8Rng::seed_from_u64(9);
+            let rows = face.mesh.positions.len() * data.rows();
+            let u: Vec<f64> = (0..rows * shapes).map(|_| rng.random_range(-1.0..1.0)).collect();
+            let mut border = vec![0.0; shapes * shapes];
+            group.bench_function(id("border rank update"), |b| {
+                b.iter(|| rank_update_lower(black_box(&u), rows, shapes, &mut border));
+            });
+
+            let gathered = rows_of_nodes(&step, data);
+            let longest = gathered.iter().map(Vec::len).max().unwrap_or(0);
+            let y: Vec<[f64; 6]> = (0..longest).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect();
+            let mut cross = vec![0.0; gathered.len() * 6 * shapes];
+            group.bench_function(id("gathered cross products"), |b| {
+                b.iter(|| vectorized(|| cross_products(black_box(&gathered), &y, &u, shapes, &mut cross)));
+            });
+
+            let mut equations = NormalEquations::new(step.problem.structure().clone());
+            let (problem, x) = step.next();
+            problem.linearize(x, &mut equations);
+            let damping = vec![1e-6; equations.structure().dimension()];
+            let mut solver = BorderedCholesky::new(equations.structure());
+            group.bench_function(id("factorisation and forward solve"), |b| {
+                b.iter(|| solver.reduce(black_box(&equations), &damping).map(|r| r.gradient[0]).expect("damped"));
+            });
+        }
+        group.finish();
+    }
+}
+
+/// The rows of residuals that each node moves.
+fn rows_of_nodes(step: &Step<Hybrid>, data: Data) -> Vec<Vec<u32>> {
+    let graph = step.problem.model.graph();
+    let mut rows = vec![Vec::new(); graph.nodes().len()];
+    for i in 0..graph.vertex_count() {
+        for &(j, _) in graph.influences(i) {
+            rows[j as usize].extend((0..data.rows()).map(|r| (i * data.rows() + r) as u32));
+        }
+    }
+    rows
+}
+
+#[inline(always)]
+fn cross_products(gathered: &[Vec<u32>], y: &[[f64; 6]], u: &[f64], shapes: usize, cross: &mut [f64]) {
+    let row = |at: u32| &u[at as usize * shapes..(at as usize + 1) * shapes];
+    for (rows, out) in gathered.iter().zip(cross.chunks_exact_mut(6 * shapes)) {
+        let (fours, rest) = rows.as_chunks::<4>();
+        for (four, y) in fours.iter().zip(y.as_chunks::<4>().0) {
+            add_outer(y.each_ref(), four.map(row), out);
+        }
+        for (&at, y) in rest.iter().zip(y) {
+            add_outer([y], [row(at)], out);
+        }
+    }
+}
+
+criterion_group!(name = benches; config = short(); targets = iteration, floor);
+criterion_main!(benches);
