@@ -15,10 +15,20 @@ use nonrigid::nlls::linear::BorderedCholesky;
 use nonrigid::nlls::{Minimizer, NormalEquations, Options, Problem, Silent, Workspace};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use support::{Data, Face, NODES, Step, short};
 
+fn threads(count: usize) -> ThreadPool {
+    ThreadPoolBuilder::new().num_threads(count).build().expect("a pool of threads")
+}
+
 /// Linearise, solve, try the step: from the same start each time.
-fn one_iteration(group: &mut BenchmarkGroup<'_, WallTime>, id: BenchmarkId, step: &mut Step<Hybrid>) {
+fn one_iteration(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    id: BenchmarkId,
+    pool: &ThreadPool,
+    step: &mut Step<Hybrid>,
+) {
     let options = Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9);
     let minimizer = Minimizer::new(options).expect("options in bounds");
     let mut workspace = Workspace::new();
@@ -28,39 +38,42 @@ fn one_iteration(group: &mut BenchmarkGroup<'_, WallTime>, id: BenchmarkId, step
             let (problem, start) = step.next();
             x.clear();
             x.extend_from_slice(start);
-            minimizer.minimize_with(problem, &mut x, &mut workspace, &mut Silent).final_energy
+            pool.install(|| minimizer.minimize_with(problem, &mut x, &mut workspace, &mut Silent).final_energy)
         });
     });
 }
 
+/// On all cores.
 fn iteration(c: &mut Criterion) {
+    let pool = threads(0);
     let mut group = c.benchmark_group("iteration over vertices, 400 nodes, 50 shapes");
     for vertices in [1250, 2500, 5000, 10_000, 20_000] {
         let face = Face::of_size(vertices);
         let mut step = face.problem(face.hybrid(NODES, 50), Data::PointToPlane);
-        one_iteration(&mut group, BenchmarkId::new("vertices", vertices), &mut step);
+        one_iteration(&mut group, BenchmarkId::new("vertices", vertices), &pool, &mut step);
     }
     group.finish();
     let mut group = c.benchmark_group("iteration over shapes, 5000 vertices, 400 nodes");
     let face = Face::of_size(5000);
     for shapes in [0, 25, 50, 100, 200] {
         let mut step = face.problem(face.hybrid(NODES, shapes), Data::PointToPlane);
-        one_iteration(&mut group, BenchmarkId::new("shapes", shapes), &mut step);
+        one_iteration(&mut group, BenchmarkId::new("shapes", shapes), &pool, &mut step);
     }
     group.finish();
 }
 
 /// An iteration, and bare what it cannot do without: the border's rank update, the products of nodes and shapes, factorisation with
 /// the forward solve of the border. The iteration over the sum of these three is the price of everything else: data terms,
-/// derivatives, the energy of the step.
+/// derivatives, the energy of the step. All on one thread.
 fn floor(c: &mut Criterion) {
+    let pool = threads(1);
     let face = Face::of_size(5000);
     for data in [Data::PointToPlane, Data::PointToPoint] {
         let mut group = c.benchmark_group(format!("floor, {data:?}, 5000 vertices, 400 nodes"));
         for shapes in [10, 50, 100] {
             let mut step = face.problem(face.hybrid(NODES, shapes), data);
             let id = |what: &str| BenchmarkId::new(what, format!("{shapes} shapes"));
-            one_iteration(&mut group, id("iteration"), &mut step);
+            one_iteration(&mut group, id("iteration"), &pool, &mut step);
 
             let mut rng = ChaCha8Rng::seed_from_u64(9);
             let rows = face.mesh.positions.len() * data.rows();
@@ -75,7 +88,12 @@ fn floor(c: &mut Criterion) {
             let y: Vec<[f64; 6]> = (0..longest).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect();
             let mut cross = vec![0.0; gathered.len() * 6 * shapes];
             group.bench_function(id("gathered cross products"), |b| {
-                b.iter(|| vectorized(|| cross_products(black_box(&gathered), &y, &u, shapes, &mut cross)));
+                b.iter(|| {
+                    vectorized(
+                        #[inline(always)]
+                        || cross_products(black_box(&gathered), &y, &u, shapes, &mut cross),
+                    )
+                });
             });
 
             let mut equations = NormalEquations::new(step.problem.structure().clone());
@@ -84,7 +102,10 @@ fn floor(c: &mut Criterion) {
             let damping = vec![1e-6; equations.structure().dimension()];
             let mut solver = BorderedCholesky::new(equations.structure());
             group.bench_function(id("factorisation and forward solve"), |b| {
-                b.iter(|| solver.reduce(black_box(&equations), &damping).map(|r| r.gradient[0]).expect("damped"));
+                b.iter(|| {
+                    let reduce = || solver.reduce(black_box(&equations), &damping).map(|r| r.gradient[0]);
+                    pool.install(reduce).expect("damped")
+                });
             });
         }
         group.finish();
