@@ -3,9 +3,11 @@
 //! `cargo bench --bench geometry`
 #![allow(missing_docs)] // of what `criterion_group` makes
 
+mod support;
+
 use std::hint::black_box;
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::evaluation::self_intersections;
 use nonrigid::mesh::Vec3;
@@ -14,6 +16,7 @@ use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
 use nonrigid::mesh::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals_into};
+use support::short;
 
 fn face() -> (FaceRig, ScanCase) {
     let rig = FaceRig::generate(&FaceOptions { vertices: 5000, ..FaceOptions::default() });
@@ -22,19 +25,25 @@ fn face() -> (FaceRig, ScanCase) {
 }
 
 fn closest_point(c: &mut Criterion) {
-    let (_, case) = face();
-    let queries = case.truth;
-    let name = format!("closest points of {} among {} triangles", queries.len(), case.scan.triangles.len());
-    let mut group = c.benchmark_group(name);
-    group.bench_function("build", |b| b.iter(|| ClosestPoint::new(black_box(&case.scan)).unwrap()));
-    let tree = ClosestPoint::new(&case.scan).unwrap();
-    let hints: Vec<u32> = queries.iter().map(|p| tree.query(p).unwrap().triangle).collect();
-    group.bench_function("without hint", |b| {
-        b.iter(|| queries.iter().map(|p| tree.query(p).unwrap().squared_distance).sum::<f64>());
-    });
-    for (name, offset) in [("with hint", Vec3::zeros()), ("with hint, moved 2 mm", Vec3::new(0.5, -1.0, 1.7))] {
-        let query = |(p, &hint): (&Vec3, &u32)| tree.query_from(&(p + offset), hint).unwrap().squared_distance;
-        group.bench_function(name, |b| b.iter(|| queries.iter().zip(&hints).map(query).sum::<f64>()));
+    let (rig, _) = face();
+    let mut group = c.benchmark_group("closest points of 5000 over triangles");
+    for triangles in [20_000, 80_000, 320_000] {
+        let case = simulate_scan(&rig, &ScanOptions { triangles, ..ScanOptions::default() }, 1).unwrap();
+        let (queries, size) = (case.truth, case.scan.triangles.len());
+        group.bench_function(BenchmarkId::new("build", size), |b| {
+            b.iter(|| ClosestPoint::new(black_box(&case.scan)).unwrap());
+        });
+        let tree = ClosestPoint::new(&case.scan).unwrap();
+        let hints: Vec<u32> = queries.iter().map(|p| tree.query(p).unwrap().triangle).collect();
+        group.bench_function(BenchmarkId::new("without hint", size), |b| {
+            b.iter(|| queries.iter().map(|p| tree.query(p).unwrap().squared_distance).sum::<f64>());
+        });
+        for (name, offset) in [("with hint", Vec3::zeros()), ("with hint, moved 2 mm", Vec3::new(0.5, -1.0, 1.7))] {
+            let query = |(p, &hint): (&Vec3, &u32)| tree.query_from(&(p + offset), hint).unwrap().squared_distance;
+            group.bench_function(BenchmarkId::new(name, size), |b| {
+                b.iter(|| queries.iter().zip(&hints).map(query).sum::<f64>());
+            });
+        }
     }
     group.finish();
 }
@@ -94,5 +103,5 @@ fn files(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, closest_point, self_intersection, surface, files);
+criterion_group!(name = benches; config = short(); targets = closest_point, self_intersection, surface, files);
 criterion_main!(benches);

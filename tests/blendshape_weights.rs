@@ -1,17 +1,23 @@
 //! Laws of blendshape weights: bounds, and the standard deviations that a fit reports.
 
+#[path = "support/dense_covariance.rs"]
+mod dense_covariance;
 #[path = "support/projected_gradient.rs"]
 mod projected_gradient;
 
+use nalgebra::DMatrix;
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
-use nonrigid::model::{NodeGraph, Stiffness, blendshape, hybrid};
-use nonrigid::nlls::{Kernel, Minimizer, Options, Problem, Silent, Workspace, border_covariance};
+use nonrigid::model::{NodeGraph, Stiffness, affine_hybrid, blendshape, hybrid};
+use nonrigid::nlls::{
+    Bounded, Kernel, Minimizer, NormalEquations, Options, Problem, Silent, Workspace, border_covariance,
+};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use dense_covariance::dense_covariance;
 use projected_gradient::projected_gradient;
 
 const VERTICES: usize = 90;
@@ -125,63 +131,122 @@ fn residual_variances_leave_out_what_a_kernel_has_switched_off() {
     assert!((found / expected - 1.0).abs() < 1e-12, "{found}");
 }
 
-/// The hybrid and the blendshape model, drawn beyond bounds of their weights.
-fn bounded_fit(which: &str, options: Options) -> (Vec<f64>, f64, f64) {
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
+type Fit = Deformation<Box<dyn DeformationModel>, Pointwise<PointToPoint, Kernel, 3>>;
+
+const MODELS: [&str; 3] = ["hybrid", "affine hybrid", "blendshape"];
+
+/// How weights are bounded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Bounds {
+    /// Zero to one, where the data want some weights below, some above.
+    Unit,
+    /// Some a little too narrow for what the data say, with one side or two.
+    Narrow,
+}
+
+impl Bounds {
+    fn of(self, k: usize, wanted: f64) -> [f64; 2] {
+        match (self, k) {
+            (Self::Unit, _) => [0.0, 1.0],
+            (Self::Narrow, 1 | 4) => [f64::NEG_INFINITY, wanted - 0.02],
+            (Self::Narrow, 2) => [wanted + 0.03, 9.0],
+            (Self::Narrow, _) => [-1.6, 2.6],
+        }
+    }
+}
+
+/// A model with shapes, drawn beyond bounds of their weights.
+fn bounded_problem(which: &str, bounds: Bounds, seed: u64) -> Fit {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let rest = rest(&mut rng);
-    // Some bounds are a little too narrow for what the data say.
-    let wanted: Vec<f64> = (0..SHAPES).map(|k| (1.0 + 2.0 * k as f64).sin()).collect();
-    let bounds = |k: usize| match k {
-        1 | 4 => [f64::NEG_INFINITY, wanted[k] - 0.02],
-        2 => [wanted[k] + 0.03, 9.0],
-        _ => [-1.5, 2.5],
+    let wanted: Vec<f64> = match bounds {
+        Bounds::Narrow => (0..SHAPES).map(|k| (seed as f64 + 2.0 * k as f64).sin()).collect(),
+        Bounds::Unit => (0..SHAPES).map(|k| [-0.4, 0.5, 1.3, 0.2][k % 4] + rng.random_range(-0.2..0.2)).collect(),
     };
-    let basis = shapes(&mut rng, bounds);
+    let basis = shapes(&mut rng, |k| bounds.of(k, wanted[k]));
     let influences: Vec<Vec<(u32, f64)>> =
         (0..VERTICES).map(|i| vec![((i % 5) as u32, 0.7), (((i + 1) % 5) as u32, 0.3)]).collect();
     let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
-    let model = match which {
-        "hybrid" => {
-            hybrid(rest.clone(), nodes, basis.clone(), Stiffness { graph: 0.5, blend: 0.01, ..Stiffness::default() })
-        }
-        _ => blendshape(rest.clone(), basis.clone(), 0.01),
+    let stiffness = Stiffness { graph: 0.5, rotation: 0.2, blend: 0.01 };
+    let model: Box<dyn DeformationModel> = match which {
+        "hybrid" => Box::new(hybrid(rest.clone(), nodes, basis.clone(), stiffness)),
+        "affine hybrid" => Box::new(affine_hybrid(rest.clone(), nodes, basis.clone(), stiffness)),
+        _ => Box::new(blendshape(rest.clone(), basis.clone(), 0.01)),
     };
     let mut problem = Deformation::new(model, Samples::vertices(VERTICES));
     let targets = (0..VERTICES).map(|i| basis.blend(i, rest[i], &wanted) + random_vec(&mut rng, 0.05)).collect();
     problem.terms = vec![to_points(targets, 1.0, Kernel::Huber { delta: 2.0 })];
+    problem
+}
+
+/// Where the minimiser ends, and which weights are at a bound there.
+fn bounded_fit(which: &str, bounds: Bounds, seed: u64, options: Options) -> (Vec<f64>, Vec<bool>) {
+    let mut problem = bounded_problem(which, bounds, seed);
     let mut x = problem.model.rest_parameters();
-    let first = projected_gradient(&mut problem, &x);
-    let mut workspace = Workspace::new();
-    let minimizer = Minimizer::new(options.with_max_iterations(300).with_energy_tolerance(0.0)).unwrap();
-    let summary = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent);
-    assert!(summary.stop.was_successful(), "{summary}");
-    let last = projected_gradient(&mut problem, &x);
-    let held: Vec<bool> = (0..SHAPES).map(|k| problem.border_bounds().unwrap().at_bound(&x, k)).collect();
-    assert!(held.iter().filter(|h| **h).count() >= 2 && held.iter().any(|h| !h), "{held:?}");
-    for (k, w) in x[x.len() - SHAPES..].iter().enumerate() {
-        let [lower, upper] = bounds(k);
-        assert!((lower..=upper).contains(w), "{which} {k}: {w}");
-        assert_eq!(held[k], *w == lower || *w == upper);
+    let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+    assert!(summary.stop.was_successful(), "{which}, {bounds:?}, {seed}: {summary}");
+    let (lower, upper) = problem.model.border_bounds().unwrap();
+    let weights = &x[x.len() - SHAPES..];
+    let held: Vec<bool> = (0..SHAPES).map(|k| weights[k] == lower[k] || weights[k] == upper[k]).collect();
+    for (k, w) in weights.iter().enumerate() {
+        assert!((lower[k]..=upper[k]).contains(w), "{which}, {bounds:?}, {seed}, {k}: {w}");
+        assert_eq!(held[k], problem.border_bounds().unwrap().at_bound(&x, k));
     }
-    (x, first, last)
+    assert!(held.iter().filter(|h| **h).count() >= 2 && held.iter().any(|h| !h), "{held:?}");
+    (x, held)
 }
 
 #[test]
 fn bounded_weights_are_at_the_constrained_minimum() {
-    for which in ["hybrid", "blendshape"] {
-        for options in [Options::gauss_newton(), Options::levenberg_marquardt()] {
-            let (_, first, last) = bounded_fit(which, options);
-            assert!(last <= 1e-8 * first.max(1.0), "{which}: {last:e} after {first:e}");
+    let tight = |options: Options| options.with_max_iterations(300).with_energy_tolerance(0.0);
+    for which in MODELS {
+        for bounds in [Bounds::Unit, Bounds::Narrow] {
+            for seed in 0..5 {
+                for options in [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()] {
+                    let (x, _) = bounded_fit(which, bounds, seed, tight(options));
+                    // Of a problem that has seen nothing yet.
+                    let mut fresh = bounded_problem(which, bounds, seed);
+                    let last = projected_gradient(&mut fresh, &x);
+                    let start = fresh.model.rest_parameters();
+                    let mut equations = NormalEquations::new(fresh.structure().clone());
+                    fresh.linearize(&start, &mut equations);
+                    let first = equations.gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+                    assert!(last <= 1e-8 * first.max(1.0), "{which}, {bounds:?}, {seed}: {last:e} after {first:e}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn covariances_of_weights_are_their_part_of_the_whole_inverse() {
+    for which in MODELS {
+        for seed in 0..3 {
+            let (x, held) = bounded_fit(which, Bounds::Unit, seed, Options::gauss_newton());
+            let mut problem = bounded_problem(which, Bounds::Unit, seed);
+            let mut equations = NormalEquations::new(problem.structure().clone());
+            problem.linearize(&x, &mut equations);
+            let h = equations.to_dense();
+            let close = |found: DMatrix<f64>, held: &[bool]| {
+                let expected = dense_covariance(&h, SHAPES, held);
+                let error = (found - &expected).amax() / expected.amax();
+                assert!(error <= 1e-8, "{which}, {seed}, {held:?}: {error:e}");
+            };
+            close(border_covariance(&mut problem, &x).unwrap(), &held);
+            // The same point with bounds out of reach.
+            let (first, far) = (x.len() - SHAPES, f64::INFINITY);
+            let mut free = Bounded { problem, first, lower: vec![-far; SHAPES], upper: vec![far; SHAPES] };
+            close(border_covariance(&mut free, &x).unwrap(), &[false; SHAPES]);
         }
     }
 }
 
 #[test]
 fn bounded_weights_have_the_same_bits_at_any_number_of_threads() {
-    for which in ["hybrid", "blendshape"] {
+    for which in MODELS {
         let [one, two] = [1, 2].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| bounded_fit(which, Options::gauss_newton()).0)
+            pool.install(|| bounded_fit(which, Bounds::Unit, 1, Options::gauss_newton()).0)
         });
         assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()), "{which}");
     }

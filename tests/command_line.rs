@@ -3,6 +3,7 @@
 mod support;
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
@@ -712,4 +713,26 @@ fn without_a_rigs_regions_the_templates_groups_are_regions() {
         "{}",
         run.stderr
     );
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
+    let bench = Bench::new();
+    let into = |stdout: Stdio, arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+        command.current_dir(bench.path("")).args(arguments.split_whitespace()).stdout(stdout);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    for arguments in ["rig info rig", "rig info rig --json", "--help", "register --help"] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(into(writer.into(), arguments), (Some(0), String::new()), "{arguments}");
+        // Linux has a file that is always full.
+        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+            let (code, said) = into(full.into(), arguments);
+            assert_eq!(code, Some(3), "{arguments}: {said}");
+            assert!(said.starts_with("error: stdout: "), "{arguments}: {said}");
+        }
+    }
 }

@@ -1,5 +1,7 @@
 //! Laws of bounds on the border's coordinates and of their covariance, for every minimiser and linear solver.
 
+#[path = "support/dense_covariance.rs"]
+mod dense_covariance;
 #[path = "support/projected_gradient.rs"]
 mod projected_gradient;
 
@@ -13,6 +15,7 @@ use nonrigid::nlls::{
     Workspace, border_covariance, linear::Coordinate,
 };
 
+use dense_covariance::dense_covariance;
 use projected_gradient::projected_gradient;
 
 const POSES: usize = 12;
@@ -321,20 +324,6 @@ fn what_nothing_observes_needs_no_damping_once_it_is_fixed() {
     x[2] = 3.0;
     let covariance = border_covariance(&mut bounds([3.0, 3.0]), &x).unwrap();
     assert!(covariance.row(2).iter().all(|c| *c == 0.0) && covariance[(0, 0)] > 0.0);
-}
-
-/// Rows and columns of `h` that are not held, inverted, and the border's part of that.
-fn dense_covariance(h: &DMatrix<f64>, border: usize, held: &[bool]) -> DMatrix<f64> {
-    let n = h.nrows() - border;
-    let kept: Vec<usize> = (0..h.nrows()).filter(|&i| i < n || !held[i - n]).collect();
-    let inverse = h.select_rows(&kept).select_columns(&kept).try_inverse().unwrap();
-    let mut covariance = DMatrix::zeros(border, border);
-    for (a, &i) in kept.iter().enumerate().filter(|e| *e.1 >= n) {
-        for (b, &j) in kept.iter().enumerate().filter(|e| *e.1 >= n) {
-            covariance[(i - n, j - n)] = inverse[(a, b)];
-        }
-    }
-    covariance
 }
 
 #[test]

@@ -10,7 +10,7 @@ use data_gen::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
     WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
-use nonrigid::cli::{Failure, Stage};
+use nonrigid::cli::{Failure, Stage, answer, say};
 use nonrigid::render::save_png;
 
 const EXAMPLES: &str = "\
@@ -157,10 +157,7 @@ fn unwritten(error: anyhow::Error) -> Failure {
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
-        Err(error) => {
-            let _ = error.print(); // if even that fails there is nowhere to say so
-            return ExitCode::from(u8::from(error.use_stderr()));
-        }
+        Err(error) => return answer(&error),
     };
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
@@ -180,7 +177,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
     }
     let Arguments { seed, vertices, identity_modes, .. } = *arguments;
-    println!("seed {seed}");
+    say(format_args!("seed {seed}"))?;
     let start = Instant::now();
     let rig = FaceRig::generate(&FaceOptions { vertices, identity_modes });
     let plans = plan(&rig, arguments)?;
@@ -191,15 +188,15 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     let folder = arguments.out.join("rig");
     write_rig(&folder, &rig).map_err(unwritten)?;
     let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
-    println!(
+    say(format_args!(
         "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {:.1} s",
         folder.display(),
         start.elapsed().as_secs_f64()
-    );
+    ))?;
     if let Some(people) = arguments.population {
         let folder = arguments.out.join("population");
         write_population(&folder, &rig, people, seed).map_err(unwritten)?;
-        println!("{}: {people} people", folder.display());
+        say(format_args!("{}: {people} people", folder.display()))?;
     }
     let mut shown = Vec::new();
     let mut weights = Vec::new();
@@ -214,12 +211,12 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.frames.is_some() {
         let path = arguments.out.join("sequence/weights.csv");
         write_weights(&path, &rig, &weights).map_err(unwritten)?;
-        println!("{}", path.display());
+        say(path.display())?;
     }
     if arguments.contact_sheet {
         let path = arguments.out.join("contact_sheet.png");
         save_png(&contact_sheet(&rig, &shown, seed).render(), &path).map_err(Failure::writing)?;
-        println!("{}", path.display());
+        say(path.display())?;
     }
     Ok(())
 }
@@ -291,11 +288,11 @@ fn scan(rig: &FaceRig, plan: &Plan, out: &Path, progress: &str) -> Result<ScanCa
     write_case(&folder, rig, &case, &subject, plan.seed).map_err(unwritten)?;
     let seen = case.observed.iter().filter(|o| **o).count();
     let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
-    println!(
+    say(format_args!(
         "[{progress}] {}: {points} points, {triangles} triangles, {seen} vertices observed; {simulated:.1} + {:.1} s",
         folder.display(),
         start.elapsed().as_secs_f64() - simulated
-    );
+    ))?;
     Ok(case)
 }
 

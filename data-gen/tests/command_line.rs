@@ -1,7 +1,7 @@
 //! The program: what it writes, what it refuses, and how it says so.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use nonrigid::mesh::io::{read_npy_mask, read_npy_points, read_scan};
 use nonrigid::rig::{Rig, RigReadOptions};
@@ -111,4 +111,29 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
     std::fs::write(folder.path().join("file"), "").unwrap();
     let unwritable = run(folder.path(), &SMALL.replace("data", "file/in"));
     assert_eq!(unwritable.status.code(), Some(3), "{}", String::from_utf8_lossy(&unwritable.stderr));
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let into = |stdout: Stdio, arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_data-gen"));
+        command.current_dir(folder.path()).args(arguments.split_whitespace()).stdout(stdout);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let small = format!("{SMALL} --case same_open");
+    for arguments in [small.as_str(), "--help"] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(into(writer.into(), arguments), (Some(0), String::new()), "{arguments}");
+        // Linux has a file that is always full.
+        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+            let (code, said) = into(full.into(), arguments);
+            assert_eq!(code, Some(3), "{arguments}: {said}");
+            assert!(said.starts_with("error: stdout: "), "{arguments}: {said}");
+        }
+    }
+    // The files were still wanted.
+    assert!(folder.path().join("data/cases/same_open/truth.npy").exists());
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::rig::{Rig, RigReadOptions};
 
 use crate::rig_statistics::RigStatistics;
@@ -31,7 +31,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     };
     let all = a.rigs.iter().map(statistics).collect::<Result<Vec<_>>>()?;
     if a.json {
-        println!("{:#}", serde_json::json!(all));
+        say(format_args!("{:#}", serde_json::json!(all)))?;
         return Ok(());
     }
     let names: Vec<String> = a.rigs.iter().map(|f| f.display().to_string()).collect();
@@ -42,6 +42,6 @@ pub fn run(a: &Arguments) -> Result<()> {
         let cell = |c: &Vec<(String, String)>| c.iter().find(|r| r.0 == *name).map_or(String::new(), |r| r.1.clone());
         [name.clone()].into_iter().chain(columns.iter().map(cell)).collect()
     });
-    println!("{}", table(&header, rows));
+    say(table(&header, rows))?;
     Ok(())
 }

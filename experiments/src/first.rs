@@ -4,12 +4,12 @@
 //! position of every template vertex that the scan shows.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say_to};
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
@@ -110,11 +110,7 @@ pub fn run(options: &Options, log: &mut dyn Write) -> Result<Vec<BenchRow>> {
 }
 
 fn say(log: &mut dyn Write, text: std::fmt::Arguments<'_>) -> Result<()> {
-    // Nobody reads any more (`| head`): the files are still wanted.
-    match log.write_fmt(text).and_then(|()| log.flush()) {
-        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::writing(e).into()),
-        _ => Ok(()),
-    }
+    Ok(say_to(log, text)?)
 }
 
 /// A step that the log shows while it runs.

@@ -9,7 +9,7 @@ use experiments::{
     compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command, schedule_search,
     solver_case, start_bench,
 };
-use nonrigid::cli::{Failure, Stage};
+use nonrigid::cli::{Failure, Stage, answer};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the first run: makes a face rig and a scan of an extreme mouth, registers it with three models,
@@ -52,10 +52,7 @@ enum Command {
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(e) => {
-            let _ = e.print(); // a closed pipe is all that can go wrong, and there is nobody left to tell
-            return u8::from(e.use_stderr()).into();
-        }
+        Err(e) => return answer(&e),
     };
     let outcome = match &cli.command {
         None => on_threads(cli.threads, || first::run(&cli.first, &mut io::stdout().lock()).map(drop)),

@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 use std::marker::PhantomData;
 
 use anyhow::Result;
+use nonrigid::cli::say;
 use nonrigid::nlls::{Euclidean, Family, Minimizer, Options, Residual, ResidualProblem, Scalar, StopReason};
 use serde::Serialize;
 
@@ -139,7 +140,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             (name, json)
         });
         let counts: serde_json::Map<_, _> = counts.into_iter().map(|(name, c)| (name.to_owned(), c)).collect();
-        println!("{:#}", serde_json::json!({ "counts": counts, "rows": rows }));
+        say(format_args!("{:#}", serde_json::json!({ "counts": counts, "rows": rows })))?;
         return Ok(());
     }
     let header = [
@@ -172,16 +173,16 @@ pub fn run(a: &Arguments) -> Result<()> {
         }
         cells
     });
-    println!("{}", table(&header, cells));
+    say(table(&header, cells))?;
     for (name, of) in by {
         let failed = failures(&rows, of);
         let which = if failed.is_empty() { String::new() } else { format!("; failed: {}", failed.join(", ")) };
         let [local, lower] = [Found::PublishedLocal, Found::Lower].map(|found| count(&rows, of, found));
-        println!(
+        say(format_args!(
             "{}: {} of {total} end at a published minimum or below ({local} at a local one, {lower} below){which}",
             name.replace('_', "-"),
             total - failed.len()
-        );
+        ))?;
     }
     Ok(())
 }

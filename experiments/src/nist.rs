@@ -14,7 +14,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::nlls::{
     Euclidean, Family, Minimizer, Options, Problem as _, Residual, ResidualProblem, Scalar, StopReason,
 };
@@ -141,7 +141,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             "options": to_the_last_digit(Options::levenberg_marquardt()),
             "rows": rows,
         });
-        println!("{json:#}");
+        say(format_args!("{json:#}"))?;
         return Ok(());
     }
     let header = ["problem", "difficulty", "start", "LM digits", "steps", "stop", "dogleg digits", "steps", "stop"];
@@ -153,10 +153,10 @@ pub fn run(a: &Arguments) -> Result<()> {
         }
         cells
     });
-    println!("{}", table(&header, cells));
+    say(table(&header, cells))?;
     for (name, failed) in [("Levenberg-Marquardt", lm), ("dogleg", dogleg)] {
         let which = if failed.is_empty() { String::new() } else { format!("; failed: {}", failed.join(", ")) };
-        println!("{name}: {} of {total} with {DIGITS_TO_PASS} digits or more{which}", total - failed.len());
+        say(format_args!("{name}: {} of {total} with {DIGITS_TO_PASS} digits or more{which}", total - failed.len()))?;
     }
     Ok(())
 }

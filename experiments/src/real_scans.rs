@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::cli::{Failure, Stage};
+use nonrigid::cli::{Failure, Stage, say};
 use nonrigid::mesh::io::{self, Landmark, Scan, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, StepRecord, register};
@@ -132,7 +132,7 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
         return Err(Failure::loading(message).into());
     }
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
-    println!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads());
+    say(format_args!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads()))?;
     let (mut rows, mut sheet) = (
         Vec::new(),
         Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),
@@ -346,9 +346,9 @@ fn write(a: &Arguments, rows: &[RealScanRow], picture: &RgbImage) -> Result<()> 
         cells.push(format!("{:.2}", r.seconds));
         cells
     };
-    println!("{}", table(&header, rows.iter().map(cells)));
-    println!("picture  {}", path.display());
-    println!("results, real-scans.csv and real-scans.json are in {}", a.out.display());
+    say(table(&header, rows.iter().map(cells)))?;
+    say(format_args!("picture  {}", path.display()))?;
+    say(format_args!("results, real-scans.csv and real-scans.json are in {}", a.out.display()))?;
     Ok(())
 }
 

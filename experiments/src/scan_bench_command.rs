@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 
@@ -63,11 +63,11 @@ pub fn run(a: &Arguments) -> Result<()> {
         cases = cases.into_iter().map(BenchCase::remeshed).collect();
     }
     if a.turn != 0.0 || a.shift != 0.0 {
-        println!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed);
+        say(format_args!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed))?;
         let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));
         cases = cases.into_iter().enumerate().map(moved).collect();
     }
-    println!("{} cases x {} models, {} threads", cases.len(), a.models.len(), rayon::current_num_threads());
+    say(format_args!("{} cases x {} models, {} threads", cases.len(), a.models.len(), rayon::current_num_threads()))?;
     let scheduled = a.models.iter().map(|model| {
         let schedule = match &a.config {
             None => model.schedule()?,
@@ -92,8 +92,8 @@ pub fn run(a: &Arguments) -> Result<()> {
     })?;
     let json = serde_json::json!({ "rows": rows, "summary": summarize(&rows) });
     write_tables(&a.out, "scan-bench", &rows, &json)?;
-    println!("{}", table_of(&rows));
-    println!("{}", summary_table(&rows));
-    println!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display());
+    say(table_of(&rows))?;
+    say(summary_table(&rows))?;
+    say(format_args!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display()))?;
     Ok(())
 }

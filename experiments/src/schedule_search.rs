@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;
@@ -303,10 +303,10 @@ pub struct Options {
 /// A [`Failure`] when something cannot be written; anything else is a failed computation.
 pub fn run(options: &Options) -> Result<()> {
     let Options { models, seeds, vertices, budget, out, .. } = options;
-    println!(
+    say(format_args!(
         "{} models, six cases of each of seeds {seeds:?}, {vertices} vertices, {budget} evaluations each",
         models.len()
-    );
+    ))?;
     let mut cases = Vec::new();
     for &seed in seeds {
         cases.extend(standard_cases(*vertices as usize, TRIANGLES, seed)?);
@@ -321,7 +321,7 @@ pub fn run(options: &Options) -> Result<()> {
             eprintln!("{model:12} {count:3}  {objective:.4} mm  {}", values.join(", "));
             let _ = writeln!(rows, "{model},{count},{},{objective:.6}", values.join("; "));
         })?;
-        println!("{model}: {:.4} mm after {} evaluations", found.objective, found.evaluations);
+        say(format_args!("{model}: {:.4} mm after {} evaluations", found.objective, found.evaluations))?;
         let written = |name: String, text: &str| {
             write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
                 .map_err(Failure::writing)
@@ -329,7 +329,7 @@ pub fn run(options: &Options) -> Result<()> {
         written(format!("{model}.toml"), &found.schedule)?;
         written("search.csv".to_owned(), &rows)?;
     }
-    println!("schedules and search.csv are in {}", out.display());
+    say(format_args!("schedules and search.csv are in {}", out.display()))?;
     Ok(())
 }
 

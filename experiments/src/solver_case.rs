@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};
@@ -88,37 +88,34 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let stages = stages(&summary);
     if arguments.json {
-        println!(
-            "{}",
-            json!({
-                "initial_cost": summary.initial_energy / 2.0,
-                "final_cost": summary.final_energy / 2.0,
-                "iterations": summary.iterations,
-                "seconds_per_iteration": stages.per_iteration,
-                "linearise_seconds": stages.linearize,
-                "solve_seconds": stages.solve,
-                "energy_seconds": stages.energy,
-                "other_seconds": stages.other,
-                "threads": rayon::current_num_threads(),
-                "linear_solver": summary.linear_solver,
-                "linear_iterations": summary.records.iter().map(|r| r.linear_iterations).sum::<usize>(),
-                "stop": summary.stop.to_string(),
-            })
-        );
+        say(json!({
+            "initial_cost": summary.initial_energy / 2.0,
+            "final_cost": summary.final_energy / 2.0,
+            "iterations": summary.iterations,
+            "seconds_per_iteration": stages.per_iteration,
+            "linearise_seconds": stages.linearize,
+            "solve_seconds": stages.solve,
+            "energy_seconds": stages.energy,
+            "other_seconds": stages.other,
+            "threads": rayon::current_num_threads(),
+            "linear_solver": summary.linear_solver,
+            "linear_iterations": summary.records.iter().map(|r| r.linear_iterations).sum::<usize>(),
+            "stop": summary.stop.to_string(),
+        }))?;
         return Ok(());
     }
     if arguments.report {
-        println!("{summary}\n");
+        say(format_args!("{summary}\n"))?;
     }
     let share = |seconds: f64| format!("{:.2} ms, {:.0} %", 1e3 * seconds, 100.0 * seconds / stages.per_iteration);
-    println!("initial_cost           {:.15e}", summary.initial_energy / 2.0);
-    println!("final_cost             {:.15e}", summary.final_energy / 2.0);
-    println!("iterations             {} ({})", summary.iterations, summary.stop);
-    println!("seconds_per_iteration  {:.6}", stages.per_iteration);
-    println!("  linearise            {}", share(stages.linearize));
-    println!("  solve                {}", share(stages.solve));
-    println!("  energy of the step   {}", share(stages.energy));
-    println!("  other, analysis once {}", share(stages.other));
+    say(format_args!("initial_cost           {:.15e}", summary.initial_energy / 2.0))?;
+    say(format_args!("final_cost             {:.15e}", summary.final_energy / 2.0))?;
+    say(format_args!("iterations             {} ({})", summary.iterations, summary.stop))?;
+    say(format_args!("seconds_per_iteration  {:.6}", stages.per_iteration))?;
+    say(format_args!("  linearise            {}", share(stages.linearize)))?;
+    say(format_args!("  solve                {}", share(stages.solve)))?;
+    say(format_args!("  energy of the step   {}", share(stages.energy)))?;
+    say(format_args!("  other, analysis once {}", share(stages.other)))?;
     Ok(())
 }
 

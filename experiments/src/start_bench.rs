@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::cli::{Failure, say};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
@@ -184,7 +184,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             rows.push([head, cells].concat());
         }
     }
-    println!("{}", table(&header, rows));
-    println!("{found} of {of} within {FOUND_DEGREES} degrees of the start by landmarks");
+    say(table(&header, rows))?;
+    say(format_args!("{found} of {of} within {FOUND_DEGREES} degrees of the start by landmarks"))?;
     Ok(())
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::inputs::read_positions;
-use super::{Failure, Stage, check_output};
+use super::{Failure, Stage, check_output, say};
 use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
 use crate::registration::{RegistrationError, WITHIN_MM};
@@ -76,8 +76,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
             error_sheet(label, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
-    println!("{}", if a.json { json } else { text });
-    Ok(())
+    say(if a.json { json } else { text })
 }
 
 type Outcome = (String, String, Vec<f64>, &'static str);

@@ -3,6 +3,7 @@
 mod eval;
 mod failure;
 mod inputs;
+mod output;
 mod register;
 mod rig;
 mod rig_pca;
@@ -13,6 +14,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 pub use failure::{Failure, Stage};
+pub use output::{answer, say, say_to};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, and judge the result.
 #[derive(Debug, Parser)]
@@ -40,11 +42,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(e) => {
-            // clap prints help and version through the same path, to stdout and with success.
-            let code = if e.use_stderr() { 1 } else { 0 };
-            return if e.print().is_ok() { ExitCode::from(code) } else { ExitCode::from(1) };
-        }
+        Err(e) => return answer(&e),
     };
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::inputs::{MaskArguments, RigArguments};
-use super::{Failure, Stage, check_output, on_threads, warn};
+use super::{Failure, Stage, check_output, on_threads, say, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
     InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
@@ -144,8 +144,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     warn_of_doubtful(&result, &quality, template.triangulate().triangles.len());
-    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64());
-    Ok(())
+    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())
 }
 
 /// What differs from run to run.
@@ -246,26 +245,26 @@ const FEW_INLIERS: f64 = 0.5;
 /// Share of flipped triangles above which a result is doubtful.
 const MANY_FOLDS: f64 = 0.02;
 
-fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) {
+fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) -> Result<(), Failure> {
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-    println!(
+    say(format_args!(
         "{}: {} steps in {seconds:.2} s, {:.0} % of the vertices accepted",
         a.model.name(),
         result.history.len(),
         100.0 * inliers
-    );
-    println!(
+    ))?;
+    say(format_args!(
         "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} flipped triangles",
         100.0 * quality.to_scan.share_within,
         quality.median_within,
         quality.flipped
-    );
-    println!("{}", quality.mesh);
+    ))?;
+    say(quality.mesh)?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {
-        println!("{held} of {} weights are at a bound", result.weights.len());
+        say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;
     }
-    println!("wrote {}", a.out.display());
+    say(format_args!("wrote {}", a.out.display()))
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {

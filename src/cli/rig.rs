@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 
 use super::inputs::{ShapeKindArgument, read_rig};
-use super::{Failure, rig_pca};
+use super::{Failure, rig_pca, say};
 
 /// `nonrigid rig` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -39,15 +39,17 @@ fn info(folder: &Path, kind: Option<ShapeKindArgument>, json: bool) -> Result<()
     let info = rig.info();
     if json {
         let text = serde_json::to_string_pretty(&info).map_err(Failure::computation)?;
-        println!("{text}");
-        return Ok(());
+        return say(text);
     }
-    println!("{} vertices, {} shapes", rig.neutral().len(), info.len());
+    say(format_args!("{} vertices, {} shapes", rig.neutral().len(), info.len()))?;
     let width = info.iter().map(|s| s.name.len()).max().unwrap_or(0).max(4);
-    println!("{:width$}  {:10}  {:>8}  {:>8}", "name", "family", "vertices", "max mm");
+    say(format_args!("{:width$}  {:10}  {:>8}  {:>8}", "name", "family", "vertices", "max mm"))?;
     for shape in info {
         let family = format!("{:?}", shape.family).to_lowercase();
-        println!("{:width$}  {family:10}  {:8}  {:8.2}", shape.name, shape.moved_vertices, shape.max_displacement);
+        say(format_args!(
+            "{:width$}  {family:10}  {:8}  {:8.2}",
+            shape.name, shape.moved_vertices, shape.max_displacement
+        ))?;
     }
     Ok(())
 }

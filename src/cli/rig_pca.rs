@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::{Failure, Stage, check_output_folder, on_threads};
+use super::{Failure, Stage, check_output_folder, on_threads, say};
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, ShapePca};
 
@@ -92,28 +92,28 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     }
     rig.write(&a.out).map_err(Failure::writing)?;
     pca.write_components(&a.out).map_err(Failure::writing)?;
-    println!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count());
-    print_table(&pca, &rig.info());
-    println!("wrote {}", a.out.display());
-    Ok(())
+    say(format_args!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count()))?;
+    print_table(&pca, &rig.info())?;
+    say(format_args!("wrote {}", a.out.display()))
 }
 
 /// How far each mode goes at one standard deviation, and how much of the variance it explains.
-fn print_table(pca: &ShapePca, info: &[ShapeInfo]) {
-    println!("{:11}  {:>8}  {:>8}  {:>10}  {:>10}", "mode", "rms mm", "max mm", "variance %", "together %");
+fn print_table(pca: &ShapePca, info: &[ShapeInfo]) -> Result<(), Failure> {
+    say(format_args!("{:11}  {:>8}  {:>8}  {:>10}  {:>10}", "mode", "rms mm", "max mm", "variance %", "together %"))?;
     let vertices = pca.mean().len() as f64;
     let mut together = 0.0;
     for ((mode, sigma), share) in info.iter().zip(pca.standard_deviations()).zip(pca.explained()) {
         together += share;
-        println!(
+        say(format_args!(
             "{:11}  {:8.3}  {:8.3}  {:10.3}  {:10.3}",
             mode.name,
             sigma / vertices.sqrt(),
             mode.max_displacement,
             100.0 * share,
             100.0 * together
-        );
+        ))?;
     }
+    Ok(())
 }
 
 fn same_folder(a: &Path, b: &Path) -> bool {

@@ -280,10 +280,9 @@ impl Arap {
             }
             // Where D is not positive definite (negative weights) the rotation stays, as in local/global.
             let floor = TURN_FLOOR * d.trace();
-            let inverse = (d + Matrix3::from_diagonal_element(floor)).cholesky().map(|c| c.inverse());
-            let inverse = inverse.unwrap_or_else(Matrix3::zeros);
+            let factor = (d + Matrix3::from_diagonal_element(floor)).cholesky();
             for [c, y] in coupling {
-                *y = inverse * *c;
+                *y = factor.as_ref().map_or_else(Matrix3::zeros, |factor| factor.solve(c));
             }
         });
     }

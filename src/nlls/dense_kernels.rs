@@ -139,6 +139,46 @@ pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl T
     }
 }
 
+/// `out += sum_k left_k' right_k` for gathered rows: `left` of `W` numbers, `right` of `n`, padded; `out` is `W x n`.
+pub fn add_outer_products<const W: usize>(left: &[&[f64]], right: &[&[f64]], n: usize, out: &mut [f64]) {
+    dispatch(OuterProducts::<W> { left, right, n, out });
+}
+
+/// [`add_outer_products`], as work and as tiles.
+pub(crate) struct OuterProducts<'a, const W: usize> {
+    pub left: &'a [&'a [f64]],
+    pub right: &'a [&'a [f64]],
+    pub n: usize,
+    pub out: &'a mut [f64],
+}
+
+/// How many rows before a gathered row it is fetched.
+const ROWS_AHEAD: usize = 8;
+
+impl<const W: usize> WithSimd for OuterProducts<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        sweep::<S, W>(simd, padded(self.n), &mut self);
+    }
+}
+
+impl<const W: usize> Tile for OuterProducts<'_, W> {
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let rows = self.left.iter().zip(self.right).enumerate().map(|(k, (left, right))| {
+            let later = self.right.get(k + ROWS_AHEAD).copied().unwrap_or(&[]);
+            (0..V).for_each(|v| prefetch(later, first + v * S::F64_LANES));
+            (*left, &right[first..])
+        });
+        let sum = sum_of_products::<S, W, V>(simd, rows);
+        for (row, sum) in self.out.chunks_exact_mut(self.n).zip(&sum) {
+            add_to(simd, pulp::bytemuck::cast_slice(sum), &mut row[first.min(self.n)..]);
+        }
+    }
+}
+
 /// `out += a' b` for the first `rows` rows of `a` and `b`, which are as wide as their padded rows; of `out`, `a` wide times `b`
 /// wide, only what a lower triangle needs if `lower`.
 pub fn add_gram([a, b]: [&[f64]; 2], [a_width, b_width]: [usize; 2], rows: usize, lower: bool, out: &mut [f64]) {

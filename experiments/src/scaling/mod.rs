@@ -13,7 +13,7 @@ use std::process::{Command, Stdio};
 use std::str::FromStr;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage};
+use nonrigid::cli::{Failure, Stage, say};
 use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
@@ -120,7 +120,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     for (k, configuration) in configurations.iter().enumerate() {
         eprintln!("{}/{}  {}", k + 1, configurations.len(), describe(configuration));
         let row = run_apart(configuration)?;
-        println!("{row}");
+        say(&row)?;
         rows.push(row);
     }
     write_results(a, &rows)
@@ -222,9 +222,9 @@ fn describe(configuration: &Configuration) -> String {
 fn run_here(configuration: &str) -> Result<()> {
     let configuration: Configuration =
         serde_json::from_str(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e}")))?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(configuration.threads());
-    pool.build_global().map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?;
-    println!("{}", configuration.measure()?);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(configuration.threads()).build();
+    let pool = pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?;
+    say(pool.install(|| configuration.measure())?)?;
     Ok(())
 }
 

@@ -7,7 +7,9 @@ use super::{MapJacobians, NodeGraph, ShapeBasis};
 use crate::energy::{Quadric, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::BlockRow;
-use crate::nlls::dense_kernels::{Tile, add_gram, add_to, dispatch, padded, prefetch, sum_of_products, sweep};
+use crate::nlls::dense_kernels::{
+    OuterProducts, Tile, add_gram, add_to, dispatch, padded, prefetch, sum_of_products, sweep,
+};
 
 /// Samples (and vertices) that one task works on.
 pub(super) const CHUNK: usize = 512;
@@ -334,9 +336,6 @@ struct FillRow<'a, const W: usize> {
 /// Rows of Y and U that [`fill_row`] gathers before it multiplies them.
 const BATCH: usize = 96;
 
-/// How many rows of U before a row it is fetched.
-const ROWS_AHEAD: usize = 8;
-
 /// How many samples before a sample its shapes are fetched.
 const SAMPLES_AHEAD: usize = 3;
 
@@ -380,7 +379,9 @@ fn multiply<S: Simd, const W: usize>(simd: S, y: &[&[f64]], u: &[&[f64]], row: &
     let diagonal = row.blocks.len() - W * W;
     let (block, gradient) = (&mut row.blocks[diagonal..], &mut *row.gradient);
     sweep::<S, W>(simd, pitch::<W>(), &mut DiagonalTile::<W> { y, block, gradient });
-    sweep::<S, W>(simd, shape_pitch(nb), &mut CrossTile::<W> { y, u, nb, cross: row.cross });
+    if nb > 0 {
+        OuterProducts::<W> { left: y, right: u, n: nb, out: row.cross }.with_simd(simd);
+    }
 }
 
 /// `Y_sj' Y_sk` of a block.
@@ -422,29 +423,6 @@ impl<const W: usize> Tile for DiagonalTile<'_, W> {
             if (first..first + V * S::F64_LANES).contains(&W) {
                 self.gradient[t] += bytemuck::cast_slice::<S::f64s, f64>(sum)[W - first];
             }
-        }
-    }
-}
-
-/// `Y_sj' U_s`.
-struct CrossTile<'a, const W: usize> {
-    y: &'a [&'a [f64]],
-    u: &'a [&'a [f64]],
-    nb: usize,
-    cross: &'a mut [f64],
-}
-
-impl<const W: usize> Tile for CrossTile<'_, W> {
-    #[inline(always)]
-    fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
-        let rows = self.y.iter().zip(self.u).enumerate().map(|(k, (y, u))| {
-            let later = self.u.get(k + ROWS_AHEAD).copied().unwrap_or(&[]);
-            (0..V).for_each(|v| prefetch(later, first + v * S::F64_LANES));
-            (*y, &u[first..])
-        });
-        let sum = sum_of_products::<S, W, V>(simd, rows);
-        for (row, sum) in self.cross.chunks_exact_mut(self.nb).zip(&sum) {
-            add_to(simd, bytemuck::cast_slice(sum), &mut row[first.min(self.nb)..]);
         }
     }
 }

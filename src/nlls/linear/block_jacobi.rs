@@ -180,7 +180,7 @@ impl LinearSolver for BlockJacobi {
             for_each_part(s, 0..s.block_count(), out_g, partial, &|rows, out, partial| {
                 vectorized(
                     #[inline(always)]
-                    || multiply_rows(equations, below, damping, rows, x, out, partial),
+                    || multiply_rows(equations, below, damping, rows.clone(), x, out, partial),
                 );
             });
             multiply_border(equations, damping, &x[n..], partial, out_w);

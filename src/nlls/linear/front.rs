@@ -279,14 +279,14 @@ mod tests {
                 }
             }
             let b = l.view((width, 0), (below, width));
-            let square = &b * b.transpose();
+            let square = b * b.transpose();
             for c in 0..below {
                 for r in c..below {
                     approx::assert_relative_eq!(update[c * padded(below) + r], -square[(r, c)], epsilon = 1e-12);
                 }
             }
             let solved = l.view((0, 0), (width, width)).solve_lower_triangular(&rhs.rows(0, width)).unwrap();
-            let taken = &b * &solved;
+            let taken = b * &solved;
             for c in 0..pitch {
                 for r in 0..width {
                     approx::assert_relative_eq!(x[r * pitch + c], solved[(r, c)], epsilon = 1e-12);

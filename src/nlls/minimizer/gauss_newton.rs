@@ -33,7 +33,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         }
         let Proposal { slope, predicted, curvature, step_norm, step_is_small } = run.proposal();
         if predicted <= f64::EPSILON * energy {
-            return StopReason::Converged(Convergence::Energy);
+            return run.polish(StopReason::Converged(Convergence::Energy));
         }
         let mut accepted = None;
         let mut scale = 1.0;
@@ -48,7 +48,8 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         }
         let Some(trial) = accepted else {
             let negligible = predicted <= run.options.energy_tolerance * energy;
-            return if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease };
+            let stop = if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease };
+            return run.polish(stop);
         };
         run.accept(trial);
         let decrease = energy - trial;
@@ -69,7 +70,10 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         // A small decrease after halvings is no proof of convergence unless the model expected no more.
         let small = run.options.energy_tolerance * energy;
         if decrease <= small && (scale == 1.0 || predicted <= small) {
-            return StopReason::Converged(Convergence::Energy);
+            if run.options.energy_tolerance == 0.0 {
+                run.linearize(); // for `polish`
+            }
+            return run.polish(StopReason::Converged(Convergence::Energy));
         }
         if step_is_small {
             return StopReason::Converged(Convergence::Step);

@@ -104,7 +104,8 @@ pub struct Options {
     pub linear_solver: LinearSolverKind,
     /// Steps at most, rejected ones included. Default 50.
     pub max_iterations: usize,
-    /// Converged when an accepted step lowers the energy by at most this share of it. Default 1e-10.
+    /// Converged when an accepted step lowers the energy by at most this share of it. Default 1e-10. 0 for as far as rounding lets
+    /// one go: once the energy no longer tells points apart, steps are judged by whether the gradient falls.
     pub energy_tolerance: f64,
     /// Converged when `|d| <= tolerance (|x| + tolerance)`. Default 1e-10.
     pub step_tolerance: f64,

@@ -9,6 +9,12 @@ use super::{Convergence, IterationRecord, Observer, Options, StageTimes, StopRea
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
 
+/// An energy is known to so many units of its rounding.
+const ENERGY_NOISE: f64 = 16.0;
+
+/// A step of [`Run::polish`] counts if it leaves at most this share of the gradient.
+const GRADIENT_FALL: f64 = 0.9;
+
 /// One minimisation in progress.
 pub(super) struct Run<'a, P: Problem + ?Sized> {
     pub options: &'a Options,
@@ -36,6 +42,8 @@ pub(super) struct Buffers {
     pub step: Vec<f64>,
     scaled: Vec<f64>,
     trial: Vec<f64>,
+    /// x before a step of [`Run::polish`].
+    kept: Vec<f64>,
     pub bounds: Bounds,
     pub path: Path,
 }
@@ -81,6 +89,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         buffers.scaling.clear();
         buffers.scaling.resize(n, 0.0);
         buffers.trial.resize(x.len(), 0.0);
+        buffers.kept.resize(x.len(), 0.0);
         Self {
             options,
             problem,
@@ -129,14 +138,65 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
 
     /// No step is left that could lower the energy by more than rounding. Damped steps are short wherever one stands, so whether
     /// this is the minimum is judged by the decrease that undamped coordinate steps promise.
-    pub(super) fn stuck(&self, energy: f64) -> StopReason {
+    pub(super) fn stuck(&mut self, energy: f64) -> StopReason {
         // Residuals are known to rounding of what they were at the start.
         let noise = (4.0 * f64::EPSILON).powi(2) * self.summary.initial_energy;
-        if self.attainable() <= self.options.energy_tolerance.max(f64::EPSILON) * energy + noise {
-            StopReason::Converged(Convergence::Energy)
-        } else {
-            StopReason::NoDecrease
+        let negligible = self.attainable() <= self.options.energy_tolerance.max(f64::EPSILON) * energy + noise;
+        self.polish(if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease })
+    }
+
+    /// At the end of a run without energy tolerance: Gauss-Newton steps too short for the energy to judge, for as long as the
+    /// gradient falls by them. Where residuals remain the energy is flat to rounding within `sqrt(epsilon E / H)` of the minimum, and its
+    /// gradient, `sqrt(epsilon E H)` there, still points the way (W. Hager, H. Zhang, "A new conjugate gradient method with guaranteed
+    /// descent and an efficient line search", 2005, section 4: approximate Wolfe conditions).
+    ///
+    /// Takes the reason why the energy stopped the run, with the equations linearised at x, and gives the reason why this did.
+    pub(super) fn polish(&mut self, mut stop: StopReason) -> StopReason {
+        while self.options.energy_tolerance == 0.0 && self.summary.iterations < self.options.max_iterations {
+            let energy = self.summary.final_energy;
+            let noise = ENERGY_NOISE * f64::EPSILON * energy;
+            let gradient = self.gradient_norm();
+            if gradient <= self.options.gradient_tolerance {
+                return StopReason::Converged(Convergence::Gradient);
+            }
+            if self.solve(0.0).is_err() {
+                return stop;
+            }
+            let Proposal { predicted, step_norm, step_is_small, .. } = self.proposal();
+            if !(0.0..=noise).contains(&predicted) {
+                return stop;
+            }
+            stop = StopReason::Converged(Convergence::Energy);
+            let trial = self.try_step(1.0, true);
+            if trial > (energy + noise).min(self.summary.initial_energy) {
+                return stop;
+            }
+            self.buffers.kept.copy_from_slice(self.x);
+            self.accept(trial);
+            self.linearize();
+            let left = self.gradient_norm();
+            if left.is_nan() || left > GRADIENT_FALL * gradient {
+                self.x.copy_from_slice(&self.buffers.kept);
+                self.summary.final_energy = energy;
+                return stop;
+            }
+            let record = IterationRecord {
+                decrease: energy - trial,
+                step_norm,
+                step_scale: 1.0,
+                radius: f64::INFINITY,
+                gain: (energy - trial) / predicted,
+                accepted: true,
+                ..IterationRecord::default()
+            };
+            if self.record(record) == ControlFlow::Break(()) {
+                return StopReason::StoppedByObserver;
+            }
+            if step_is_small {
+                return StopReason::Converged(Convergence::Step);
+            }
         }
+        stop
     }
 
     /// Brings the scaling up to date with the last linearisation: `D_i = max(H_ii, memory D_i)`, with D = 0 before the first.

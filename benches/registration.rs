@@ -1,0 +1,62 @@
+//! A whole registration with the default schedule, over the size of the scan.
+//!
+//! `cargo bench --bench registration`
+#![allow(missing_docs)] // of what `criterion_group` makes
+
+mod support;
+
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
+use nonrigid::mesh::io::{Landmark, TemplatePoint};
+use nonrigid::registration::{ModelKind, RegistrationInput, Schedule, StepRecord, register};
+use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
+use support::short;
+
+const VERTICES: usize = 2500;
+
+fn shapes(rig: &FaceRig) -> ShapeBasis {
+    let expressions = rig.expressions.iter().map(|e| (e.0.clone(), Family::Expression, &e.1));
+    let modes = rig.identities.iter().enumerate().map(|(k, d)| (format!("identity{k}"), Family::Identity, d));
+    let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
+    for (name, family, delta) in expressions.chain(modes) {
+        shapes.push(Shape { name, family });
+        deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
+    }
+    let (rig, _) = Rig::new(rig.neutral.clone(), None, shapes, deltas).expect("a sound rig");
+    rig.select(ShapeSelection { identity_modes: 20, ..ShapeSelection::default() }).expect("so many modes")
+}
+
+fn registration(c: &mut Criterion) {
+    let rig = FaceRig::generate(&FaceOptions { vertices: VERTICES, identity_modes: 20 });
+    let shapes = shapes(&rig);
+    let schedule = Schedule::default_for("hybrid").expect("comes with the crate");
+    let mut group = c.benchmark_group(format!("hybrid registration over scan triangles, {VERTICES} vertices"));
+    group.sample_size(10).warm_up_time(Duration::from_millis(1));
+    for triangles in [20_000, 80_000, 320_000] {
+        let case = simulate_scan(&rig, &ScanOptions { triangles, ..ScanOptions::default() }, 1).expect("seen");
+        let landmark = |(v, target): &(u32, _)| Landmark {
+            name: v.to_string(),
+            template: TemplatePoint::Vertex(*v),
+            target: *target,
+        };
+        let landmarks: Vec<Landmark> = case.landmarks.iter().map(landmark).collect();
+        let input = RegistrationInput {
+            shapes: &shapes,
+            landmarks: &landmarks,
+            ..RegistrationInput::new(&rig.mesh, &case.scan)
+        };
+        group.bench_function(BenchmarkId::new("triangles", case.scan.triangles.len()), |b| {
+            b.iter(|| {
+                let observer = &mut |_: &StepRecord| ControlFlow::Continue(());
+                register(&input, &ModelKind::Hybrid, &schedule, observer).expect("it succeeds").positions
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(name = benches; config = short(); targets = registration);
+criterion_main!(benches);

@@ -1,0 +1,42 @@
+//! What a program says on stdout. `println!` panics when nobody reads, as in `nonrigid rig info DIR | head -1`.
+
+use std::fmt;
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+use super::{Failure, Stage};
+
+/// Writes a line to stdout. When nobody reads any more, nothing is said and nothing fails: files may still be wanted.
+///
+/// # Errors
+/// When stdout cannot be written for another reason, such as a full disk: a failure at [`Stage::Writing`].
+pub fn say(line: impl fmt::Display) -> Result<(), Failure> {
+    say_to(&mut io::stdout().lock(), format_args!("{line}\n"))
+}
+
+/// [`say`], to `out` and without a line's end.
+///
+/// # Errors
+/// As [`say`].
+pub fn say_to(out: &mut dyn Write, text: fmt::Arguments<'_>) -> Result<(), Failure> {
+    match out.write_fmt(text).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::writing(format!("stdout: {e}"))),
+        _ => Ok(()),
+    }
+}
+
+/// Prints what clap has to say, help or what is wrong with the arguments, and gives the exit code.
+#[must_use]
+pub fn answer(error: &clap::Error) -> ExitCode {
+    if error.use_stderr() {
+        let _ = error.print(); // if that fails, there is nowhere to say so
+        return ExitCode::from(Stage::Arguments as u8);
+    }
+    match say_to(&mut io::stdout().lock(), format_args!("{}", error.render())) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit_code()
+        }
+    }
+}

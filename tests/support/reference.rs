@@ -1,0 +1,321 @@
+//! Derivatives of deformation models by other means than those of the models: dense, one tangent coordinate at a time.
+#![allow(dead_code)] // every test binary uses its own part of this
+
+use std::cell::RefCell;
+
+use nalgebra::{DMatrix, DVector, Matrix3};
+use nonrigid::energy::DeformationModel;
+use nonrigid::mesh::adjacency::EdgeGraph;
+use nonrigid::mesh::{TriangleMesh, Vec3};
+use nonrigid::model::{ArapOptions, ArapSolver, Autodiff, NodeAssembly, NodeTransform, Point, PositionFunction};
+use nonrigid::nlls::{Manifold, PointArray, Scalar, so3};
+use num_dual::Dual64;
+
+/// What a model's derivatives are at some parameters.
+pub struct Reference {
+    /// `dv/dx`, a row for each coordinate of each vertex.
+    pub positions: DMatrix<f64>,
+    /// Gauss-Newton Hessian and gradient of half the regulariser.
+    pub hessian: DMatrix<f64>,
+    pub gradient: DVector<f64>,
+}
+
+/// Vertex positions and regulariser of a model, stated for any number.
+pub trait Formula {
+    fn tangent(&self) -> usize;
+
+    /// Positions at `x` moved by a tangent step, and `(weight, residual)` of the regulariser.
+    fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>);
+}
+
+/// By dual numbers, one coordinate at a time.
+pub fn formula(formula: impl Formula) -> impl Fn(&[f64]) -> Reference {
+    move |x| {
+        let n = formula.tangent();
+        let mut step = vec![Dual64::from_re(0.0); n];
+        let (vertices, residuals) = formula.evaluate(x, &step);
+        let mut positions = DMatrix::zeros(3 * vertices.len(), n);
+        let mut jacobian = DMatrix::zeros(residuals.len(), n);
+        for k in 0..n {
+            step[k] = step[k].derivative();
+            let (vertices, residuals) = formula.evaluate(x, &step);
+            step[k] = Dual64::from_re(0.0);
+            for (row, v) in vertices.as_flattened().iter().enumerate() {
+                positions[(row, k)] = v.eps;
+            }
+            for (row, (_, r)) in residuals.iter().enumerate() {
+                jacobian[(row, k)] = r.eps;
+            }
+        }
+        let (hessian, gradient) = normal(&jacobian, residuals.iter().map(|(w, r)| (*w, r.re)));
+        Reference { positions, hessian, gradient }
+    }
+}
+
+/// `J' W J` and `J' W r`.
+pub fn normal(jacobian: &DMatrix<f64>, residuals: impl Iterator<Item = (f64, f64)>) -> (DMatrix<f64>, DVector<f64>) {
+    let (mut weighted, mut right) = (jacobian.clone(), DVector::zeros(jacobian.nrows()));
+    for (row, (weight, r)) in residuals.enumerate() {
+        weighted.row_mut(row).scale_mut(weight);
+        right[row] = weight * r;
+    }
+    (jacobian.tr_mul(&weighted), jacobian.tr_mul(&right))
+}
+
+/// Eqs. (4) to (8) of Klimov 2020 and `E_rot` of Sumner et al. 2007.
+impl<T: NodeTransform<W>, const W: usize> Formula for NodeAssembly<T, W> {
+    fn tangent(&self) -> usize {
+        self.graph().nodes().len() * W + self.shapes().len()
+    }
+
+    fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>) {
+        let (graph, shapes, ambient) = (self.graph(), self.shapes(), T::Parameters::AMBIENT);
+        let nodes = graph.nodes();
+        let maps: Vec<_> = (0..nodes.len())
+            .map(|j| {
+                let mut point = <T::Parameters as Manifold>::Point::<D>::filled(D::from(0.0));
+                T::Parameters::plus(&x[j * ambient..(j + 1) * ambient], &step[j * W..(j + 1) * W], point.as_mut());
+                T::map(point.as_ref())
+            })
+            .collect();
+        let w: Vec<D> = (0..shapes.len()).map(|k| step[nodes.len() * W + k] + x[nodes.len() * ambient + k]).collect();
+        let place = |(i, n): (usize, &Vec3)| {
+            let mut b: [D; 3] = std::array::from_fn(|a| D::from(n[a]));
+            for a in 0..3 {
+                for (w, delta) in w.iter().zip(&shapes.vertex(i)[a * w.len()..]) {
+                    b[a] += *w * f64::from(*delta);
+                }
+            }
+            let mut v = [D::from(0.0); 3];
+            for &(j, omega) in graph.influences(i) {
+                let x_j = nodes[j as usize];
+                let moved = maps[j as usize].apply(std::array::from_fn(|a| b[a] - x_j[a]));
+                for a in 0..3 {
+                    v[a] += (moved[a] + x_j[a]) * omega;
+                }
+            }
+            v
+        };
+        let vertices = self.rest().iter().enumerate().map(place).collect();
+        let lambda = self.stiffness;
+        let mut residuals = Vec::new();
+        for &(i, j) in graph.edges() {
+            let [x_i, x_j] = [i, j].map(|k| nodes[k as usize]);
+            let moved = maps[i as usize].apply(std::array::from_fn(|a| D::from(x_j[a] - x_i[a])));
+            let target = &maps[j as usize].translation;
+            residuals.extend((0..3).map(|a| (lambda.graph, moved[a] + x_i[a] - target[a] - x_j[a])));
+        }
+        let rotation = lambda.graph * lambda.rotation * graph.squared_reach(self.rest());
+        for r in maps.iter().filter_map(T::rotation_residuals) {
+            residuals.extend(r.map(|r| (rotation, r)));
+        }
+        residuals.extend(w.iter().zip(shapes.sigmas()).map(|(w, sigma)| (lambda.blend, *w / *sigma)));
+        (vertices, residuals)
+    }
+}
+
+impl<F: PositionFunction> Formula for Autodiff<F> {
+    fn tangent(&self) -> usize {
+        self.function().rest_blocks().len() * F::Block::TANGENT
+    }
+
+    fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>) {
+        let (ambient, tangent) = (F::Block::AMBIENT, F::Block::TANGENT);
+        let gather = |blocks: &Vec<usize>| -> Vec<Point<F, D>> {
+            let block = |&j: &usize| {
+                let mut point = Point::<F, D>::filled(D::from(0.0));
+                let delta = &step[j * tangent..(j + 1) * tangent];
+                F::Block::plus(&x[j * ambient..(j + 1) * ambient], delta, point.as_mut());
+                point
+            };
+            blocks.iter().map(block).collect()
+        };
+        let f = self.function();
+        let vertices = f.vertex_blocks().iter().enumerate().map(|(i, b)| f.position(i, &gather(b))).collect();
+        let smooth = f.smoothness_blocks();
+        let residuals = smooth.iter().enumerate().flat_map(|(m, b)| f.smoothness(m, &gather(b)));
+        (vertices, residuals.map(|r| (self.stiffness, r)).collect())
+    }
+}
+
+/// For models whose positions are affine and whose regulariser is quadratic in parameters to which steps add. Differences of any
+/// step are then exact but for rounding:
+///
+/// ```text
+///     dv/dx_k = v(x + e_k) - v(x)                           g_k = (E(x + e_k) - E(x - e_k)) / 4
+///     H_kl = (E(e_k + e_l) - E(e_k) - E(e_l) + E(0)) / 2
+/// ```
+pub fn quadratic(model: impl DeformationModel) -> impl Fn(&[f64]) -> Reference {
+    let model = RefCell::new(model);
+    move |x| {
+        let mut model = model.borrow_mut();
+        let n = x.len();
+        let mut place = |x: &[f64]| {
+            let mut out = Vec::new();
+            model.positions(x, &mut out);
+            out
+        };
+        let at_x = place(x);
+        let mut positions = DMatrix::zeros(3 * at_x.len(), n);
+        for k in 0..n {
+            let mut y = x.to_vec();
+            y[k] += 1.0;
+            for (i, (a, b)) in place(&y).iter().zip(&at_x).enumerate() {
+                positions.view_mut((3 * i, k), (3, 1)).copy_from(&(a - b));
+            }
+        }
+        let mut energy = |x: &[f64]| {
+            let mut energies = Vec::new();
+            model.regulariser_energy(x, &mut energies);
+            energies.iter().map(|e| e.1).sum::<f64>()
+        };
+        let mut y = vec![0.0; n];
+        let at_zero = energy(&y);
+        let mut at = |ones: &[usize]| {
+            ones.iter().for_each(|&k| y[k] += 1.0);
+            let energy = energy(&y);
+            ones.iter().for_each(|&k| y[k] = 0.0);
+            energy
+        };
+        let single: Vec<f64> = (0..n).map(|k| at(&[k])).collect();
+        let mut hessian = DMatrix::zeros(n, n);
+        for k in 0..n {
+            for l in 0..=k {
+                let h = (at(&[k, l]) - single[k] - single[l] + at_zero) / 2.0;
+                (hessian[(k, l)], hessian[(l, k)]) = (h, h);
+            }
+        }
+        let mut gradient = DVector::zeros(n);
+        for k in 0..n {
+            let [up, down] = [1.0, -1.0].map(|step| {
+                let mut y = x.to_vec();
+                y[k] += step;
+                energy(&y)
+            });
+            gradient[k] = (up - down) / 4.0;
+        }
+        Reference { positions, hessian, gradient }
+    }
+}
+
+/// As-rigid-as-possible surfaces: residuals `(v_i - v_j) - exp(omega_i^) R_i (n_i - n_j)` at the best `R_i`, by dual numbers in
+/// `v` and `omega`. Local/global holds `omega`, joint eliminates it.
+pub fn rigidity(
+    mesh: &TriangleMesh,
+    options: ArapOptions,
+    lambda: f64,
+    held: &[bool],
+    places: &[Vec3],
+    x: &[f64],
+) -> Reference {
+    Rigidity::new(mesh, options, lambda, held, places).reference(x)
+}
+
+struct Rigidity {
+    rest: Vec<Vec3>,
+    /// `(i, j, w_ij)`, each pair in both directions.
+    spokes: Vec<(usize, usize, f64)>,
+    options: ArapOptions,
+    lambda: f64,
+    places: Vec<Option<Vec3>>,
+}
+
+/// Share of the trace of `omega_i`'s block on its diagonal: a star on a line is free to turn round it.
+const TURN_FLOOR: f64 = 1e-9;
+
+impl Rigidity {
+    fn new(mesh: &TriangleMesh, options: ArapOptions, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
+        let rest = mesh.positions.clone();
+        let graph = EdgeGraph::of(mesh);
+        let mut edges: Vec<(usize, usize, f64)> = Vec::new();
+        for &[a, b] in graph.edges() {
+            let opposite = mesh.triangles.iter().filter(|t| t.contains(&a) && t.contains(&b)).map(|t| {
+                let c = t.iter().copied().find(|&c| c != a && c != b).expect("three corners");
+                let [u, v] = [a, b].map(|k| rest[k as usize] - rest[c as usize]);
+                u.dot(&v) / u.cross(&v).norm()
+            });
+            let weight = opposite.sum::<f64>() / 2.0;
+            edges.push((a as usize, b as usize, if options.clamp { weight.max(0.0) } else { weight }));
+        }
+        // Vertices of no triangle are tied to the nearest other.
+        let squared = |a: usize, b: usize| (rest[a] - rest[b]).norm_squared();
+        let mean = edges.iter().map(|e| squared(e.0, e.1)).sum::<f64>() / edges.len() as f64;
+        let loose = |i: &usize| graph.neighbours(*i).is_empty();
+        for i in (0..rest.len()).filter(loose) {
+            let others = (0..rest.len()).filter(|j| !loose(j));
+            let anchor = others.min_by(|&a, &b| squared(i, a).total_cmp(&squared(i, b))).expect("a triangle");
+            edges.push((i, anchor, (mean / squared(i, anchor)).min(1.0) / 3f64.sqrt()));
+        }
+        let spokes = edges.into_iter().filter(|e| e.2 != 0.0).flat_map(|(a, b, w)| [(a, b, w), (b, a, w)]).collect();
+        let places = held.iter().zip(places).map(|(held, p)| held.then_some(*p)).collect();
+        Self { rest, spokes, options, lambda, places }
+    }
+
+    /// Positions for the parameters of free vertices.
+    fn place<D: Scalar>(&self, x: &[D]) -> Vec<[D; 3]> {
+        let mut free = x.chunks_exact(3);
+        let fixed = |p: &Vec3| std::array::from_fn(|a| D::from(p[a]));
+        self.places
+            .iter()
+            .map(|held| held.as_ref().map_or_else(|| free.next().expect("its own").try_into().unwrap(), fixed))
+            .collect()
+    }
+
+    /// Kabsch 1976.
+    fn rotations(&self, v: &[[f64; 3]]) -> Vec<Matrix3<f64>> {
+        let mut a = vec![Matrix3::zeros(); v.len()];
+        for &(i, j, w) in &self.spokes {
+            a[i] += (Vec3::from(v[i]) - Vec3::from(v[j])) * (self.rest[i] - self.rest[j]).transpose() * w;
+        }
+        let closest = |a: Matrix3<f64>| {
+            let svd = a.svd(true, true);
+            let (u, v) = (svd.u.expect("asked for"), svd.v_t.expect("asked for"));
+            u * Matrix3::from_diagonal(&Vec3::new(1.0, 1.0, (u * v).determinant().signum())) * v
+        };
+        a.into_iter().map(closest).collect()
+    }
+
+    fn reference(&self, x: &[f64]) -> Reference {
+        let rotations = self.rotations(&self.place(x));
+        let (n, turns) = (x.len(), 3 * self.rest.len());
+        let evaluate = |step: &[Dual64]| {
+            let moved: Vec<Dual64> = step[..n].iter().zip(x).map(|(d, x)| *d + *x).collect();
+            let v = self.place(&moved);
+            let residual = |&(i, j, _): &(usize, usize, f64)| -> [Dual64; 3] {
+                let p = rotations[i] * (self.rest[i] - self.rest[j]);
+                let turn = so3::exp([0, 1, 2].map(|a| step[n + 3 * i + a]));
+                std::array::from_fn(|a| v[i][a] - v[j][a] - (turn[a][0] * p[0] + turn[a][1] * p[1] + turn[a][2] * p[2]))
+            };
+            let residuals: Vec<Dual64> = self.spokes.iter().flat_map(residual).collect();
+            (v, residuals)
+        };
+        let mut step = vec![Dual64::from_re(0.0); n + turns];
+        let (_, residuals) = evaluate(&step);
+        let mut positions = DMatrix::zeros(3 * self.rest.len(), n);
+        let mut jacobian = DMatrix::zeros(residuals.len(), n + turns);
+        for k in 0..n + turns {
+            step[k] = step[k].derivative();
+            let (v, r) = evaluate(&step);
+            step[k] = Dual64::from_re(0.0);
+            jacobian.column_mut(k).iter_mut().zip(&r).for_each(|(e, r)| *e = r.eps);
+            if k < n {
+                positions.column_mut(k).iter_mut().zip(v.as_flattened()).for_each(|(e, v)| *e = v.eps);
+            }
+        }
+        let weights = self.spokes.iter().flat_map(|s| [self.lambda * s.2; 3]);
+        let (all, gradient) = normal(&jacobian, weights.zip(residuals.iter().map(|r| r.re)));
+        let mut hessian = all.view((0, 0), (n, n)).into_owned();
+        if self.options.solver == ArapSolver::Joint {
+            for i in 0..self.rest.len() {
+                let at = n + 3 * i;
+                let mut own: Matrix3<f64> = all.fixed_view::<3, 3>(at, at).into_owned();
+                own += Matrix3::from_diagonal_element(TURN_FLOOR * own.trace());
+                // Negative weights can make it indefinite; the rotation then stays.
+                let Some(factor) = own.cholesky() else { continue };
+                let cross = all.view((at, 0), (3, n));
+                hessian -= cross.transpose() * factor.solve(&cross.into_owned());
+            }
+        }
+        Reference { positions, hessian, gradient: gradient.rows(0, n).into_owned() }
+    }
+}
