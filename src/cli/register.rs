@@ -84,9 +84,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
     }
     let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
-    let scan = io::read_scan(&a.target).map_err(Failure::loading)?;
+    let (scan, rig) = rayon::join(|| io::read_scan(&a.target).map_err(Failure::loading), || a.rig.read());
+    let (scan, (shapes, regions)) = (scan?, rig?);
     let neutral = a.neutral.as_deref().map(super::inputs::read_positions).transpose()?;
-    let (shapes, regions) = a.rig.read()?;
     let [mask, free_mask] = a.masks.read(&template, regions)?;
     let landmarks = match &a.landmarks {
         None => Vec::new(),

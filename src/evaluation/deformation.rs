@@ -87,11 +87,9 @@ impl MeshQuality {
     pub fn new(template: &PolygonMesh, deformed: &[Vec3]) -> Result<Self, EvaluationError> {
         let stretch = EdgeStretch::new(template, deformed)?;
         let triangles = template.triangulate().triangles;
-        Ok(Self {
-            self_intersections: self_intersections(deformed, &triangles)?.len(),
-            self_intersections_at_rest: self_intersections(&template.positions, &triangles)?.len(),
-            stretch,
-        })
+        let count = |positions| self_intersections(positions, &triangles).map(|pairs| pairs.len());
+        let (deformed, at_rest) = rayon::join(|| count(deformed), || count(&template.positions));
+        Ok(Self { self_intersections: deformed?, self_intersections_at_rest: at_rest?, stretch })
     }
 }
 

@@ -125,6 +125,57 @@ pub fn distances(graph: &WeightedGraph, sources: &[u32], limit: f64) -> Vec<f64>
     distance
 }
 
+/// Asks of many vertices, one after the other, what lies near them along the surface: costs what is near, not the mesh.
+#[derive(Debug, Clone)]
+pub struct Reach<'a> {
+    graph: &'a WeightedGraph,
+    /// Infinite but where the current question has been.
+    distance: Vec<f64>,
+    touched: Vec<u32>,
+    queue: Queue,
+}
+
+impl<'a> Reach<'a> {
+    /// For questions about one mesh.
+    #[must_use]
+    pub fn new(graph: &'a WeightedGraph) -> Self {
+        Self { graph, distance: vec![f64::INFINITY; graph.vertex_count()], touched: Vec::new(), queue: Queue::new() }
+    }
+
+    /// The first of `targets` that lies farther than `limit` from `source` along the surface, or is out of reach.
+    ///
+    /// # Panics
+    /// When a source or target is not a vertex.
+    pub fn first_beyond(&mut self, source: u32, limit: f64, targets: &[u32]) -> Option<u32> {
+        self.distance[source as usize] = 0.0;
+        self.touched.push(source);
+        self.queue.push(Reverse(key(0.0, source, 0)));
+        let mut beyond = targets;
+        while let [next, rest @ ..] = beyond {
+            if self.distance[*next as usize].is_finite() {
+                beyond = rest;
+                continue;
+            }
+            let Some(Reverse(settled)) = self.queue.pop() else { break };
+            let (d, v, _) = unkey(settled);
+            if d > self.distance[v as usize] {
+                continue;
+            }
+            for &(w, length) in self.graph.arcs(v) {
+                let through = d + length;
+                if through < self.distance[w as usize] && through <= limit {
+                    self.distance[w as usize] = through;
+                    self.touched.push(w);
+                    self.queue.push(Reverse(key(through, w, 0)));
+                }
+            }
+        }
+        self.queue.clear();
+        self.touched.drain(..).for_each(|v| self.distance[v as usize] = f64::INFINITY);
+        beyond.first().copied()
+    }
+}
+
 /// Distances that differ by less than this share count as equal in [`farthest_point_sampling`].
 const TIE: f64 = 1e-9;
 
@@ -409,6 +460,26 @@ mod tests {
                 all
             })
             .collect()
+    }
+
+    #[test]
+    fn the_first_target_beyond_the_limit_is_that_of_the_distances_whatever_was_asked_before() {
+        let (edges, positions) = sheets(12, 9, &[0.0, 0.2, -0.1, 0.3]);
+        let graph = WeightedGraph::euclidean(&edges, &positions).unwrap();
+        let mut reach = Reach::new(&graph);
+        let mut found = 0;
+        for source in 0..graph.vertex_count() as u32 {
+            for limit in [0.0, 0.9, 2.5, 20.0] {
+                let along = distances(&graph, &[source], limit);
+                let targets: Vec<u32> =
+                    (0..5).map(|k| (source * 7 + k * k * 5) % graph.vertex_count() as u32).collect();
+                let expected = targets.iter().copied().find(|&t| along[t as usize].is_infinite());
+                assert_eq!(reach.first_beyond(source, limit, &targets), expected, "{source} {limit}");
+                found += usize::from(expected.is_some());
+            }
+        }
+        assert!(found > 100 && found < 400, "{found}");
+        assert_eq!(reach.first_beyond(3, 1.0, &[]), None);
     }
 
     proptest! {

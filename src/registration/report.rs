@@ -67,23 +67,26 @@ impl Quality {
                 return Err(EvaluationError::VertexCount { what, expected, found }.into());
             }
         }
-        let surface = ScanDistance::new(input.scan, input.scan_normals)?;
-        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
-        let vertices = positions.par_iter().zip(&masks.data);
-        let distances: Vec<f64> =
-            vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect();
+        let distances = || -> Result<Vec<f64>, QualityError> {
+            let surface = ScanDistance::new(input.scan, input.scan_normals)?;
+            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+            let vertices = positions.par_iter().zip(&masks.data);
+            Ok(vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect())
+        };
+        let mut template = input.template.clone();
+        template.positions = input.rest_positions().to_vec();
+        let (distances, mesh) = rayon::join(distances, || MeshQuality::new(&template, positions));
+        let distances = distances?;
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
         let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).unwrap_or_else(|_| Pose::identity());
         let posed: Vec<Vec3> = rest.iter().map(|&p| pose.apply(p)).collect();
-        let mut template = input.template.clone();
-        template.positions = rest.to_vec();
         Ok(Self {
             to_scan: DistanceSummary::new(&distances, WITHIN_MM),
             median_within: DistanceSummary::new(&within, WITHIN_MM).median,
             flipped: flipped_triangles(&posed, positions, &template.triangulate().triangles)?,
-            mesh: MeshQuality::new(&template, positions)?,
+            mesh: mesh?,
         })
     }
 }

@@ -58,18 +58,22 @@ impl ScanSurface {
             let points = OrientedPoints::new(&mesh.positions, normals, options.normal_smoothing).map_err(unusable)?;
             return Ok(Self { surface: Surface::Points(points), reject_boundary });
         }
-        let tree = ClosestPoint::new(&mesh).map_err(unusable)?;
-        let corners: Vec<Vec3> = used(&mesh).map(|v| mesh.positions[v]).collect();
-        let vertices = ClosestVertices::new(&corners).map_err(unusable)?;
-        let mut normals = match normals {
-            Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
-            None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
+        let tree = || ClosestPoint::new(&mesh).map_err(unusable);
+        let rest = || {
+            let corners: Vec<Vec3> = used(&mesh).map(|v| mesh.positions[v]).collect();
+            let vertices = ClosestVertices::new(&corners).map_err(unusable);
+            let mut normals = match normals {
+                Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
+                None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
+            };
+            let edges = EdgeGraph::of(&mesh);
+            for _ in 0..options.normal_smoothing {
+                normals = smooth_normals(&edges, &normals);
+            }
+            (corners, vertices, normals, OpenBoundary::of(&mesh))
         };
-        let edges = EdgeGraph::of(&mesh);
-        for _ in 0..options.normal_smoothing {
-            normals = smooth_normals(&edges, &normals);
-        }
-        let boundary = OpenBoundary::of(&mesh);
+        let (tree, (corners, vertices, normals, boundary)) = rayon::join(tree, rest);
+        let (tree, vertices) = (tree?, vertices?);
         Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree, corners, vertices }, reject_boundary })
     }
 

@@ -7,7 +7,7 @@
 use super::ScanSurface;
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::{ClosestVertex, ClosestVertices};
-use crate::mesh::geodesic::{WeightedGraph, distances};
+use crate::mesh::geodesic::{Reach, WeightedGraph};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
 /// How much farther along the surface than a seam is wide its two sides lie.
@@ -38,17 +38,16 @@ impl Seams {
         }
         let graph = WeightedGraph::euclidean(&EdgeGraph::of(rest), &rest.positions)?;
         let tree = ClosestVertices::new(&rest.positions)?;
-        let mut near: Vec<ClosestVertex> = Vec::new();
+        let mut reach = Reach::new(&graph);
+        let (mut near, mut targets): (Vec<ClosestVertex>, Vec<u32>) = Default::default();
         let mut pairs = Vec::new();
         for (i, p) in rest.positions.iter().enumerate() {
             tree.k_nearest(p, NEIGHBOURS, &mut near);
             near.retain(|c| c.squared_distance <= width * width && c.vertex as usize != i);
-            if near.is_empty() {
-                continue;
-            }
-            let along = distances(&graph, &[i as u32], DETOUR * width);
-            let across = near.iter().find(|c| along[c.vertex as usize].is_infinite());
-            pairs.extend(across.map(|c| (i as u32, c.vertex, c.squared_distance.sqrt())));
+            targets.clear();
+            targets.extend(near.iter().map(|c| c.vertex));
+            let across = reach.first_beyond(i as u32, DETOUR * width, &targets);
+            pairs.extend(across.map(|j| (i as u32, j, (rest.positions[j as usize] - p).norm())));
         }
         Ok(Self { pairs })
     }
