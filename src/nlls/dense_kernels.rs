@@ -121,21 +121,17 @@ pub trait Tile {
 /// Cuts `columns`, a multiple of [`PAD`], into tiles as wide as the registers allow that hold `R` rows of them.
 #[inline(always)]
 pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl Tile) {
-    let widest = (S::REGISTER_COUNT * 3 / 4 / R).min(3);
+    let widest = (S::REGISTER_COUNT * 3 / 4 / R).clamp(1, 4);
     let mut first = 0;
     while first < columns {
-        let left = ((columns - first) / S::F64_LANES).min(widest);
-        first += S::F64_LANES
-            * if left >= 3 {
-                work.tile::<S, 3>(simd, first);
-                3
-            } else if left == 2 {
-                work.tile::<S, 2>(simd, first);
-                2
-            } else {
-                work.tile::<S, 1>(simd, first);
-                1
-            };
+        let width = ((columns - first) / S::F64_LANES).min(widest);
+        match width {
+            4 => work.tile::<S, 4>(simd, first),
+            3 => work.tile::<S, 3>(simd, first),
+            2 => work.tile::<S, 2>(simd, first),
+            _ => work.tile::<S, 1>(simd, first),
+        }
+        first += width * S::F64_LANES;
     }
 }
 

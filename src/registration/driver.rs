@@ -185,6 +185,7 @@ pub fn register_with(
     let scan = ScanSurface::new(scan_in_rest, scan_normals.as_deref(), &schedule.scan)?;
     let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
     let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
+
     let mut samples = Samples::vertices(template.mesh.positions.len());
     let mut landmarks = Vec::new();
     for landmark in input.landmarks {
