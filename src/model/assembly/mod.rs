@@ -358,13 +358,18 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
             positions.resize(self.rest.len(), Vec3::zeros());
             let graph = &self.graph;
             positions.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-                for (k, v) in chunk.iter_mut().enumerate() {
-                    let i = c * CHUNK + k;
-                    for &(j, omega) in graph.influences(i) {
-                        let x_j = graph.nodes()[j as usize];
-                        *v += (Vec3::from(maps[j as usize].apply((blend[i] - x_j).into())) + x_j) * omega;
-                    }
-                }
+                vectorized(
+                    #[inline(always)]
+                    || {
+                        for (k, v) in chunk.iter_mut().enumerate() {
+                            let i = c * CHUNK + k;
+                            for &(j, omega) in graph.influences(i) {
+                                let x_j = graph.nodes()[j as usize];
+                                *v += (Vec3::from(maps[j as usize].apply((blend[i] - x_j).into())) + x_j) * omega;
+                            }
+                        }
+                    },
+                );
             });
         }
         out.clone_from(positions);
