@@ -40,6 +40,9 @@ use crate::nlls::{BlockStructure, NormalEquations};
 /// run at speed (56 beats 32 by a tenth on 400 blocks of six), narrow enough to give a border of a hundred to two threads.
 const CHUNK: usize = 56;
 
+/// Columns of Z from which on there are two chunks at least, for two threads.
+const HALVED: usize = 32;
+
 /// Sparse blocks eliminated first, then the border: see the head of the source file for the algebra.
 ///
 /// Beside [`solve`](LinearSolver::solve) the two halves are public, for whoever wants to do something else with the border
@@ -67,6 +70,8 @@ const CHUNK: usize = 56;
 pub struct BorderedCholesky {
     structure: Arc<BlockStructure>,
     pub(super) factor: SupernodalFactor,
+    /// Of the factor, for what is done while it factorises.
+    position: Vec<usize>,
     chunks: Vec<Chunk>,
     pieces: Vec<Piece>,
     schur: Vec<f64>,
@@ -108,10 +113,12 @@ impl BorderedCholesky {
     pub fn new(structure: &Arc<BlockStructure>) -> Self {
         let factor = SupernodalFactor::analyse(structure);
         let (n, m) = (structure.sparse_dimension(), structure.border());
-        let count = (m + 1).div_ceil(CHUNK);
+        let least = if m + 1 > HALVED { 2 } else { 1 };
+        let width = padded((m + 1).div_ceil((m + 1).div_ceil(CHUNK).max(least)));
+        let count = (m + 1).div_ceil(width);
         let chunks: Vec<Chunk> = (0..count)
             .map(|k| {
-                let columns = k * CHUNK..((k + 1) * CHUNK).min(m + 1);
+                let columns = k * width..((k + 1) * width).min(m + 1);
                 Chunk { values: vec![0.0; n * padded(columns.len())], columns }
             })
             .collect();
@@ -122,6 +129,7 @@ impl BorderedCholesky {
             .collect();
         Self {
             structure: structure.clone(),
+            position: factor.position().to_vec(),
             factor,
             chunks,
             pieces,
@@ -142,13 +150,13 @@ impl BorderedCholesky {
             *self = Self::new(equations.structure());
         }
         let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
-        self.weak = self.factor.factorize(equations, damping).map_err(|i| breakdown(equations, damping, i))?;
+        let Self { factor, chunks, position, .. } = self;
+        let load = || chunks.iter_mut().for_each(|chunk| chunk.load(equations, position));
+        let (weak, ()) = rayon::join(|| factor.factorize(equations, damping), load);
+        self.weak = weak.map_err(|i| breakdown(equations, damping, i))?;
 
         let factor = &self.factor;
-        for_each(&mut self.chunks, 1, &|_, chunk| {
-            chunk.load(equations, factor.position());
-            chunk.forward(factor);
-        });
+        for_each(&mut self.chunks, 1, &|_, chunk| chunk.forward(factor));
         let chunks = &self.chunks;
         for_each(&mut self.pieces, 1, &|_, piece| piece.multiply(&chunks[piece.a], &chunks[piece.b], n));
 
