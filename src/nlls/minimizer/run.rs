@@ -9,7 +9,8 @@ use super::{Convergence, IterationRecord, Observer, Options, StageTimes, StopRea
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
 
-/// An energy is known to so many units of its rounding.
+/// An energy is known to so many units of rounding of `sqrt(E E_0)`: `dE = 2 r dr`, and residuals `r` of size `sqrt(E)` to rounding of
+/// what they were at the start, `sqrt(E_0)`.
 const ENERGY_NOISE: f64 = 16.0;
 
 /// A step of [`Run::polish`] counts if it leaves at most this share of the gradient.
@@ -154,7 +155,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     pub(super) fn polish(&mut self, mut stop: StopReason) -> StopReason {
         while self.options.energy_tolerance == 0.0 && self.summary.iterations < self.options.max_iterations {
             let energy = self.summary.final_energy;
-            let noise = ENERGY_NOISE * f64::EPSILON * energy;
+            let noise = ENERGY_NOISE * f64::EPSILON * (energy * self.summary.initial_energy).sqrt();
             let gradient = self.gradient_norm();
             if gradient <= self.options.gradient_tolerance {
                 return StopReason::Converged(Convergence::Gradient);
