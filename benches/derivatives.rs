@@ -3,19 +3,21 @@
 //! `cargo bench --bench derivatives`
 #![allow(missing_docs)] // of what `criterion_group` makes
 
+#[path = "../tests/support/stated_graph.rs"]
+mod stated_graph;
 mod support;
 
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nonrigid::energy::{DataTerm, DeformationModel, QuadricField};
-use nonrigid::mesh::Vec3;
 use nonrigid::model::{
-    Affine, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Linearisation, NodeGraph,
-    PositionFunction, Smoothness, blendshape, graph, rigid, similarity, sumner,
+    Affine, Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, Smoothness, blendshape,
+    graph, rigid, similarity, sumner,
 };
-use nonrigid::nlls::{Manifold, NormalEquations, Problem, Scalar, Se3};
+use nonrigid::nlls::{Manifold, NormalEquations, Problem, Se3};
 use num_dual::DualSVec64;
+use stated_graph::stated_graph;
 use support::{Data, Face, NODES, short};
 
 /// Where four nodes take a vertex, eq. (6), by the first `W` of 32 tangent coordinates: six for each node, eight of shapes.
@@ -63,40 +65,6 @@ fn dual_width(c: &mut Criterion) {
     group.finish();
 }
 
-/// The deformation graph, stated as a formula.
-struct StatedGraph {
-    rest: Vec<Vec3>,
-    graph: NodeGraph,
-}
-
-impl PositionFunction for StatedGraph {
-    type Block = Se3;
-
-    fn name(&self) -> &'static str {
-        "stated graph"
-    }
-
-    fn rest_blocks(&self) -> Vec<[f64; 12]> {
-        vec![Se3::IDENTITY; self.graph.nodes().len()]
-    }
-
-    fn vertex_blocks(&self) -> Vec<Vec<usize>> {
-        (0..self.rest.len()).map(|i| self.graph.influences(i).iter().map(|i| i.0 as usize).collect()).collect()
-    }
-
-    fn position<D: Scalar>(&self, vertex: usize, p: &[[D; 12]]) -> [D; 3] {
-        let mut v = [D::from(0.0); 3];
-        for (&(j, omega), p) in self.graph.influences(vertex).iter().zip(p) {
-            let x_j = self.graph.nodes()[j as usize];
-            let moved = Se3::transform(p, std::array::from_fn(|a| D::from(self.rest[vertex][a] - x_j[a])));
-            for a in 0..3 {
-                v[a] += (moved[a] + x_j[a]) * omega;
-            }
-        }
-        v
-    }
-}
-
 fn models(face: &Face) -> Vec<(&'static str, Box<dyn DeformationModel>)> {
     let (mesh, rest) = (&face.mesh, &face.mesh.positions);
     let nodes = face.graph(NODES);
@@ -108,7 +76,7 @@ fn models(face: &Face) -> Vec<(&'static str, Box<dyn DeformationModel>)> {
         let options = ArapOptions { solver, clamp: true };
         Box::new(Arap::new(mesh, options, 1.0).expect("a sound mesh"))
     };
-    let stated = StatedGraph { rest: rest.clone(), graph: nodes.clone() };
+    let stated = stated_graph(rest, &nodes, 1.0);
     vec![
         ("rigid", Box::new(rigid(rest.clone()))),
         ("similarity", Box::new(similarity(rest.clone()))),
@@ -121,7 +89,7 @@ fn models(face: &Face) -> Vec<(&'static str, Box<dyn DeformationModel>)> {
         ("arap, local and global", arap(ArapSolver::LocalGlobal)),
         ("arap, joint", arap(ArapSolver::Joint)),
         ("affine", Box::new(Affine::new(mesh, 1.0, 1.0).expect("a finite mesh"))),
-        ("graph as a formula", Box::new(Autodiff::new(stated).expect("a sound formula"))),
+        ("graph as a formula", Box::new(stated)),
     ]
 }
 

@@ -3,6 +3,8 @@
 
 #[path = "support/reference.rs"]
 mod reference;
+#[path = "support/stated_graph.rs"]
+mod stated_graph;
 #[path = "support/zoo.rs"]
 mod zoo;
 

@@ -2,6 +2,8 @@
 
 #[path = "support/reference.rs"]
 mod reference;
+#[path = "support/stated_graph.rs"]
+mod stated_graph;
 #[path = "support/zoo.rs"]
 mod zoo;
 
@@ -18,7 +20,8 @@ use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use zoo::{Swirl, Zoo, random_step, stated_graph, terms};
+use stated_graph::stated_graph;
+use zoo::{Swirl, Zoo, random_step, terms};
 
 #[test]
 fn a_graph_stated_as_a_formula_is_the_graph() {

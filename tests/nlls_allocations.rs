@@ -6,6 +6,8 @@ use std::cell::Cell;
 
 #[path = "support/reference.rs"]
 mod reference;
+#[path = "support/stated_graph.rs"]
+mod stated_graph;
 #[path = "support/zoo.rs"]
 mod zoo;
 

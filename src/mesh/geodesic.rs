@@ -82,6 +82,26 @@ fn unkey(key: u128) -> (f64, u32, u32) {
 
 type Queue = BinaryHeap<Reverse<u128>>;
 
+/// Lowers `distance` at the neighbours of `v`, which is at `d`, to what is reachable through it within `limit`, and queues them.
+#[inline(always)]
+fn relax(
+    graph: &WeightedGraph,
+    limit: f64,
+    (v, d): (u32, f64),
+    distance: &mut [f64],
+    queue: &mut Queue,
+    mut lowered: impl FnMut(u32),
+) {
+    for &(w, length) in graph.arcs(v) {
+        let through = d + length;
+        if through < distance[w as usize] && through <= limit {
+            distance[w as usize] = through;
+            lowered(w);
+            queue.push(Reverse(key(through, w, 0)));
+        }
+    }
+}
+
 /// Lowers `distance` to what is reachable from what is in the queue, visiting nothing that is already nearer or beyond `limit`.
 /// `settled` hears of every vertex whose distance falls, once, with the final one.
 fn drain(
@@ -97,13 +117,7 @@ fn drain(
             continue;
         }
         settled(v, d);
-        for &(w, length) in graph.arcs(v) {
-            let through = d + length;
-            if through < distance[w as usize] && through <= limit {
-                distance[w as usize] = through;
-                queue.push(Reverse(key(through, w, 0)));
-            }
-        }
+        relax(graph, limit, (v, d), distance, queue, |_| ());
     }
 }
 
@@ -161,14 +175,7 @@ impl<'a> Reach<'a> {
             if d > self.distance[v as usize] {
                 continue;
             }
-            for &(w, length) in self.graph.arcs(v) {
-                let through = d + length;
-                if through < self.distance[w as usize] && through <= limit {
-                    self.distance[w as usize] = through;
-                    self.touched.push(w);
-                    self.queue.push(Reverse(key(through, w, 0)));
-                }
-            }
+            relax(self.graph, limit, (v, d), &mut self.distance, &mut self.queue, |w| self.touched.push(w));
         }
         self.queue.clear();
         self.touched.drain(..).for_each(|v| self.distance[v as usize] = f64::INFINITY);

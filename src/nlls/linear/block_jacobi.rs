@@ -29,9 +29,7 @@ use super::dense::DenseFactor;
 use super::supernodal::SupernodalFactor;
 use super::two_level::TwoLevel;
 use super::vector::{axpy, dot};
-use super::{
-    Coordinate, LinearError, LinearSolver, Pcg, breakdown, check_step, damping_at, first_non_finite, same_structure,
-};
+use super::{LinearError, LinearSolver, Pcg, breakdown, cause, check_step, damping_at, same_structure};
 use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -191,12 +189,8 @@ impl LinearSolver for BlockJacobi {
             z_w.copy_from_slice(&r[n..]);
             border.solve(z_w);
         };
-        self.iterations = pcg.solve(right, step, multiply, precondition).map_err(|error| {
-            match first_non_finite(equations, damping) {
-                Some(i) => LinearError::NonFinite { at: Coordinate::of(s, i) },
-                None => error,
-            }
-        })?;
+        let solved = pcg.solve(right, step, multiply, precondition);
+        self.iterations = solved.map_err(|error| cause(equations, damping, error))?;
         check_step(equations, damping, step)
     }
 

@@ -289,10 +289,15 @@ fn pivot_is_sound(pivot: f64, diagonal: f64, damping: f64, weak: &mut usize) -> 
 
 /// The error for a factorisation that broke down at tangent coordinate `i`: non-finite input is named before its consequence.
 fn breakdown(equations: &NormalEquations, damping: &[f64], i: usize) -> LinearError {
-    let structure = equations.structure();
+    let at = Coordinate::of(equations.structure(), i);
+    cause(equations, damping, LinearError::NotPositiveDefinite { at })
+}
+
+/// What is behind an error: input that is not finite, if there is any.
+fn cause(equations: &NormalEquations, damping: &[f64], error: LinearError) -> LinearError {
     match first_non_finite(equations, damping) {
-        Some(k) => LinearError::NonFinite { at: Coordinate::of(structure, k) },
-        None => LinearError::NotPositiveDefinite { at: Coordinate::of(structure, i) },
+        Some(i) => LinearError::NonFinite { at: Coordinate::of(equations.structure(), i) },
+        None => error,
     }
 }
 

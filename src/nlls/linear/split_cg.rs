@@ -20,9 +20,7 @@ use std::sync::Arc;
 use super::decoupled::{Decoupled, mean_of};
 use super::sparse::{fill_flattened, flatten};
 use super::two_level::TwoLevel;
-use super::{
-    Coordinate, LinearError, LinearSolver, Pcg, breakdown, check_step, damping_at, first_non_finite, same_structure,
-};
+use super::{Coordinate, LinearError, LinearSolver, Pcg, breakdown, cause, check_step, damping_at, same_structure};
 use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -108,10 +106,7 @@ impl LinearSolver for SplitCg {
             self.weak = weak.map_err(|i| broken(first_coordinate(s, thin, i)))?;
             decoupled.solve(s, &self.mean, &equations.gradient, pcg, step)
         };
-        self.iterations = solved.map_err(|error| match first_non_finite(equations, damping) {
-            Some(i) => LinearError::NonFinite { at: Coordinate::of(equations.structure(), i) },
-            None => error,
-        })?;
+        self.iterations = solved.map_err(|error| cause(equations, damping, error))?;
         check_step(equations, damping, step)
     }
 
