@@ -1,5 +1,6 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
+pub mod compare;
 pub mod compare_rigs;
 pub mod first;
 pub mod generated;

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command, schedule_search,
-    solver_case, start_bench,
+    compare, compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command,
+    schedule_search, solver_case, start_bench,
 };
 use nonrigid::cli::{Failure, Stage, answer};
 use nonrigid::registration::RegistrationError;
@@ -41,6 +41,8 @@ enum Command {
     SolverCase(solver_case::Arguments),
     /// Measure how time and memory of an iteration grow with vertices and nodes, and those of a registration with the scan
     Scaling(scaling::Arguments),
+    /// Compare models, robust kernels, data terms and other programs' results on every case below DIR with ground truth
+    Compare(compare::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs(compare_rigs::Arguments),
     /// Fit NIST's certified nonlinear regression problems: matching digits of Levenberg-Marquardt and dogleg
@@ -62,6 +64,7 @@ fn main() -> ExitCode {
         Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::Scaling(a)) => scaling::run(a),
+        Some(Command::Compare(a)) => on_threads(a.threads, || compare::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
         Some(Command::Nist(a)) => nist::run(a),
         Some(Command::MoreGarbowHillstrom(a)) => more_garbow_hillstrom::run(a),

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::evaluation::{MeshQuality, TruthErrors};
+use nonrigid::evaluation::{EvaluationError, MeshQuality, TruthErrors};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
@@ -102,12 +102,18 @@ impl BenchCase {
 
     /// Reads every case folder (one with a `case.json`) below `folder`, by name.
     pub fn read_all(folder: &Path, rig: &BenchRig) -> Result<Vec<Self>> {
-        let mut folders = case_folders(folder)?;
-        folders.sort();
-        if folders.is_empty() {
-            bail!("{}: no folder with a case.json in it", folder.display());
-        }
-        folders.iter().map(|f| Self::read(f, rig)).collect()
+        case_folders(folder)?.iter().map(|f| Self::read(f, rig)).collect()
+    }
+
+    /// Errors of `positions` against the truth; self-intersections and stretch against the subject's neutral, or else the template.
+    ///
+    /// # Errors
+    /// When `positions` are not as many as the template's.
+    pub fn score(&self, positions: &[Vec3]) -> Result<(TruthErrors, MeshQuality), EvaluationError> {
+        let triangles = self.template.triangulate().triangles;
+        let (errors, _) = TruthErrors::new(positions, &self.truth, &self.observed, &triangles)?;
+        let rest = self.neutral.as_ref().unwrap_or(&self.template.positions);
+        Ok((errors, MeshQuality::new(&self.template.with_positions(rest.clone()), positions)?))
     }
 
     /// The same case on the [`dual`](crate::remesh::dual) of the scan, whose normals follow from its triangles.
@@ -129,21 +135,31 @@ impl BenchCase {
     }
 }
 
-fn case_folders(folder: &Path) -> Result<Vec<PathBuf>> {
+/// Every case folder (one with a `case.json`) below `folder`, sorted; at least one.
+pub fn case_folders(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut folders = cases_below(folder)?;
+    folders.sort();
+    if folders.is_empty() {
+        bail!("{}: no folder with a case.json in it", folder.display());
+    }
+    Ok(folders)
+}
+
+fn cases_below(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
         let path = entry?.path();
         if path.join("case.json").exists() {
             found.push(path);
         } else if path.is_dir() {
-            found.extend(case_folders(&path)?);
+            found.extend(cases_below(&path)?);
         }
     }
     Ok(found)
 }
 
 /// How landmarks take part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LandmarkUse {
     /// All, in the start and in the energy.
     All,
@@ -225,14 +241,14 @@ pub struct BenchRow {
     pub seconds: f64,
 }
 
-/// Runs one model with its schedule on one case.
-pub fn run_case(
+/// Registers one model with its schedule to one case: the result, and how many seconds it took.
+pub fn fit_case(
     model: &dyn ModelFactory,
     terms: &[&dyn TermFactory],
     schedule: &Schedule,
     case: &BenchCase,
     landmarks: LandmarkUse,
-) -> Result<(BenchRow, RegistrationResult)> {
+) -> Result<(RegistrationResult, f64), RegistrationError> {
     let (landmarks, schedule) = landmarks.apply(case, schedule);
     let input = RegistrationInput {
         neutral: case.neutral.as_deref(),
@@ -242,19 +258,34 @@ pub fn run_case(
         ..RegistrationInput::new(&case.template, &case.scan.mesh)
     };
     let clock = Instant::now();
-    let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+    let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
+    Ok((result, clock.elapsed().as_secs_f64()))
+}
+
+/// Significance of the scan's vertices coinciding with the template's, at the first level that tested it.
+#[must_use]
+pub fn vertex_coincidence(result: &RegistrationResult) -> Option<f64> {
+    result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance())
+}
+
+/// Runs one model with its schedule on one case.
+pub fn run_case(
+    model: &dyn ModelFactory,
+    terms: &[&dyn TermFactory],
+    schedule: &Schedule,
+    case: &BenchCase,
+    landmarks: LandmarkUse,
+) -> Result<(BenchRow, RegistrationResult)> {
+    let (result, seconds) = fit_case(model, terms, schedule, case, landmarks)
         .with_context(|| format!("{} on {}", model.name(), case.name))?;
-    let seconds = clock.elapsed().as_secs_f64();
-    let triangles = case.template.triangulate().triangles;
-    let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
-    let rest = case.template.with_positions(input.rest_positions().to_vec());
+    let (errors, mesh) = case.score(&result.positions)?;
     let row = BenchRow {
         case: case.name.clone(),
         model: model.name().to_owned(),
         errors,
-        mesh: MeshQuality::new(&rest, &result.positions)?,
+        mesh,
         iterations: result.history.len(),
-        vertex_coincidence: result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance()),
+        vertex_coincidence: vertex_coincidence(&result),
         seconds,
     };
     Ok((row, result))

@@ -1,6 +1,6 @@
 //! What a deformation did to the mesh itself: stretched edges, flipped triangles, triangles through triangles.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::percentile::of_sorted;
 use super::truth_errors::face_normal;
@@ -8,7 +8,7 @@ use super::{EvaluationError, check_count, check_triangles, self_intersections};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// Ratio of edge lengths after to before, over the distinct polygon edges. All 1 without edges.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EdgeStretch {
     /// Edges compared; edges of zero or non-finite length before, or non-finite after, are not.
     pub edges: usize,
@@ -68,7 +68,7 @@ impl EdgeStretch {
 }
 
 /// How sound a deformed mesh is, whatever it was deformed to.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MeshQuality {
     /// Pairs of triangles that pass through each other, as [`self_intersections`] counts them.
     pub self_intersections: usize,

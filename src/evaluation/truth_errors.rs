@@ -3,7 +3,7 @@
 //! With e = result - truth and n the true unit vertex normal (the normalised sum of the unit normals of the faces around
 //! it): `off` = |e.n|, `slide` = sqrt(max(|e|^2 - off^2, 0)).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::percentile::of_sorted;
 use super::{EvaluationError, check_count, check_triangles};
@@ -12,7 +12,7 @@ use crate::mesh::Vec3;
 /// Errors of a result whose true vertex positions are known; millimetres over the *observed* vertices unless said
 /// otherwise. Without observed vertices the numbers are 0; with a non-finite observed vertex they are NaN (`null` in JSON)
 /// and `finite` is false.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TruthErrors {
     /// Root mean square of |result - truth|.
     pub rmse: f64,

@@ -257,12 +257,12 @@ impl Spread {
 }
 
 /// Forgets the greatest memory so far, so that making the data does not count. Where the system cannot, it does count.
-fn reset_peak() {
+pub(crate) fn reset_peak() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
 /// Greatest memory that this process had in use at once since [`reset_peak`], in bytes; `None` where the system does not say.
-fn peak_bytes() -> Option<u64> {
+pub(crate) fn peak_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     Some(1024 * line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()?)

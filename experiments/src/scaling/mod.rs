@@ -24,6 +24,7 @@ use crate::tables::{csv_text, table, write_csv};
 mod measure;
 
 pub use measure::{Configuration, RegistrationRun, SolverRun};
+pub(crate) use measure::{peak_bytes, reset_peak};
 
 /// Numbers separated by commas, or `none`.
 #[derive(Debug, Clone)]

@@ -1,0 +1,185 @@
+//! What is compared: a model with a schedule. Each group varies one thing and holds all else.
+
+use nonrigid::nlls::Kernel;
+use nonrigid::registration::{Level, ModelFactory as _, ModelKind, Schedule, ScheduleError, Stage};
+use serde::{Deserialize, Serialize};
+
+use crate::scan_bench::LandmarkUse;
+
+/// A model with its schedule: one line of the summary, one row for each case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Variant {
+    /// What is varied: `model`, `kernel`, `term`, or your own word.
+    pub group: String,
+    /// Its name in the group.
+    pub name: String,
+    /// The model.
+    pub model: ModelKind,
+    /// The schedule.
+    pub schedule: Schedule,
+    /// How landmarks take part.
+    pub landmarks: LandmarkUse,
+}
+
+impl Variant {
+    /// A model with its default schedule and all landmarks, in the group `model`.
+    ///
+    /// # Errors
+    /// When the default schedule cannot be read.
+    pub fn of_model(model: ModelKind) -> Result<Self, ScheduleError> {
+        let (name, schedule) = (model.to_string(), model.schedule()?);
+        Ok(Self { group: "model".to_owned(), name, model, schedule, landmarks: LandmarkUse::All })
+    }
+
+    /// Every model with its default schedule.
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn models() -> Result<Vec<Self>, ScheduleError> {
+        ModelKind::ALL.into_iter().map(Self::of_model).collect()
+    }
+
+    /// The hybrid with each robust [`Kernel`] in place of its schedule's at every level, at that one's scale. The point-to-point
+    /// term keeps its own (`point_kernel`), so that `huber` is the default.
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn kernels() -> Result<Vec<Self>, ScheduleError> {
+        let (delta, eps) = (1.0, 1.0);
+        let kernels = [
+            ("none", Kernel::None),
+            ("l1", Kernel::L1 { eps }),
+            ("lp 0.5", Kernel::Lp { p: 0.5, eps }),
+            ("huber", Kernel::Huber { delta }),
+            ("cauchy", Kernel::Cauchy { delta }),
+            ("geman_mcclure", Kernel::GemanMcClure { delta }),
+            ("welsch", Kernel::Welsch { delta }),
+            ("tukey", Kernel::Tukey { delta }),
+        ];
+        let with = |(name, kernel): (&str, Kernel)| {
+            Self::hybrid("kernel", name, |s| {
+                each_level(s, |l| l.kernel = l.kernel.scale().map_or(l.kernel, |scale| kernel.with_scale(scale)));
+            })
+        };
+        kernels.into_iter().map(with).collect()
+    }
+
+    /// The hybrid with other data terms, weights as in its schedule:
+    ///
+    /// | name | what |
+    /// |---|---|
+    /// | `default` | its schedule: point-to-plane, and point-to-point where the scan's vertices coincide with the template's |
+    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel; point-to-point, towards the nearest scan vertex, untested at every level |
+    /// | `with scan_to_template` | the default, and scan points towards the template at point-to-plane's weight |
+    /// | `without landmarks`, `without prediction`, `without seam` | the default with that weight zero; the start still takes landmarks |
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn terms() -> Result<Vec<Self>, ScheduleError> {
+        let changes: [(&str, fn(&mut Schedule)); 8] = [
+            ("default", |_| ()),
+            ("point_to_plane", |s| each_level(s, |l| l.point_to_point = 0.0)),
+            ("symmetric", |s| {
+                each_level(s, |l| (l.symmetric, l.point_to_plane, l.point_to_point) = (l.point_to_plane, 0.0, 0.0));
+            }),
+            ("point_to_point", |s| {
+                s.scan.test_vertices = false;
+                each_level(s, |l| {
+                    (l.point_to_point, l.point_to_plane, l.point_kernel) = (l.point_to_plane, 0.0, None);
+                });
+            }),
+            ("with scan_to_template", |s| each_level(s, |l| l.scan_to_template = l.point_to_plane)),
+            ("without landmarks", |s| each_level(s, |l| l.landmarks = 0.0)),
+            ("without prediction", |s| each_level(s, |l| l.prediction = 0.0)),
+            ("without seam", |s| each_level(s, |l| l.seam = 0.0)),
+        ];
+        changes.into_iter().map(|(name, change)| Self::hybrid("term", name, change)).collect()
+    }
+
+    fn hybrid(group: &str, name: &str, change: impl FnOnce(&mut Schedule)) -> Result<Self, ScheduleError> {
+        let mut variant = Self { group: group.to_owned(), name: name.to_owned(), ..Self::of_model(ModelKind::Hybrid)? };
+        change(&mut variant.schedule);
+        Ok(variant)
+    }
+
+    /// The schedule of a run: landmarks for the start alone weigh nothing, in later stages neither.
+    pub(super) fn effective_schedule(&self) -> Schedule {
+        let mut schedule = self.schedule.clone();
+        if self.landmarks == LandmarkUse::Align {
+            each_level(&mut schedule, |level| level.landmarks = 0.0);
+        }
+        schedule
+    }
+}
+
+/// Changes the levels of all stages.
+fn each_level(schedule: &mut Schedule, mut change: impl FnMut(&mut Level)) {
+    schedule.levels.iter_mut().for_each(&mut change);
+    let mut stage = schedule.then.as_deref_mut();
+    while let Some(Stage { levels, then, .. }) = stage {
+        levels.iter_mut().for_each(&mut change);
+        stage = then.as_deref_mut();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kernel_is_in_place_at_every_level_at_its_scale() {
+        let default = ModelKind::Hybrid.schedule().unwrap();
+        let kernels = Variant::kernels().unwrap();
+        assert_eq!(kernels.len(), 8);
+        for v in &kernels {
+            let mut back = v.schedule.clone();
+            back.levels.iter_mut().zip(&default.levels).for_each(|(l, d)| l.kernel = d.kernel);
+            assert_eq!(back, default, "{}: something else than the kernel differs", v.name);
+            for (level, of) in v.schedule.levels.iter().zip(&default.levels) {
+                let word = serde_json::to_value(level.kernel).unwrap();
+                let word = word.as_str().or_else(|| word.as_object()?.keys().next().map(String::as_str)).unwrap();
+                assert_eq!(word, v.name.split(' ').next().unwrap());
+                assert_eq!(level.kernel.scale(), if v.name == "none" { None } else { of.kernel.scale() });
+            }
+            v.schedule.validate().unwrap();
+        }
+        assert_eq!(kernels.iter().find(|v| v.name == "huber").unwrap().schedule, default);
+    }
+
+    #[test]
+    fn terms_change_what_they_name() {
+        let default = ModelKind::Hybrid.schedule().unwrap();
+        let terms = Variant::terms().unwrap();
+        let levels = |name: &str| &terms.iter().find(|v| v.name == name).unwrap().schedule.levels;
+        for (i, d) in default.levels.iter().enumerate() {
+            let data = |name: &str| {
+                let l = &levels(name)[i];
+                [l.point_to_plane, l.symmetric, l.point_to_point, l.scan_to_template]
+            };
+            let w = d.point_to_plane;
+            assert!(w > 0.0 && d.landmarks > 0.0 && d.prediction > 0.0 && d.seam > 0.0, "{d:?}");
+            assert_eq!(data("default"), [w, 0.0, d.point_to_point, 0.0]);
+            assert_eq!(data("point_to_plane"), [w, 0.0, 0.0, 0.0]);
+            assert_eq!(data("symmetric"), [0.0, w, 0.0, 0.0]);
+            assert_eq!(data("point_to_point"), [0.0, 0.0, w, 0.0]);
+            assert_eq!(data("with scan_to_template"), [w, 0.0, d.point_to_point, w]);
+            assert_eq!(levels("without landmarks")[i], Level { landmarks: 0.0, ..*d });
+            assert_eq!(levels("without prediction")[i], Level { prediction: 0.0, ..*d });
+            assert_eq!(levels("without seam")[i], Level { seam: 0.0, ..*d });
+        }
+        for v in &terms {
+            assert_eq!(v.schedule.scan.test_vertices, v.name != "point_to_point");
+            v.schedule.validate().unwrap();
+        }
+    }
+
+    #[test]
+    fn landmarks_for_the_start_leave_every_stage() {
+        let mut variant = Variant::of_model(ModelKind::Sequential).unwrap();
+        let weights = |s: &Schedule| s.levels_by_name().map(|(_, l)| l.landmarks).collect::<Vec<_>>();
+        assert_eq!(variant.effective_schedule(), variant.schedule);
+        assert!(weights(&variant.schedule).len() > variant.schedule.levels.len());
+        variant.landmarks = LandmarkUse::Align;
+        assert!(weights(&variant.effective_schedule()).iter().all(|w| *w == 0.0));
+    }
+}
