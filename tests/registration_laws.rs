@@ -489,6 +489,7 @@ fn a_second_stage_comes_nearer_to_the_scan() {
 struct StopAfter {
     announced: (usize, usize),
     seen: Vec<StepRecord>,
+    places: Option<Vec<Vec<[u64; 3]>>>,
     steps: usize,
 }
 
@@ -501,6 +502,15 @@ impl RegistrationObserver for StopAfter {
         self.seen.push(record.clone());
         if self.seen.len() == self.steps { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
+
+    fn wants_positions(&self) -> bool {
+        self.places.is_some()
+    }
+
+    fn on_positions(&mut self, record: &StepRecord, positions: &[Vec3]) {
+        assert_eq!(self.seen.last(), Some(record));
+        self.places.as_mut().expect("only who asks is told").push(bits(positions));
+    }
 }
 
 #[test]
@@ -511,16 +521,25 @@ fn an_observer_sees_and_stops_every_stage() {
     schedule.stop = StopOptions { energy: 0.0, motion: 0.0 };
     let first: usize = schedule.levels.iter().map(|l| l.steps).sum();
     let second: usize = schedule.then.as_ref().unwrap().levels.iter().map(|l| l.steps).sum();
+    let all = {
+        let mut observer =
+            StopAfter { announced: (0, 0), seen: Vec::new(), places: Some(Vec::new()), steps: usize::MAX };
+        register(&task.input(), &ModelKind::Sequential, &schedule, &mut observer).unwrap();
+        observer.places.unwrap()
+    };
+    assert_eq!(all.len(), first + second);
     for (steps, stop) in [
         (1, RegistrationStop::StoppedByObserver),
         (first, RegistrationStop::StoppedByObserver),
         (first + 1, RegistrationStop::StoppedByObserver),
         (first + second + 1, RegistrationStop::Finished),
     ] {
-        let mut observer = StopAfter { announced: (0, 0), seen: Vec::new(), steps };
+        let mut observer = StopAfter { announced: (0, 0), seen: Vec::new(), places: None, steps };
         let result = register(&task.input(), &ModelKind::Sequential, &schedule, &mut observer).unwrap();
         assert_eq!((result.stop, observer.announced), (stop, (5, first + second)));
-        assert_eq!((result.history.len(), &result.history), (steps.min(first + second), &observer.seen));
+        let taken = steps.min(first + second);
+        assert_eq!((result.history.len(), &result.history), (taken, &observer.seen));
+        assert!(bits(&result.positions) == all[taken - 1], "other positions after {taken} steps");
         assert_eq!(result.weights.len(), task.shapes.len());
     }
 }

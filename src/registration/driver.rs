@@ -92,6 +92,15 @@ pub trait RegistrationObserver {
 
     /// Called after every step.
     fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()>;
+
+    /// Whether [`on_positions`](Self::on_positions) is called, asked after every step; positions cost nothing unless it says yes.
+    fn wants_positions(&self) -> bool {
+        false
+    }
+
+    /// Called right after [`on_step`](Self::on_step), also where that stops the run, with one position per template vertex in the
+    /// scan's frame; those of the last call are the result's.
+    fn on_positions(&mut self, _record: &StepRecord, _positions: &[Vec3]) {}
 }
 
 impl<F: FnMut(&StepRecord) -> ControlFlow<()>> RegistrationObserver for F {
@@ -210,6 +219,7 @@ pub fn register_with(
         bounds.project(&mut x);
     }
     let mut run = Run {
+        start,
         vertices_coincide: false,
         scan_points,
         correspondences: Correspondences::default(),
@@ -236,9 +246,8 @@ pub fn register_with(
         flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
         next = schedule.next_stage();
     }
-    let positions = run.vertices.iter().map(|&v| start.apply(v + template.centre)).collect();
     Ok(RegistrationResult {
-        positions,
+        positions: run.positions(template.centre),
         start,
         start_search,
         weights,
@@ -382,6 +391,7 @@ fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError
 }
 
 struct Run {
+    start: Pose,
     /// Whether a level has found the scan's vertices to coincide with the template's; it is not asked again.
     vertices_coincide: bool,
     /// Points of the scan that look for the template, where a level asks for them.
@@ -400,6 +410,11 @@ struct Run {
 type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>;
 
 impl Run {
+    /// Current vertex positions in the scan's frame.
+    fn positions(&self, centre: Vec3) -> Vec<Vec3> {
+        self.vertices.iter().map(|&v| self.start.apply(v + centre)).collect()
+    }
+
     /// All levels of one stage; `schedule` is as if that stage were the first.
     fn stage(
         &mut self,
@@ -497,6 +512,9 @@ impl Run {
                 vertex_coincidence: coincidence,
             };
             let flow = observer.on_step(&record);
+            if observer.wants_positions() {
+                observer.on_positions(&record, &self.positions(rest.centre));
+            }
             let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);
             last_energy = record.energy;
             self.history.push(record);
