@@ -14,13 +14,13 @@ use nonrigid::mesh::io::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::model::{
-    Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, NodeGraph, Smoothness, Stiffness, blendshape, graph,
-    hybrid, rigid, similarity, sumner,
+    Arap, ArapOptions, ArapSolver, EdgeWeights, Free, FreeOptions, Linearisation, NodeGraph, Smoothness, Stiffness,
+    blendshape, graph, hybrid, rigid, similarity, sumner,
 };
 use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
 use nonrigid::registration::{
     GraphOptions, Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Schedule, ScheduleError, Stage, StepRecord, StopOptions, register,
+    RegistrationStop, Schedule, ScheduleError, Stage, StepAlgorithm, StepRecord, StopOptions, register,
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
@@ -561,6 +561,51 @@ fn failures_name_the_level_of_their_stage() {
     assert_eq!(run(&schedule), RegistrationError::NoOverlap { level: "level 2".into(), cap: 1e-9 });
     schedule.then = None;
     assert_eq!(run(&schedule), RegistrationError::Schedule(ScheduleError::NoSecondStage));
+}
+
+#[test]
+fn every_algorithm_arrives_where_gauss_newton_does() {
+    let task = small_task();
+    let mut schedule = Schedule::default_for("graph").unwrap();
+    schedule.levels.last_mut().unwrap().steps = 60;
+    schedule.stop = StopOptions { energy: 1e-9, motion: 1e-5 };
+    let run = |algorithm: StepAlgorithm| {
+        let mut schedule = schedule.clone();
+        schedule.solver.algorithm = algorithm;
+        let schedule = Schedule::from_toml(&toml::to_string(&schedule).unwrap()).unwrap();
+        assert_eq!(schedule.solver.algorithm, algorithm);
+        task.fit_by(ModelKind::Graph, &schedule)
+    };
+    let expected = run(StepAlgorithm::GaussNewton);
+    assert_eq!(bits(&expected.positions), bits(&task.fit_by(ModelKind::Graph, &schedule).positions));
+    for algorithm in [StepAlgorithm::LevenbergMarquardt, StepAlgorithm::Dogleg] {
+        let result = run(algorithm);
+        let distance = farthest(&result.positions, &expected.positions);
+        println!("{algorithm:?}: {distance}, {} and {} steps", result.history.len(), expected.history.len());
+        assert!(distance < 1e-3, "{algorithm:?}: {distance}");
+        assert!(bits(&result.positions) != bits(&expected.positions), "{algorithm:?} is not heard");
+    }
+}
+
+#[test]
+fn the_reference_linearisation_gives_the_same_registration_and_is_refused_where_there_is_none() {
+    let task = small_task();
+    for model in ModelKind::ALL {
+        let mut schedule = Schedule::default_for(&model.to_string()).unwrap();
+        schedule.solver.linearisation = Linearisation::Reference;
+        let result = register(&task.input(), &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let without = if model == ModelKind::Sequential { ModelKind::Arap } else { model };
+        if without.is_assembled() {
+            let (found, expected) = (result.unwrap(), task.fit(model));
+            let distance = farthest(&found.positions, &expected.positions);
+            println!("{model}: {distance:e}");
+            assert!(distance < 1e-10, "{model}: {distance:e}");
+            assert!(bits(&found.positions) != bits(&expected.positions), "{model}: reference is not heard");
+        } else {
+            let error = ScheduleError::Linearisation { model: without.to_string() };
+            assert_eq!(result.unwrap_err(), RegistrationError::Schedule(error));
+        }
+    }
 }
 
 /// Terms with fixed correspondences: targets near the pose of the case, normals in all directions.

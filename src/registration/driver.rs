@@ -1,4 +1,5 @@
-//! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one Gauss-Newton step, again.
+//! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one step of the solver (Gauss-Newton
+//! unless the schedule says otherwise), again.
 
 use std::ops::ControlFlow;
 
@@ -7,14 +8,18 @@ use serde::Serialize;
 use super::start::{self, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
-    ScanSurface, Schedule, Seams, StartSearch, TermFactory, TermInput, TermKind, VertexCoincidence, VertexMasks, masks,
-    scan,
+    ScanSurface, Schedule, ScheduleError, Seams, StartSearch, StepAlgorithm, TermFactory, TermInput, TermKind,
+    VertexCoincidence, VertexMasks, masks, scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
 use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3};
-use crate::nlls::{Minimizer, Options, Problem as _, Silent, StopReason, Workspace};
+use crate::model::Linearisation;
+use crate::nlls::{
+    Algorithm, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Options, Problem as _, StopReason,
+    Workspace,
+};
 use crate::rig::ShapeBasis;
 
 /// What is registered to what.
@@ -208,7 +213,7 @@ pub fn register_with(
     }
     let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
     let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
-    let model = model.build(&ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
+    let model = build(model, &ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
     let mut problem: RegistrationProblem = Deformation::new(model, samples);
     let frame = Pose { translation: start.apply(template.centre), ..start };
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
@@ -223,8 +228,6 @@ pub fn register_with(
         vertices_coincide: false,
         scan_points,
         correspondences: Correspondences::default(),
-        minimizer: Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(DAMPING_FLOOR))
-            .expect("proven: the defaults and these two values are in bounds"),
         workspace: Workspace::new(),
         history: Vec::new(),
         vertices: problem.vertices(&x).to_vec(),
@@ -237,7 +240,7 @@ pub fn register_with(
     let mut next = schedule.next_stage();
     while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
         template.mesh.positions.copy_from_slice(&run.vertices);
-        let model = model.build(&ModelInput { rest: &template.mesh, shapes: &ShapeBasis::none(), schedule })?;
+        let model = build(model, &ModelInput { rest: &template.mesh, shapes: &ShapeBasis::none(), schedule })?;
         let terms = std::mem::take(&mut problem.terms);
         problem = Deformation::new(model, problem.samples().clone());
         problem.terms = terms;
@@ -261,6 +264,35 @@ pub fn register_with(
 
 /// Damping of what nothing observes: see [`Options::damping_floor`].
 const DAMPING_FLOOR: f64 = 1e-9;
+
+/// The minimiser of a level's first step, or of a later one, which carries on from the step before.
+fn minimizer(algorithm: StepAlgorithm, carry_on: bool) -> Minimizer {
+    let algorithm = match algorithm {
+        StepAlgorithm::GaussNewton => Algorithm::GaussNewton(GaussNewton::default()),
+        StepAlgorithm::LevenbergMarquardt => Algorithm::LevenbergMarquardt(LevenbergMarquardt {
+            reuse_lambda: carry_on,
+            ..LevenbergMarquardt::default()
+        }),
+        StepAlgorithm::Dogleg => Algorithm::Dogleg(Dogleg { reuse_radius: carry_on, ..Dogleg::default() }),
+    };
+    let options = Options::default().with_algorithm(algorithm).with_damping_floor(DAMPING_FLOOR);
+    Minimizer::new(options).expect("proven: the defaults and the floor are in bounds")
+}
+
+/// Ends a minimisation with its first step; those that are rejected before are trials.
+fn one_step(record: &IterationRecord) -> ControlFlow<()> {
+    if record.accepted { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+}
+
+/// The model, with the linearisation that the schedule names.
+fn build(factory: &dyn ModelFactory, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
+    let mut model = factory.build(input)?;
+    let linearisation = input.schedule.solver.linearisation;
+    if linearisation == Linearisation::Reference && !model.set_linearisation(linearisation) {
+        return Err(ScheduleError::Linearisation { model: factory.name().to_owned() }.into());
+    }
+    Ok(model)
+}
 
 /// The blendshape weights at the end, and how well the last correspondences determine them.
 fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspace) -> Vec<NamedWeight> {
@@ -397,7 +429,6 @@ struct Run {
     /// Points of the scan that look for the template, where a level asks for them.
     scan_points: Option<ScanPoints>,
     correspondences: Correspondences,
-    minimizer: Minimizer,
     workspace: Workspace,
     history: Vec<StepRecord>,
     /// Current vertex positions, model frame.
@@ -480,7 +511,8 @@ impl Run {
                 })?;
             }
             problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
-            let summary = self.minimizer.minimize_with(problem, x, &mut self.workspace, &mut Silent);
+            let minimizer = minimizer(schedule.solver.algorithm, step > 0);
+            let summary = minimizer.minimize_with(problem, x, &mut self.workspace, &mut one_step);
             let final_energy = summary.final_energy;
             match summary.stop {
                 StopReason::LinearSolverFailed(reason) => {
@@ -531,8 +563,77 @@ impl Run {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::mesh::testing::sheet;
+    use crate::nlls::{BlockStructure, NormalEquations, Problem};
+
+    /// E(x) = atan(x)^2: from 10, an undamped step lands beyond 100 on the other side.
+    struct Overshooting(Arc<BlockStructure>);
+
+    impl Problem for Overshooting {
+        fn structure(&self) -> &Arc<BlockStructure> {
+            &self.0
+        }
+
+        fn parameter_len(&self) -> usize {
+            1
+        }
+
+        fn energy(&mut self, x: &[f64]) -> f64 {
+            x[0].atan().powi(2)
+        }
+
+        fn linearize(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+            let slope = 1.0 / (1.0 + x[0] * x[0]);
+            equations.border[0] = slope * slope;
+            equations.gradient[0] = slope * x[0].atan();
+            self.energy(x)
+        }
+
+        fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+            out[0] = x[0] + step[0];
+        }
+    }
+
+    #[test]
+    fn a_step_is_tried_again_until_the_energy_falls_and_the_next_one_carries_on() {
+        for algorithm in [StepAlgorithm::GaussNewton, StepAlgorithm::LevenbergMarquardt, StepAlgorithm::Dogleg] {
+            let mut problem = Overshooting(Arc::new(BlockStructure::dense(1)));
+            let (mut workspace, mut x) = (Workspace::new(), [10.0]);
+            let mut step = |carry_on, x: &mut [f64; 1]| {
+                let before = problem.energy(x);
+                let summary =
+                    minimizer(algorithm, carry_on).minimize_with(&mut problem, x, &mut workspace, &mut one_step);
+                assert!(summary.final_energy < before, "{algorithm:?}: {summary}");
+                let records = summary.records.clone();
+                let (last, trials) = records.split_last().expect("a step");
+                assert!(last.accepted && trials.iter().all(|t| !t.accepted), "{algorithm:?}: {records:?}");
+                (records[0], records.len(), workspace.lambda(), workspace.radius())
+            };
+            let (first, trials, lambda, radius) = step(false, &mut x);
+            // Gauss-Newton halves within a step.
+            assert_eq!(trials > 1, algorithm != StepAlgorithm::GaussNewton);
+            assert!(trials > 1 || first.step_scale < 1.0);
+            let (second, ..) = step(true, &mut x);
+            let (anew, ..) = step(false, &mut x);
+            match algorithm {
+                StepAlgorithm::GaussNewton => {}
+                StepAlgorithm::LevenbergMarquardt => {
+                    assert_eq!(
+                        (Some(second.lambda), anew.lambda),
+                        (lambda, LevenbergMarquardt::default().initial_lambda)
+                    );
+                    assert!(lambda > Some(anew.lambda), "what the rejected trials have taught");
+                }
+                StepAlgorithm::Dogleg => {
+                    assert_eq!(Some(second.radius), radius);
+                    assert!(anew.radius != second.radius);
+                }
+            }
+        }
+    }
 
     #[test]
     fn the_rim_grows_ring_by_ring() {

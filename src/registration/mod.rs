@@ -29,7 +29,7 @@ pub use scan::ScanSurface;
 pub use scan_points::ScanPoints;
 pub use schedule::{
     AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule,
-    ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, Stage, StopOptions,
+    ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage, StepAlgorithm, StopOptions,
 };
 pub use seam::Seams;
 pub use start::{StartFit, StartOptions, StartSearch};

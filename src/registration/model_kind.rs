@@ -8,8 +8,8 @@ use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, Schedul
 use crate::energy::DeformationModel;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::model::{
-    Affine, Arap, ArapOptions, Autodiff, Free, FreeOptions, NodeAssembly, NodeGraph, NodeTransform, PositionFunction,
-    Stiffness,
+    Affine, Arap, ArapOptions, Autodiff, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph, NodeTransform,
+    PositionFunction, Stiffness,
 };
 use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
@@ -18,6 +18,11 @@ use crate::rig::ShapeBasis;
 pub trait RegistrationModel: DeformationModel {
     /// Takes a level's stiffness, lengths already in the model's unit.
     fn set_level(&mut self, level: &Level);
+
+    /// Chooses how derivatives are taken; `false` if the model has no choice.
+    fn set_linearisation(&mut self, _linearisation: Linearisation) -> bool {
+        false
+    }
 
     /// Writes the shape that the model deforms, before its local motions: where vertices belong, up to a rigid motion, when
     /// nothing is seen of them. The rest shape, unless the model knows better.
@@ -113,6 +118,12 @@ impl ModelKind {
     #[must_use]
     pub fn uses_shapes(self) -> bool {
         matches!(self, Self::Hybrid | Self::Sequential | Self::Blendshape)
+    }
+
+    /// Whether it is made of nodes and blendshapes, a [`NodeAssembly`]; of the sequential method, the first stage is.
+    #[must_use]
+    pub fn is_assembled(self) -> bool {
+        !matches!(self, Self::Affine | Self::Free | Self::Arap)
     }
 }
 
@@ -231,6 +242,11 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, 
     fn set_level(&mut self, level: &Level) {
         self.stiffness =
             Stiffness { graph: level.lambda_graph, rotation: level.lambda_rotation, blend: level.lambda_blend };
+    }
+
+    fn set_linearisation(&mut self, linearisation: Linearisation) -> bool {
+        self.linearisation = linearisation;
+        true
     }
 
     fn prediction(&mut self, x: &[f64], _rest: &[Vec3], out: &mut Vec<Vec3>) {

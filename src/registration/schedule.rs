@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use super::{ModelKind, StartOptions};
 use crate::mesh::PoseKind;
-use crate::model::{ArapSolver, EdgeWeights, Smoothness};
+use crate::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use crate::nlls::Kernel;
 use crate::rig::Family;
 
@@ -43,6 +43,9 @@ pub struct Schedule {
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
+    /// How the energy is minimised.
+    #[serde(default)]
+    pub solver: SolverOptions,
     /// Where sheets of the template touch without being joined, as lips do.
     #[serde(default)]
     pub seam: SeamOptions,
@@ -152,6 +155,32 @@ pub struct SmoothOptions {
 pub struct RigidityOptions {
     /// `local_global` (default) or `joint`.
     pub solver: ArapSolver,
+}
+
+/// How the energy of each set of correspondences is minimised: by one step, which never raises it. Steps that would are
+/// shortened and tried again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SolverOptions {
+    /// `gauss_newton` (default), `levenberg_marquardt` or `dogleg`.
+    pub algorithm: StepAlgorithm,
+    /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding, for models made of nodes
+    /// and blendshapes. An error for others.
+    pub linearisation: Linearisation,
+}
+
+/// Which step is taken, with the settings of [`nlls`](crate::nlls::Options).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StepAlgorithm {
+    /// A full step, halved until the energy falls.
+    #[default]
+    GaussNewton,
+    /// A damped step. The damping is relative to the curvature; it carries on from step to step of a level, as what it knows of the
+    /// energy's shape outlives the correspondences, and starts anew with each level, whose weights make another energy.
+    LevenbergMarquardt,
+    /// A step within a trust region, whose radius carries on and starts anew as the damping does.
+    Dogleg,
 }
 
 /// What of the scan is believed.
@@ -414,6 +443,15 @@ pub enum ScheduleError {
         /// What was given.
         model: ModelKind,
     },
+    /// A model with one linearisation only.
+    #[error(
+        "solver.linearisation = \"reference\", but model '{model}' has only one linearisation; leave it out, or choose a model made \
+         of nodes and blendshapes, such as 'hybrid'"
+    )]
+    Linearisation {
+        /// The model.
+        model: String,
+    },
     /// A sequence of one.
     #[error(
         "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
@@ -502,6 +540,9 @@ impl Schedule {
         for (k, stage) in self.later_stages().enumerate() {
             if stage.model.uses_shapes() {
                 return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model: stage.model });
+            }
+            if self.solver.linearisation == Linearisation::Reference && !stage.model.is_assembled() {
+                return Err(ScheduleError::Linearisation { model: stage.model.to_string() });
             }
         }
         Ok(())

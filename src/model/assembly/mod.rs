@@ -35,6 +35,7 @@ mod samples;
 use num_dual::DualSVec64;
 use pulp::Simd;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use self::regulariser::GraphRegulariser;
 use self::samples::{
@@ -63,7 +64,8 @@ pub struct Stiffness {
 }
 
 /// How derivatives are taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Linearisation {
     /// Duals of static width per node contribution; blendshapes enter as constant slabs.
     #[default]
