@@ -41,6 +41,7 @@ impl std::str::FromStr for Models {
 
 /// What to compare.
 #[derive(Debug, clap::Args)]
+#[command(override_usage = "experiments compare [OPTIONS] --rig <DIR> <DIR>")]
 pub struct Arguments {
     /// Folder of cases
     #[arg(value_name = "DIR", required_unless_present = "run")]

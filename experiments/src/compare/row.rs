@@ -26,7 +26,8 @@ pub struct CompareRow {
     /// Wall time of the registration; not part of what is compared.
     #[serde(skip)]
     pub seconds: Option<f64>,
-    /// Greatest memory in use during the registration, its input included, where the system says; not part of what is compared.
+    /// Greatest memory of the process during the registration, the case included, where the system says; not part of what is
+    /// compared.
     #[serde(skip)]
     pub peak_bytes: Option<u64>,
 }

@@ -76,7 +76,7 @@ impl Variant {
     /// # Errors
     /// As [`of_model`](Self::of_model).
     pub fn terms() -> Result<Vec<Self>, ScheduleError> {
-        let changes: [(&str, fn(&mut Schedule)); 8] = [
+        let changes: [(&str, Change); 8] = [
             ("default", |_| ()),
             ("point_to_plane", |s| each_level(s, |l| l.point_to_point = 0.0)),
             ("symmetric", |s| {
@@ -111,6 +111,9 @@ impl Variant {
         schedule
     }
 }
+
+/// What makes another schedule of the default.
+type Change = fn(&mut Schedule);
 
 /// Changes the levels of all stages.
 fn each_level(schedule: &mut Schedule, mut change: impl FnMut(&mut Level)) {

@@ -1,0 +1,285 @@
+//! `compare` on generated cases: its rows are those of `scan_bench`, other programs' results score as they should, and what
+//! fails leaves the rest.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
+use experiments::compare::{CompareRow, Variant, measure_by, summarize};
+use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case};
+use nonrigid::mesh::io::{write_npy, write_npy_points, write_polygon_mesh};
+use nonrigid::registration::{ModelKind, TermFactory, TermKind};
+use serde_json::Value;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_experiments");
+
+/// A rig and two cases, of a known and of an unknown person.
+struct Data {
+    folder: tempfile::TempDir,
+}
+
+impl Data {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
+        write_rig(&folder.path().join("rig"), &rig).unwrap();
+        for (name, seed) in [("same", 7), ("new", 8)] {
+            let case = simulate_scan(&rig, &ScanOptions { triangles: 5000, ..ScanOptions::default() }, seed).unwrap();
+            let subject = if name == "same" { Subject::same(&rig, &case) } else { Subject::new(&rig) };
+            write_case(&folder.path().join("cases").join(name), &rig, &case, &subject, seed).unwrap();
+        }
+        Self { folder }
+    }
+
+    fn path(&self, inside: &str) -> PathBuf {
+        self.folder.path().join(inside)
+    }
+
+    fn cases(&self) -> Vec<BenchCase> {
+        BenchCase::read_all(&self.path("cases"), &BenchRig::read(&self.path("rig")).unwrap()).unwrap()
+    }
+
+    /// Runs the command in the folder of the data.
+    fn compare(&self, options: &[&str]) -> Output {
+        let mut command = Command::new(PROGRAM);
+        command.args(["compare", "cases", "--rig", "rig"]).args(options);
+        command.current_dir(&self.folder).output().unwrap()
+    }
+
+    fn measure(&self, program: &Path, variants: &[Variant]) -> anyhow::Result<Vec<CompareRow>> {
+        measure_by(program, &self.path("cases"), &self.path("rig"), variants, 2, &mut |_| Ok(()))
+    }
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn rows_are_those_of_scan_bench_to_the_last_bit() {
+    let data = Data::new();
+    let mut variants = [ModelKind::Hybrid, ModelKind::Sequential].map(|m| Variant::of_model(m).unwrap());
+    variants[1].landmarks = LandmarkUse::Some(9);
+    let rows = data.measure(Path::new(PROGRAM), &variants).unwrap();
+    assert_eq!(rows.len(), 4);
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    let cases = data.cases();
+    let runs = variants.iter().flat_map(|v| cases.iter().map(move |case| (v, case)));
+    for (row, (variant, case)) in rows.iter().zip(runs) {
+        assert_eq!((&*row.group, &row.name, &row.case), ("model", &variant.name, &case.name));
+        let (bench, _) = run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks).unwrap();
+        let score = row.score.as_ref().unwrap_or_else(|| panic!("{row:?}"));
+        assert_eq!((&score.errors, &score.mesh), (&bench.errors, &bench.mesh));
+        assert_eq!((score.iterations, score.vertex_coincidence), (Some(bench.iterations), bench.vertex_coincidence));
+        assert!(row.seconds.unwrap() > 0.0 && row.error.is_none(), "{row:?}");
+        if cfg!(target_os = "linux") {
+            // More than the mesh itself, less than a machine.
+            assert!((1 << 20..1 << 33).contains(&row.peak_bytes.unwrap()), "{row:?}");
+        }
+    }
+}
+
+#[test]
+fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
+    let data = Data::new();
+    for threads in ["1", "2"] {
+        let options = ["--models", "rigid,blendshape", "--terms", "--threads", threads, "--out", threads];
+        let run = data.compare(&options);
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.success(), "{said}");
+        assert!(said.lines().count() == 20 && said.contains("\n20/20  term"), "{said}");
+        let table = String::from_utf8(run.stdout).unwrap();
+        for name in ["model: rigid", "model: blendshape", "term: symmetric", "term: without seam"] {
+            assert_eq!(table.lines().filter(|l| l.contains(name)).count(), 1, "{name}: {table}");
+        }
+    }
+    for file in ["compare.csv", "compare.json"] {
+        assert!(fs::read(data.path("1").join(file)).unwrap() == fs::read(data.path("2").join(file)).unwrap(), "{file}");
+    }
+    let read = |file: &str| -> Vec<Vec<String>> {
+        let text = fs::read_to_string(data.path("2").join(file)).unwrap();
+        text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
+    };
+    let (rows, times) = (read("compare.csv"), read("compare.timing.csv"));
+    assert_eq!((rows.len(), times.len()), (21, 21));
+    assert!(rows.iter().all(|r| r.len() == rows[0].len()) && times.iter().all(|t| t.len() == times[0].len()));
+    let at = |name: &str| rows[0].iter().position(|h| h == name).unwrap_or_else(|| panic!("no column {name}"));
+    let json = json(&data.path("2/compare.json"));
+    for ((row, time), json) in rows[1..].iter().zip(&times[1..]).zip(json["rows"].as_array().unwrap()) {
+        assert_eq!(row[..3], time[..3]);
+        assert_eq!(
+            (row[0].as_str(), row[2].as_str()),
+            (json["group"].as_str().unwrap(), json["case"].as_str().unwrap())
+        );
+        for (column, key) in [("rmse", "rmse"), ("off", "off"), ("slide", "slide"), ("p95", "p95"), ("max", "max")] {
+            assert_eq!(row[at(column)], format!("{:.6}", json["score"][key].as_f64().unwrap()));
+        }
+        assert_eq!(row[at("flips")], json["score"]["flipped"].to_string());
+        assert_eq!(row[at("iterations")], json["score"]["iterations"].to_string());
+        assert_eq!(row[at("error")], "");
+        assert!(time[3].parse::<f64>().unwrap() > 0.0 && time[5] == "2", "{time:?}");
+    }
+    // Each term does something: what differs in the schedule differs in the result.
+    let rmse = |name: &str| rows.iter().filter(|r| r[1] == name).map(|r| r[at("rmse")].clone()).collect::<Vec<_>>();
+    for name in ["symmetric", "point_to_point", "with scan_to_template", "without landmarks", "without prediction"] {
+        assert_ne!(rmse(name), rmse("default"), "{name}");
+    }
+}
+
+#[test]
+fn another_programs_results_score_as_they_should() {
+    let data = Data::new();
+    let cases = data.cases();
+    for folder in ["truth", "start", "bad/new"] {
+        fs::create_dir_all(data.path(folder)).unwrap();
+    }
+    for case in &cases {
+        write_npy_points(&data.path("truth").join(format!("{}.npy", case.name)), &case.truth).unwrap();
+        let start = data.path("start").join(&case.name);
+        fs::create_dir_all(&start).unwrap();
+        write_polygon_mesh(&start.join("result.obj"), &case.template).unwrap();
+    }
+    // A vertex too few, and no result for the other case.
+    write_npy_points(&data.path("bad/new/result.npy"), &cases[0].truth[1..]).unwrap();
+    let externals = ["--external", "truth=truth", "--external", "start=start", "--external", "bad=bad"];
+    let run = data.compare(&[&["--models", "none"], &externals[..]].concat());
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let json = json(&data.path("out/compare/compare.json"));
+    let rows: Vec<CompareRow> = serde_json::from_value(json["rows"].clone()).unwrap();
+    assert_eq!(rows.len(), 6);
+    for (row, case) in rows.iter().zip(cases.iter().cycle()) {
+        assert_eq!((&*row.group, &row.case), ("external", &case.name));
+        match (row.name.as_str(), row.case.as_str()) {
+            ("truth", _) => {
+                let e = &row.score.as_ref().unwrap().errors;
+                assert_eq!((e.rmse, e.max, e.off, e.slide, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
+            }
+            ("start", _) => {
+                let squares = case.template.positions.iter().zip(&case.truth).map(|(p, t)| (p - t).norm_squared());
+                let seen: Vec<f64> = squares.zip(&case.observed).filter(|(_, o)| **o).map(|(s, _)| s).collect();
+                let rmse = (seen.iter().sum::<f64>() / seen.len() as f64).sqrt();
+                let score = row.score.as_ref().unwrap();
+                assert!(rmse > 1.0 && (score.errors.rmse / rmse - 1.0).abs() < 1e-12, "{} {rmse}", score.errors.rmse);
+                assert_eq!(score.iterations, None);
+            }
+            ("bad", "new") => {
+                let error = row.error.as_ref().unwrap();
+                let count = cases[0].truth.len();
+                let expected = format!("has {} vertices where {count} were expected", count - 1);
+                assert!(error.contains("result.npy") && error.contains(&expected), "{error}");
+            }
+            _ => assert_eq!((row.score.as_ref(), row.error.as_deref()), (None, Some("no result"))),
+        }
+    }
+    let summary = summarize(&rows);
+    assert_eq!(summary.iter().map(|s| s.failed).collect::<Vec<_>>(), [0, 0, 2]);
+    assert_eq!(fs::read_to_string(data.path("out/compare/compare.timing.csv")).unwrap().lines().count(), 1);
+    assert!(String::from_utf8_lossy(&run.stdout).contains("2 of 2"));
+
+    // A number that is none, and a case with two results.
+    let mut items: Vec<f64> = cases[0].truth.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+    items[4] = f64::NAN;
+    write_npy(&data.path("bad/new/result.npy"), &[cases[0].truth.len(), 3], &items).unwrap();
+    fs::create_dir_all(data.path("bad/same")).unwrap();
+    for file in ["bad/same.npy", "bad/same/result.npy"] {
+        write_npy_points(&data.path(file), &cases[1].truth).unwrap();
+    }
+    assert!(data.compare(&["--models", "none", "--external", "bad=bad"]).status.success());
+    let rows = self::json(&data.path("out/compare/compare.json"));
+    let error = |i: usize| rows["rows"][i]["error"].as_str().unwrap_or_else(|| panic!("{rows}"));
+    assert!(error(0).contains("result.npy") && error(0).contains("finite coordinates of point 1"), "{rows}");
+    assert!(error(1).starts_with("two results: ") && error(1).contains("same.npy"), "{rows}");
+}
+
+#[test]
+fn a_variant_that_fails_leaves_the_others() {
+    let data = Data::new();
+    let rigid = Variant::of_model(ModelKind::Rigid).unwrap();
+    // One stage, where its model needs two.
+    let (name, schedule) = ("one stage".to_owned(), Variant::of_model(ModelKind::Blendshape).unwrap().schedule);
+    let broken = Variant { name, model: ModelKind::Sequential, schedule, ..rigid.clone() };
+    let rows = data.measure(Path::new(PROGRAM), &[broken.clone(), rigid.clone()]).unwrap();
+    assert_eq!(rows.len(), 4);
+    for row in &rows[..2] {
+        assert!(row.score.is_none() && row.error.as_ref().unwrap().contains("needs a second stage"), "{row:?}");
+    }
+    assert!(rows[2..].iter().all(|r| r.score.is_some() && r.error.is_none()), "{rows:?}");
+    let summary = summarize(&rows);
+    assert_eq!(summary.iter().map(|s| (s.failed, s.cases)).collect::<Vec<_>>(), [(2, 2), (0, 2)]);
+
+    let error = data.measure(Path::new(PROGRAM), &[broken]).unwrap_err().to_string();
+    assert!(error.starts_with("every run failed; the first, model one stage on new: "), "{error}");
+    // Whoever takes the rows may end it.
+    let (cases, rig) = (data.path("cases"), data.path("rig"));
+    let mut stop = |_: &CompareRow| anyhow::bail!("enough");
+    let stopped = measure_by(Path::new(PROGRAM), &cases, &rig, &[rigid], 1, &mut stop).unwrap_err();
+    assert_eq!(stopped.to_string(), "enough");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_process_that_dies_fails_one_case() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let data = Data::new();
+    // Ends at once where it should begin with the first case, and is itself after that.
+    let program = data.path("dies");
+    let script = format!(
+        "#!/bin/sh\ncase \"$*\" in *'\"first\":0'*) echo 'error: out of' memory >&2; kill -9 $$;; esac\nexec '{PROGRAM}' \"$@\"\n"
+    );
+    fs::write(&program, script).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    let rows = data.measure(&program, &[Variant::of_model(ModelKind::Rigid).unwrap()]).unwrap();
+    assert_eq!(rows.iter().map(|r| r.case.as_str()).collect::<Vec<_>>(), ["new", "same"]);
+    let error = rows[0].error.as_ref().unwrap();
+    assert!(error.contains("signal: 9") && error.ends_with("out of memory"), "{error}");
+    assert!(rows[1].score.is_some(), "{rows:?}");
+
+    fs::write(&program, "#!/bin/sh\necho what is this\n").unwrap();
+    let error = data.measure(&program, &[Variant::of_model(ModelKind::Rigid).unwrap()]).unwrap_err().to_string();
+    assert!(error.contains("not a line of this program: what is this"), "{error}");
+    let error = data.measure(&data.path("nowhere"), &[Variant::of_model(ModelKind::Rigid).unwrap()]).unwrap_err();
+    assert!(error.to_string().contains("nowhere: cannot be started"), "{error}");
+}
+
+#[test]
+fn what_makes_no_sense_is_one_error_and_an_exit_code() {
+    let data = Data::new();
+    fs::create_dir_all(data.path("empty")).unwrap();
+    fs::write(data.path("file"), "").unwrap();
+    let says = |options: &[&str], code: i32, expected: &str| {
+        let run = data.compare(options);
+        let text = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{options:?}: {text}");
+        assert!(text.starts_with("error: ") && text.contains(expected), "{options:?}: {text}");
+        assert!(run.stdout.is_empty());
+        text
+    };
+    let one_line = |options: &[&str], code: i32, expected: &str| {
+        let text = says(options, code, expected);
+        assert_eq!(text.lines().count(), 1, "{text}");
+    };
+    one_line(&["--models", "none"], 1, "leaves nothing to compare");
+    one_line(&["--models", "rigid,rigid"], 1, "--models names rigid twice");
+    one_line(&["--external", "a=empty", "--external", "a=cases"], 1, "--external names a twice");
+    says(&["--models", "magic"], 1, "unknown model 'magic'");
+    says(&["--external", "empty"], 1, "\"empty\" is not NAME=DIR");
+    says(&["--landmarks", "2"], 1, "at least 3");
+    one_line(&["--external", "a=nowhere"], 4, "--external a=nowhere: there is no such folder");
+    one_line(&["--external", "a=empty"], 4, "--external a=empty: no result of any case; looked for new.obj");
+    one_line(&["--models", "rigid", "--out", "file"], 3, "file");
+    assert!(!data.path("out").exists(), "nothing is left where nothing was done");
+    for (cases, rig, expected) in [("empty", "rig", "no folder with a case.json"), ("cases", "empty", "empty")] {
+        let mut command = Command::new(PROGRAM);
+        let run = command.args(["compare", cases, "--rig", rig]).current_dir(&data.folder).output().unwrap();
+        let text = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(4) && text.contains(expected) && text.lines().count() == 1, "{text}");
+    }
+    // Two cases of one name could not be told apart.
+    fs::create_dir_all(data.path("cases/again/new")).unwrap();
+    for entry in fs::read_dir(data.path("cases/new")).unwrap() {
+        let file = entry.unwrap().path();
+        fs::copy(&file, data.path("cases/again/new").join(file.file_name().unwrap())).unwrap();
+    }
+    one_line(&["--models", "rigid"], 4, "two cases are called \"new\"");
+}
