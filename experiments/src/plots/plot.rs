@@ -1,0 +1,437 @@
+//! [`Plot`]: points, lines and laws over two axes.
+
+use anyhow::{Context as _, Result, bail};
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::axis::{Axis, Span, short};
+use super::draw::{
+    Area, FAINT, GREY, GRID, INK, LARGE, Pixel, Sizes, WIDTH, above, bold, colour, dashed, lines_height, marker, page,
+    px, width, words, wrap, write_lines,
+};
+use super::fit::{LinearFit, PowerLaw};
+use super::legend::{Key, Legend};
+
+/// A measured value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// In units of the horizontal axis.
+    pub x: f64,
+    /// In units of the vertical axis.
+    pub y: f64,
+    /// Lower and upper end of the error bar, in units of the vertical axis. One end that the axis cannot show, as zero on a
+    /// logarithmic one, leaves the bar open there.
+    pub spread: Option<[f64; 2]>,
+}
+
+/// Points that belong together, joined in their order. One with a number that its axis cannot show leaves a gap.
+#[derive(Debug, Clone)]
+pub struct Series {
+    pub(super) name: String,
+    pub(super) points: Vec<Point>,
+    law: bool,
+}
+
+impl Series {
+    /// A line with a marker at each point, or at some where they are more than forty. Without a name it is not in the legend.
+    #[must_use]
+    pub fn line(name: &str, points: Vec<Point>) -> Self {
+        Self { name: name.to_owned(), points, law: false }
+    }
+
+    /// Adds to the legend the exponent of the points' [`PowerLaw`] and the range of x that it was fitted to, if there is one.
+    #[must_use]
+    pub fn with_power_law(mut self) -> Self {
+        self.law = true;
+        self
+    }
+
+    fn legend(&self) -> String {
+        let finite = self.points.iter().map(|p| [p.x, p.y]).filter(|p| p.iter().all(|v| v.is_finite()));
+        match PowerLaw::fit(&finite.collect::<Vec<_>>()).filter(|_| self.law) {
+            Some(law) => {
+                format!("{}: exponent {:.2} on {} to {}", self.name, law.exponent, short(law.from), short(law.to))
+            }
+            None => self.name.clone(),
+        }
+    }
+}
+
+/// A vertical line with a small label above the plot: a level of a schedule.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mark {
+    /// Where, in units of the horizontal axis.
+    pub x: f64,
+    /// A few letters.
+    pub label: String,
+}
+
+/// `y = intercept + slope x`, dashed.
+#[derive(Debug, Clone)]
+pub(super) struct Straight {
+    pub name: String,
+    pub legend: String,
+    pub intercept: f64,
+    pub slope: f64,
+    pub from: f64,
+    pub to: f64,
+}
+
+/// Points over two axes, with a legend outside them. Up to ten series are told apart by colour and marker.
+#[derive(Debug, Clone)]
+pub struct Plot {
+    title: String,
+    x: Axis,
+    y: Axis,
+    pub(super) series: Vec<Series>,
+    top: Option<f64>,
+    marks: Vec<Mark>,
+    lines: Vec<Straight>,
+}
+
+impl Plot {
+    /// Without anything in it yet.
+    #[must_use]
+    pub fn new(title: &str, x: Axis, y: Axis) -> Self {
+        Self { title: title.to_owned(), x, y, series: Vec::new(), top: None, marks: Vec::new(), lines: Vec::new() }
+    }
+
+    /// Adds series.
+    #[must_use]
+    pub fn series(mut self, series: Vec<Series>) -> Self {
+        self.series.extend(series);
+        self
+    }
+
+    /// Sets the greatest y shown. A point above it is a small upward triangle at the upper edge.
+    #[must_use]
+    pub fn top(mut self, limit: f64) -> Self {
+        self.top = Some(limit);
+        self
+    }
+
+    /// Adds vertical lines.
+    #[must_use]
+    pub fn marks(mut self, marks: Vec<Mark>) -> Self {
+        self.marks.extend(marks);
+        self
+    }
+
+    /// Adds a fitted straight line where it was fitted, dashed, in the colour of the series of the same name. The legend has its
+    /// equation and its share of the variance.
+    #[must_use]
+    pub fn line(self, name: &str, fit: LinearFit) -> Self {
+        let sign = if fit.intercept < 0.0 { '−' } else { '+' };
+        let equation = format!("y = {} x {sign} {}", short(fit.slope), short(fit.intercept.abs()));
+        self.straight(Straight {
+            name: name.to_owned(),
+            legend: format!("{name}: {equation}, R² = {:.4}", fit.r_squared),
+            intercept: fit.intercept,
+            slope: fit.slope,
+            from: fit.from,
+            to: fit.to,
+        })
+    }
+
+    pub(super) fn straight(mut self, line: Straight) -> Self {
+        self.lines.push(line);
+        self
+    }
+
+    /// The plot as SVG, the legend at the right or below.
+    ///
+    /// # Errors
+    /// When an axis has no value to show, or the top or a mark cannot be on its axis.
+    pub fn svg(&self) -> Result<String> {
+        let panel = Panel::new(self, (0..self.series.len()).collect(), LARGE)?;
+        let legend = panel.legend();
+        let plot = px(500.0);
+        let (wide, below) = match legend.beside(plot - px(80.0)) {
+            Some(beside) => (WIDTH - beside, 0),
+            None => (WIDTH, legend.height(WIDTH - px(60.0)) + px(8.0)),
+        };
+        page(plot + below, |page| {
+            let frame = panel.draw(page, [(0, 0), (wide, plot)])?;
+            if below == 0 {
+                legend.draw(page, (wide + px(4.0), frame[0].1), WIDTH - wide)
+            } else {
+                legend.draw(page, (px(40.0), plot + px(4.0)), WIDTH - px(60.0))
+            }
+        })
+    }
+}
+
+/// A plot on its way onto a page.
+pub(super) struct Panel<'a> {
+    plot: &'a Plot,
+    looks: Vec<usize>,
+    x: Span,
+    y: Span,
+    sizes: Sizes,
+}
+
+/// Upper left and lower right corner.
+pub(super) type Frame = [Pixel; 2];
+
+impl<'a> Panel<'a> {
+    /// Finds the ranges; `looks` gives each series its colour and marker.
+    pub fn new(plot: &'a Plot, looks: Vec<usize>, sizes: Sizes) -> Result<Self> {
+        Self::build(plot, looks, sizes).with_context(|| format!("plot {:?}", plot.title))
+    }
+
+    fn build(plot: &'a Plot, looks: Vec<usize>, sizes: Sizes) -> Result<Self> {
+        if let Some(mark) = plot.marks.iter().find(|m| !plot.x.shows(m.x)) {
+            bail!("mark {:?} at {} cannot be on axis {:?}", mark.label, mark.x, plot.x.label);
+        }
+        let shown = || plot.series.iter().flat_map(|s| &s.points).filter(|p| plot.x.shows(p.x) && plot.y.shows(p.y));
+        if shown().next().is_none() {
+            bail!("no point to show");
+        }
+        let y = Span::new(&plot.y, shown().flat_map(|p| p.spread.into_iter().flatten().chain([p.y])), plot.top)?;
+        let xs = shown().map(|p| p.x).chain(plot.marks.iter().map(|m| m.x));
+        let x = Span::new(&plot.x, xs, None)?;
+        Ok(Self { plot, looks, x, y, sizes })
+    }
+
+    /// Series with a name.
+    pub fn series_legend(&self) -> Legend {
+        let named = self.plot.series.iter().zip(&self.looks).filter(|(s, _)| !s.name.is_empty());
+        Legend(named.map(|(s, look)| (Key::Series(*look), s.legend())).collect())
+    }
+
+    /// Lines.
+    pub fn line_legend(&self) -> Legend {
+        let entry = |(k, line): (usize, &Straight)| (Key::Dashed(self.line_colour(k)), line.legend.clone());
+        Legend(self.plot.lines.iter().enumerate().map(entry).collect())
+    }
+
+    pub fn above_legend(&self) -> Legend {
+        let above = (0..self.plot.series.len()).any(|k| self.has_above(k));
+        Legend(above.then(|| (Key::Above, "above the axis".to_owned())).into_iter().collect())
+    }
+
+    pub fn legend(&self) -> Legend {
+        Legend([self.series_legend().0, self.line_legend().0, self.above_legend().0].concat())
+    }
+
+    fn line_colour(&self, k: usize) -> RGBColor {
+        match self.plot.series.iter().position(|s| s.name == self.plot.lines[k].name) {
+            Some(series) => colour(self.looks[series]),
+            None if k == 0 => GREY,
+            None => colour(self.plot.series.len() + k),
+        }
+    }
+
+    fn is_above(&self, p: &Point) -> bool {
+        self.plot.x.shows(p.x) && self.plot.y.shows(p.y) && p.y > self.y.to()
+    }
+
+    fn has_above(&self, series: usize) -> bool {
+        self.plot.series[series].points.iter().any(|p| self.is_above(p))
+    }
+
+    /// Marks from left to right with their labels' widths, and the row of each label counted upwards. A label begins at its line;
+    /// one that would reach over another's line stands above that one's label, so that no line crosses a word.
+    fn mark_rows(&self, wide: i32) -> Vec<(&'a Mark, usize)> {
+        let mut marks: Vec<&Mark> = self.plot.marks.iter().collect();
+        marks.sort_by(|a, b| a.x.total_cmp(&b.x));
+        let left = |m: &Mark| (self.x.fraction(m.x) * f64::from(wide)) as i32;
+        let mut rows = vec![0; marks.len()];
+        for j in (0..marks.len()).rev() {
+            let end = left(marks[j]) + self.mark_width(marks[j]) + px(8.0);
+            let reached = (j + 1..marks.len()).filter(|k| left(marks[*k]) < end);
+            rows[j] = reached.map(|k| rows[k] + 1).max().unwrap_or(0);
+        }
+        marks.into_iter().zip(rows).collect()
+    }
+
+    fn mark_width(&self, mark: &Mark) -> i32 {
+        px(4.0) + width(&mark.label, self.sizes.tick)
+    }
+
+    /// Draws title, axes and data between two corners; returns the frame of the data.
+    pub fn draw(&self, page: &Area, [(left, top), (right, bottom)]: Frame) -> Result<Frame> {
+        let Sizes { title, label, tick, .. } = self.sizes;
+        let lines = wrap(&self.plot.title, title, right - left - px(24.0));
+        let title_end = top + px(8.0) + lines_height(lines.len(), title);
+        let style = bold(title, HPos::Center, VPos::Center);
+        write_lines(page, &lines, &style, title, ((left + right) / 2, top + px(6.0)))?;
+
+        let below = lines_height(1, tick) + lines_height(1, label) + px(12.0);
+        let y_ticks = self.y.ticks(((bottom - below - title_end) / px(3.0 * tick)).max(2) as usize);
+        let y_width = y_ticks.iter().map(|t| width(&t.1, tick)).max().unwrap_or(0);
+        let frame_left = left + px(24.0) + lines_height(1, label) + y_width;
+        // Less where a mark's label would reach beyond the edge.
+        let marks = || self.plot.marks.iter();
+        let needed = |m: &Mark| f64::from(right - frame_left - self.mark_width(m)) / self.x.fraction(m.x).max(0.3);
+        let wide = marks().map(|m| needed(m) as i32).fold(right - px(20.0) - frame_left, i32::min).max(px(60.0));
+        let rows = self.mark_rows(wide);
+        let row = lines_height(1, tick);
+        let above_height = if self.above_legend().0.is_empty() { 0 } else { px(12.0) };
+        let mark_height = row * rows.iter().map(|r| r.1 as i32 + 1).max().unwrap_or(0);
+        let frame =
+            [(frame_left, title_end + px(6.0) + above_height + mark_height), (frame_left + wide, bottom - below)];
+
+        self.draw_axes(page, frame, y_ticks.len(), y_width)?;
+        for (mark, height) in rows {
+            let x = self.at(frame, mark.x, self.y.from()).0;
+            let y = frame[0].1 - above_height - row * height as i32;
+            dashed(page, &[(x, frame[1].1), (x, y - row)], px(2.0), px(3.0), GREY.stroke_width(px(1.0) as u32))?;
+            let style = words(tick, GREY, HPos::Left, VPos::Center);
+            page.draw_text(&mark.label, &style, (x + px(4.0), y - row / 2))?;
+        }
+        for (k, line) in self.plot.lines.iter().enumerate() {
+            self.draw_straight(page, frame, line, self.line_colour(k))?;
+        }
+        for (series, look) in self.plot.series.iter().zip(&self.looks) {
+            self.draw_series(page, frame, series, *look)?;
+        }
+        Ok(frame)
+    }
+
+    fn draw_axes(&self, page: &Area, frame: Frame, y_ticks: usize, y_width: i32) -> Result<()> {
+        let Sizes { label, tick, .. } = self.sizes;
+        let (wide, high) = (frame[1].0 - frame[0].0, frame[1].1 - frame[0].1);
+        let x_ticks = x_tick_count(&self.x, wide, tick);
+        let (left, below) =
+            (px(16.0) + lines_height(1, label) + y_width, lines_height(1, tick) + lines_height(1, label) + px(8.0));
+        let around = page.clone().shrink((frame[0].0 - left, frame[0].1), (wide + left, high + below));
+        let mut chart = ChartBuilder::on(&around)
+            .x_label_area_size(below)
+            .y_label_area_size(left)
+            .build_cartesian_2d(self.x.clone(), self.y.clone())?;
+        let labels = |span: &Span, most| {
+            let ticks = span.ticks(most);
+            move |v: &f64| ticks.iter().find(|t| t.0 == *v).map_or_else(String::new, |t| t.1.clone())
+        };
+        let room = |text: &str, room: i32| label * (f64::from(room) / f64::from(width(text, label))).min(1.0);
+        let size = room(&self.plot.x.label, wide + px(40.0)).min(room(&self.plot.y.label, high + px(30.0)));
+        chart
+            .configure_mesh()
+            .x_desc(&self.plot.x.label)
+            .y_desc(&self.plot.y.label)
+            .axis_desc_style(words(size, INK, HPos::Center, VPos::Center))
+            .label_style(words(tick, INK, HPos::Center, VPos::Center))
+            .x_labels(x_ticks)
+            .y_labels(y_ticks)
+            .x_label_formatter(&labels(&self.x, x_ticks))
+            .y_label_formatter(&labels(&self.y, y_ticks))
+            .set_all_tick_mark_size(px(4.0))
+            .axis_style(GREY.stroke_width(px(1.0) as u32))
+            .bold_line_style(GRID.stroke_width(px(1.0) as u32))
+            .light_line_style(FAINT.stroke_width(px(1.0) as u32))
+            .draw()?;
+        Ok(())
+    }
+
+    fn at(&self, [(left, top), (right, bottom)]: Frame, x: f64, y: f64) -> Pixel {
+        use plotters::coord::ranged1d::Ranged as _;
+        (self.x.map(&x, (left, right)), self.y.map(&y, (bottom, top)))
+    }
+
+    fn shown_at(&self, frame: Frame, x: f64, y: f64) -> Option<Pixel> {
+        (self.plot.x.shows(x) && self.plot.y.shows(y)).then(|| self.at(frame, x, y))
+    }
+
+    fn draw_straight(&self, page: &Area, frame: Frame, line: &Straight, colour: RGBColor) -> Result<()> {
+        let ends = [line.from, line.to].map(|x| if self.plot.x.shows(x) { self.x.fraction(x) } else { 0.0 });
+        let [from, to] = ends.map(|at| at.clamp(0.0, 1.0));
+        // Not straight on a logarithmic axis.
+        let places = (0..=64).map(|k| {
+            let x = self.x.value(from + (to - from) * f64::from(k) / 64.0);
+            self.shown_at(frame, x, line.intercept + line.slope * x)
+        });
+        for run in runs(&places.collect::<Vec<_>>(), frame) {
+            dashed(page, &run, px(7.0), px(4.0), colour.stroke_width(px(1.5) as u32))?;
+        }
+        Ok(())
+    }
+
+    fn draw_series(&self, page: &Area, frame: Frame, series: &Series, look: usize) -> Result<()> {
+        let places: Vec<_> = series.points.iter().map(|p| self.shown_at(frame, p.x, p.y)).collect();
+        let colour = colour(look);
+        for run in runs(&places, frame) {
+            page.draw(&PathElement::new(run, colour.stroke_width(px(2.0) as u32)))?;
+        }
+        let every = places.len().div_ceil(40).max(1);
+        for (k, (point, place)) in series.points.iter().zip(&places).enumerate() {
+            let Some((x, _)) = *place else { continue };
+            if let Some(ends) = point.spread {
+                self.draw_spread(page, frame, x, ends, colour)?;
+            }
+            let alone = |k: Option<usize>| k.and_then(|k| places.get(k)).is_none_or(Option::is_none);
+            if self.is_above(point) {
+                above(page, (x, frame[0].1 - px(2.0)), colour)?;
+            } else if k % every == 0 || alone(k.checked_sub(1)) && alone(Some(k + 1)) {
+                marker(page, place.unwrap_or_default(), look, px(self.sizes.marker))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// An error bar; an end that is not on the axis has no cap.
+    fn draw_spread(&self, page: &Area, frame: Frame, x: i32, [low, high]: [f64; 2], colour: RGBColor) -> Result<()> {
+        let end = |v: f64, beyond: i32| match self.plot.y.shows(v).then(|| self.y.fraction(v)) {
+            Some(at) if (0.0..=1.0).contains(&at) => (self.at(frame, self.x.from(), v).1, true),
+            Some(at) => (if at < 0.0 { frame[1].1 } else { frame[0].1 }, false),
+            None => (beyond, false),
+        };
+        if low.is_nan() || high.is_nan() {
+            return Ok(());
+        }
+        let cap = px(self.sizes.marker);
+        let path = spread_path([end(low, frame[1].1), end(high, frame[0].1)], cap);
+        let path: Vec<Pixel> = path.into_iter().map(|(across, along)| (x + across, along)).collect();
+        Ok(page.draw(&PathElement::new(path, colour.stroke_width(px(1.5) as u32)))?)
+    }
+}
+
+/// An error bar as (across, along): between two ends, each with a cap or none.
+pub(super) fn spread_path(ends: [(i32, bool); 2], cap: i32) -> Vec<Pixel> {
+    let side = |(along, capped): (i32, bool)| {
+        if capped { vec![(-cap, along), (cap, along), (0, along)] } else { vec![(0, along)] }
+    };
+    side(ends[0]).into_iter().chain(side(ends[1]).into_iter().rev()).collect()
+}
+
+/// The greatest number of ticks whose labels keep apart.
+pub(super) fn x_tick_count(x: &Span, wide: i32, size: f64) -> usize {
+    let apart = |most: &usize| {
+        let ticks = x.ticks(*most);
+        ticks.windows(2).all(|t| {
+            let gap = (x.fraction(t[1].0) - x.fraction(t[0].0)) * f64::from(wide);
+            gap >= f64::from((width(&t[0].1, size) + width(&t[1].1, size)) / 2 + px(0.8 * size))
+        })
+    };
+    (3..=14).rev().find(apart).unwrap_or(2)
+}
+
+/// Lines through points, broken where one is missing, and cut off at the upper and lower edge.
+fn runs(points: &[Option<Pixel>], frame: Frame) -> Vec<Vec<Pixel>> {
+    let (top, bottom) = (frame[0].1, frame[1].1);
+    let clipped = |a: Pixel, b: Pixel| {
+        let inside = |p: Pixel, q: Pixel| {
+            let y = p.1.clamp(top, bottom);
+            if y == p.1 {
+                return p;
+            }
+            let part = f64::from(y - p.1) / f64::from(q.1 - p.1);
+            ((f64::from(p.0) + f64::from(q.0 - p.0) * part).round() as i32, y)
+        };
+        let outside = a.1.max(b.1) < top || a.1.min(b.1) > bottom;
+        (!outside).then(|| [inside(a, b), inside(b, a)])
+    };
+    let mut runs: Vec<Vec<Pixel>> = Vec::new();
+    let mut goes_on = false;
+    for pair in points.windows(2) {
+        let segment = pair[0].zip(pair[1]).and_then(|(a, b)| clipped(a, b));
+        if let Some([a, b]) = segment {
+            match runs.last_mut().filter(|run| goes_on && run.last() == Some(&a)) {
+                Some(run) => run.push(b),
+                None => runs.push(vec![a, b]),
+            }
+        }
+        goes_on = segment.is_some();
+    }
+    runs
+}
