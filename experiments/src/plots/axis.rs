@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use anyhow::{Result, bail};
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
-use plotters::coord::types::RangedCoordf64;
 
 /// What an axis shows.
 #[derive(Debug, Clone)]
@@ -135,12 +134,15 @@ impl Span {
         values.into_iter().zip(labels).collect()
     }
 
+    /// Multiples of 1, 2 or 5 times a power of ten.
     fn linear_ticks(&self, most: usize) -> Vec<f64> {
-        // plotters compares with machine epsilon: numbers of about 1.
-        let unit = 10f64.powf(self.from.abs().max(self.to.abs()).log10().floor());
-        let ticks = RangedCoordf64::from(self.from / unit..self.to / unit).key_points(most);
-        let near_zero = 1e-9 * (self.to - self.from);
-        ticks.into_iter().map(|v| v * unit).map(|v| if v.abs() < near_zero { 0.0 } else { v }).collect()
+        let decade = 10f64.powf(((self.to - self.from) / most as f64).log10().floor());
+        let multiples = |step: f64| {
+            let (first, last) = ((self.from / step - 1e-9).ceil(), (self.to / step + 1e-9).floor());
+            (0..=(last - first) as usize).map(|k| (first + k as f64) * step).collect::<Vec<_>>()
+        };
+        let steps = [1.0, 2.0, 5.0, 10.0, 20.0].map(|m| m * decade);
+        steps.map(multiples).into_iter().find(|ticks| ticks.len() <= most).unwrap_or_default()
     }
 
     /// 1, 2, 5; 1, 3; powers of ten; every second of them, ...: the most that are few enough. Linear where even the first are too few.

@@ -10,7 +10,7 @@ use super::draw::{
     words, wrap, write_lines,
 };
 use super::legend::{Key, Legend};
-use super::plot::{spread_path, x_tick_count};
+use super::plot::{Frame, spread_path, x_tick_count};
 
 /// A named value.
 #[derive(Debug, Clone, PartialEq)]
@@ -105,7 +105,13 @@ impl GroupedBars {
             Row::Group(_) => 0,
         };
         let left = px(24.0) + rows.iter().map(lines).max().unwrap_or(0);
-        let value = self.bars.iter().map(|b| width(&short(b.1.value), LARGE.tick)).max().unwrap_or(0);
+        let value = self
+            .bars
+            .iter()
+            .filter(|b| b.1.value.is_finite())
+            .map(|b| width(&short(b.1.value), LARGE.tick))
+            .max()
+            .unwrap_or(0);
         let right = WIDTH - px(16.0) - value;
         let (title, top) = title_lines(&self.title);
         let bottom = top + rows.iter().map(Row::height).sum::<i32>() + px(6.0);
@@ -118,77 +124,73 @@ impl GroupedBars {
         })
     }
 
-    fn draw_rows(
-        &self,
-        page: &Area,
-        [(left, top), (right, bottom)]: [Pixel; 2],
-        span: &Span,
-        rows: &[Row],
-    ) -> Result<()> {
+    fn draw_rows(&self, page: &Area, [(left, top), (right, bottom)]: Frame, span: &Span, rows: &[Row]) -> Result<()> {
         let at = |v: f64| left + (span.fraction(v) * f64::from(right - left)).round() as i32;
-        let mut y = top;
-        for (k, row) in rows.iter().enumerate() {
-            let next = y + row.height();
-            match row {
-                Row::Group(name) => {
-                    if k > 0 {
-                        page.draw(&PathElement::new(
-                            [(px(8.0), y + px(4.0)), (right, y + px(4.0))],
-                            GREY.stroke_width(1),
-                        ))?;
-                    }
-                    // On white, so that no line of the axis crosses it.
-                    let end = px(10.0) + width(name, LARGE.tick) * 11 / 10;
-                    let ground = [(px(9.0), y + px(8.0)), (end, next - px(1.0))];
-                    page.draw(&Rectangle::new(ground, WHITE.filled()))?;
-                    let style = bold(LARGE.tick, HPos::Left, VPos::Center);
-                    page.draw_text(name, &style, (px(10.0), next - px(11.0)))?;
-                }
-                Row::Bar(bar, lines) => {
-                    let style = words(LARGE.tick, INK, HPos::Right, VPos::Center);
-                    write_lines(page, lines, &style, LARGE.tick, (left - px(8.0), y + px(4.0)))?;
-                    if bar.value.is_finite() {
-                        self.draw_bar(page, bar, [y, next], at)?;
-                    }
-                }
+        let tops = rows.iter().scan(top, |y, row| Some(std::mem::replace(y, *y + row.height())));
+        let rows: Vec<(&Row, i32)> = rows.iter().zip(tops).collect();
+        let bars = || {
+            rows.iter().filter_map(|(row, y)| {
+                if let Row::Bar(bar, lines) = row { Some((bar, lines, [*y, y + row.height()])) } else { None }
+            })
+        };
+        for (k, (bar, _, [from, to])) in bars().enumerate().filter(|(_, b)| b.0.value.is_finite()) {
+            let ground = if k == 0 { GREY } else { colour(5) };
+            let (zero, end) = (at(0.0), at(bar.value));
+            let corners = [(zero.min(end), from + px(3.0)), (zero.max(end), to - px(3.0))];
+            page.draw(&Rectangle::new(corners, ground.filled()))?;
+            if let Some(ends) = spread(bar) {
+                let path = spread_path(ends.map(|v| (at(v), true)), px(4.0));
+                let path: Vec<Pixel> =
+                    path.into_iter().map(|(across, along)| (along, (from + to) / 2 + across)).collect();
+                page.draw(&PathElement::new(path, INK.stroke_width(px(1.5) as u32)))?;
             }
-            y = next;
-        }
-        if let Some((_, first)) = self.bars.first().filter(|b| b.1.value.is_finite()) {
-            let x = at(first.value);
-            let ends = [(x, top + rows.first().map_or(0, Row::height)), (x, bottom)];
-            dashed(page, &ends, px(4.0), px(3.0), INK.stroke_width(px(1.0) as u32))?;
         }
         page.draw(&PathElement::new([(at(0.0), top), (at(0.0), bottom)], GREY.stroke_width(px(1.0) as u32)))?;
-        Ok(())
-    }
-
-    fn draw_bar(&self, page: &Area, bar: &Bar, [from, to]: [i32; 2], at: impl Fn(f64) -> i32) -> Result<()> {
-        let is_first = self.bars.first().is_some_and(|b| std::ptr::eq(&b.1, bar));
-        let ground = if is_first { GREY } else { colour(5) };
-        let (zero, end) = (at(0.0), at(bar.value));
-        let corners = [(zero.min(end), from + px(3.0)), (zero.max(end), to - px(3.0))];
-        page.draw(&Rectangle::new(corners, ground.filled()))?;
-        let middle = (from + to) / 2;
-        let mut last = end.max(zero);
-        if let Some([low, high]) = bar.spread.filter(|s| s.iter().all(|v| v.is_finite())) {
-            let path = spread_path([(at(low), true), (at(high), true)], px(4.0));
-            let path: Vec<Pixel> = path.into_iter().map(|(across, along)| (along, middle + across)).collect();
-            page.draw(&PathElement::new(path, INK.stroke_width(px(1.5) as u32)))?;
-            last = last.max(at(high));
+        if let Some((first, _, [y, _])) = bars().next().filter(|b| b.0.value.is_finite()) {
+            let ends = [(at(first.value), y), (at(first.value), bottom)];
+            dashed(page, &ends, px(4.0), px(3.0), INK.stroke_width(px(1.0) as u32))?;
         }
-        // On white, because the first bar's line may pass here.
-        let label = short(bar.value);
-        let ground =
-            [(last + px(3.0), middle - px(8.0)), (last + px(7.0) + width(&label, LARGE.tick), middle + px(8.0))];
-        page.draw(&Rectangle::new(ground, WHITE.filled()))?;
-        let style = words(LARGE.tick, INK, HPos::Left, VPos::Center);
-        Ok(page.draw_text(&label, &style, (last + px(5.0), middle))?)
+        // Words last, on white: no line crosses them.
+        for (bar, lines, [from, to]) in bars() {
+            let style = words(LARGE.tick, INK, HPos::Right, VPos::Center);
+            write_lines(page, lines, &style, LARGE.tick, (left - px(8.0), from + px(4.0)))?;
+            let ends = [0.0, bar.value].into_iter().chain(spread(bar).into_iter().flatten()).filter(|v| v.is_finite());
+            let end = ends.map(&at).max().unwrap_or(left) + px(5.0);
+            let (label, ink) =
+                if bar.value.is_finite() { (short(bar.value), INK) } else { (NO_VALUE.to_owned(), GREY) };
+            write_on_white(page, &label, &words(LARGE.tick, ink, HPos::Left, VPos::Center), (end, (from + to) / 2))?;
+        }
+        for (k, (row, y)) in rows.iter().enumerate() {
+            let Row::Group(name) = row else { continue };
+            if k > 0 {
+                page.draw(&PathElement::new([(px(8.0), y + px(4.0)), (right, y + px(4.0))], GREY.stroke_width(1)))?;
+            }
+            let style = bold(LARGE.tick, HPos::Left, VPos::Center);
+            write_on_white(page, name, &style, (px(10.0), y + row.height() - px(11.0)))?;
+        }
+        Ok(())
     }
 }
 
+const NO_VALUE: &str = "no value";
+
+/// The ends of a bar's error bar, if it has one.
+fn spread(bar: &Bar) -> Option<[f64; 2]> {
+    bar.spread.filter(|s| bar.value.is_finite() && s.iter().all(|v| v.is_finite()))
+}
+
+/// Writes one line from its left end.
+fn write_on_white(page: &Area, text: &str, style: &TextStyle, (x, y): Pixel) -> Result<()> {
+    if !text.is_empty() {
+        let ground = [(x - px(2.0), y - px(8.0)), (x + px(2.0) + width(text, LARGE.tick), y + px(8.0))];
+        page.draw(&Rectangle::new(ground, WHITE.filled()))?;
+        page.draw_text(text, style, (x, y))?;
+    }
+    Ok(())
+}
+
 /// The axis below horizontal bars.
-fn value_axis(page: &Area, [(left, top), (right, bottom)]: [Pixel; 2], below: i32, span: &Span) -> Result<()> {
+fn value_axis(page: &Area, [(left, top), (right, bottom)]: Frame, below: i32, span: &Span) -> Result<()> {
     let around = page.clone().shrink((left, top), (right - left, bottom + below - top));
     let mut chart = ChartBuilder::on(&around).x_label_area_size(below).build_cartesian_2d(span.clone(), 0.0..1.0)?;
     let most = x_tick_count(span, right - left, LARGE.tick);
@@ -201,6 +203,7 @@ fn value_axis(page: &Area, [(left, top), (right, bottom)]: [Pixel; 2], below: i3
         .label_style(words(LARGE.tick, INK, HPos::Center, VPos::Center))
         .x_labels(most)
         .x_label_formatter(&|v| ticks.iter().find(|t| t.0 == *v).map_or_else(String::new, |t| t.1.clone()))
+        .set_all_tick_mark_size(px(4.0))
         .axis_style(GREY.stroke_width(px(1.0) as u32))
         .bold_line_style(GRID.stroke_width(px(1.0) as u32))
         .light_line_style(TRANSPARENT)
@@ -266,13 +269,7 @@ impl StackedBars {
         })
     }
 
-    fn draw_axis(
-        &self,
-        page: &Area,
-        [(left, top), (right, bottom)]: [Pixel; 2],
-        span: &Span,
-        most: usize,
-    ) -> Result<()> {
+    fn draw_axis(&self, page: &Area, [(left, top), (right, bottom)]: Frame, span: &Span, most: usize) -> Result<()> {
         let label_area = left - px(8.0);
         let around = page.clone().shrink((px(8.0), top), (right - px(8.0), bottom - top));
         let mut chart =
@@ -286,6 +283,7 @@ impl StackedBars {
             .label_style(words(LARGE.tick, INK, HPos::Center, VPos::Center))
             .y_labels(most)
             .y_label_formatter(&|v| ticks.iter().find(|t| t.0 == *v).map_or_else(String::new, |t| t.1.clone()))
+            .set_all_tick_mark_size(px(4.0))
             .axis_style(GREY.stroke_width(px(1.0) as u32))
             .bold_line_style(GRID.stroke_width(px(1.0) as u32))
             .light_line_style(TRANSPARENT)
@@ -294,7 +292,7 @@ impl StackedBars {
         Ok(())
     }
 
-    fn draw_bars(&self, page: &Area, [(left, top), (right, bottom)]: [Pixel; 2], span: &Span) -> Result<()> {
+    fn draw_bars(&self, page: &Area, [(left, top), (right, bottom)]: Frame, span: &Span) -> Result<()> {
         let at = |v: f64| bottom - (span.fraction(v) * f64::from(bottom - top)).round() as i32;
         let slot = f64::from(right - left) / self.labels.len() as f64;
         let half = ((0.36 * slot) as i32).min(px(48.0));
@@ -359,5 +357,83 @@ impl Names {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bar(group: &str, name: &str, value: f64, spread: Option<[f64; 2]>) -> (String, Bar) {
+        (group.to_owned(), Bar { name: name.to_owned(), value, spread })
+    }
+
+    /// Texts in the order in which they were written.
+    fn texts(svg: &str) -> Vec<&str> {
+        svg.lines().filter(|l| !l.starts_with('<')).collect()
+    }
+
+    #[test]
+    fn grouped_bars_hold_names_values_and_error_bars() {
+        let bars = vec![
+            bar("", "default", 1.5, Some([1.25, 2.0])),
+            bar("weights", "smooth = 2", 1.25, Some([1.0, 1.5])),
+            bar("weights", "smooth = 3", f64::NAN, Some([1.0, 1.5])),
+            bar("nodes", "distance = 4", 3.0, Some([f64::NAN, 4.0])),
+        ];
+        let plot = GroupedBars::new("Errors", "distance [mm]", bars);
+        let svg = plot.svg().unwrap();
+        let texts = texts(&svg);
+        for text in
+            ["Errors", "distance [mm]", "default", "smooth = 2", "distance = 4", "weights", "nodes", "1.5", "1.25"]
+        {
+            assert!(texts.contains(&text), "{text}: {texts:?}");
+        }
+        assert_eq!(texts.iter().filter(|t| **t == NO_VALUE).count(), 1);
+        assert_eq!(svg.matches("stroke-width=\"3\" points").count(), 2);
+        assert_eq!(svg.matches("fill=\"#56B4E9\"").count(), 2);
+        assert!(!svg.contains("NaN"));
+        assert_eq!(svg, plot.svg().unwrap());
+        assert!(GroupedBars::new("Errors", "", vec![]).svg().is_err());
+        assert!(GroupedBars::new("Errors", "", vec![bar("", "a", f64::NAN, None)]).svg().is_err());
+    }
+
+    #[test]
+    fn sixty_bars_have_sixty_rows() {
+        let bars = |n: usize| (0..n).map(|k| bar("all", &format!("option {k}"), k as f64, None)).collect::<Vec<_>>();
+        let svg = GroupedBars::new("Many", "bytes", bars(60)).svg().unwrap();
+        let names: Vec<&str> = texts(&svg).into_iter().filter(|t| t.starts_with("option")).collect();
+        assert_eq!((names.len(), names[59]), (60, "option 59"));
+        let height = |svg: &str| svg.split('"').nth(1).unwrap().split(' ').nth(3).unwrap().parse::<i32>().unwrap();
+        let ten = height(&GroupedBars::new("Many", "bytes", bars(10)).svg().unwrap());
+        assert!(height(&svg) > ten + 50 * px(20.0), "{ten}");
+    }
+
+    fn stacked(values: [[f64; 2]; 2]) -> StackedBars {
+        StackedBars {
+            title: "Time".into(),
+            labels: vec!["head".into(), "hand".into()],
+            x: "scan".into(),
+            y: "seconds".into(),
+            parts: vec![("solve".into(), values[0].to_vec()), ("search".into(), values[1].to_vec())],
+        }
+    }
+
+    #[test]
+    fn stacked_bars_hold_parts_and_sums() {
+        let svg = stacked([[1.25, 2.0], [0.5, f64::NAN]]).svg().unwrap();
+        let said = texts(&svg);
+        for text in ["Time", "head", "hand", "scan", "seconds", "solve", "search", "1.25", "0.5", "1.75"] {
+            assert!(said.contains(&text), "{text}: {said:?}");
+        }
+        assert!(!svg.contains("NaN"));
+        // The second bar is not complete: 2 is its part and a tick, not its sum.
+        assert_eq!(said.iter().filter(|t| **t == "2").count(), 2);
+
+        assert!(stacked([[1.0, -2.0], [0.5, 1.0]]).svg().is_err());
+        assert!(stacked([[f64::NAN; 2]; 2]).svg().is_err());
+        assert!(StackedBars { labels: vec![], ..stacked([[1.0; 2]; 2]) }.svg().is_err());
+        let error = StackedBars { labels: vec!["head".into()], ..stacked([[1.0; 2]; 2]) }.svg().unwrap_err();
+        assert_eq!(format!("{error:#}"), "bars \"Time\": part \"solve\": 2 values for 1 labels");
     }
 }

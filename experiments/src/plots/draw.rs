@@ -59,12 +59,21 @@ pub(super) struct Sizes {
     pub label: f64,
     pub tick: f64,
     pub marker: f64,
+    /// Of the frame with the labels below it.
+    pub high: f64,
 }
 
 /// One plot a page.
-pub(super) const LARGE: Sizes = Sizes { title: 18.0, label: 15.0, tick: 14.0, marker: 5.0 };
+pub(super) const LARGE: Sizes = Sizes { title: 18.0, label: 15.0, tick: 14.0, marker: 5.0, high: 450.0 };
 /// Several in a row.
-pub(super) const SMALL: Sizes = Sizes { title: 15.0, label: 13.0, tick: 12.5, marker: 4.0 };
+pub(super) const fn side_by_side(columns: usize) -> Sizes {
+    let high = match columns {
+        1 => 370.0,
+        2 => 310.0,
+        _ => 250.0,
+    };
+    Sizes { title: 15.0, label: 13.0, tick: 12.5, marker: 4.0, high }
+}
 
 /// Words of `size` pixels.
 pub(super) fn words(size: f64, colour: RGBColor, h: HPos, v: VPos) -> TextStyle<'static> {
@@ -79,7 +88,7 @@ pub(super) fn bold(size: f64, h: HPos, v: VPos) -> TextStyle<'static> {
 
 /// Units of a text in most sans-serif fonts, rather too many.
 pub(super) fn width(text: &str, size: f64) -> i32 {
-    (text.chars().count() as f64 * 0.57 * UNIT * size).ceil() as i32
+    (text.chars().count() as f64 * 0.6 * UNIT * size).ceil() as i32
 }
 
 /// Lines of at most `room` units, broken between words; a longer word has its own.
@@ -87,7 +96,7 @@ pub(super) fn wrap(text: &str, size: f64, room: i32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
         match lines.last_mut() {
-            Some(line) if width(line, size) + width(word, size) + width(" ", size) <= room => {
+            Some(line) if width(&format!("{line} {word}"), size) <= room => {
                 line.push(' ');
                 line.push_str(word);
             }

@@ -26,7 +26,7 @@ const SIZE: f64 = 13.5;
 const KEY: i32 = px(44.0);
 const GAP: i32 = px(18.0);
 /// Greatest width beside a plot.
-const BESIDE: i32 = px(290.0);
+const BESIDE: i32 = px(300.0);
 
 impl Legend {
     fn widest(&self) -> i32 {
@@ -35,8 +35,8 @@ impl Legend {
 
     /// Its width in one column beside something so high, if that is small.
     pub fn beside(&self, height: i32) -> Option<i32> {
-        let wide = self.widest().min(BESIDE);
-        (!self.0.is_empty() && self.widest() <= BESIDE * 5 / 4 && self.height(wide) <= height).then_some(wide)
+        let wide = self.widest();
+        (!self.0.is_empty() && wide <= BESIDE && self.height(wide) <= height).then_some(wide)
     }
 
     /// Rows of columns of entries, each with its lines.

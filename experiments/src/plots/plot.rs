@@ -6,7 +6,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::axis::{Axis, Span, short};
 use super::draw::{
-    Area, FAINT, GREY, GRID, INK, LARGE, Pixel, Sizes, WIDTH, above, bold, colour, dashed, lines_height, marker, page,
+    self, Area, FAINT, GREY, GRID, INK, LARGE, Pixel, Sizes, WIDTH, bold, colour, dashed, lines_height, marker, page,
     px, width, words, wrap, write_lines,
 };
 use super::fit::{LinearFit, PowerLaw};
@@ -33,7 +33,7 @@ pub struct Series {
 }
 
 impl Series {
-    /// A line with a marker at each point, or at some where they are more than forty. Without a name it is not in the legend.
+    /// A line with a marker at each point, or at as many as have room. Without a name it is not in the legend.
     #[must_use]
     pub fn line(name: &str, points: Vec<Point>) -> Self {
         Self { name: name.to_owned(), points, law: false }
@@ -103,7 +103,8 @@ impl Plot {
         self
     }
 
-    /// Sets the greatest y shown. A point above it is a small upward triangle at the upper edge.
+    /// Sets the greatest y shown. A point above it is a small upward triangle at the upper edge, in a row for
+    /// each series.
     #[must_use]
     pub fn top(mut self, limit: f64) -> Self {
         self.top = Some(limit);
@@ -145,17 +146,16 @@ impl Plot {
     pub fn svg(&self) -> Result<String> {
         let panel = Panel::new(self, (0..self.series.len()).collect(), LARGE)?;
         let legend = panel.legend();
-        let plot = px(500.0);
-        let (wide, below) = match legend.beside(plot - px(80.0)) {
-            Some(beside) => (WIDTH - beside, 0),
-            None => (WIDTH, legend.height(WIDTH - px(60.0)) + px(8.0)),
-        };
-        page(plot + below, |page| {
-            let frame = panel.draw(page, [(0, 0), (wide, plot)])?;
-            if below == 0 {
-                legend.draw(page, (wide + px(4.0), frame[0].1), WIDTH - wide)
-            } else {
-                legend.draw(page, (px(40.0), plot + px(4.0)), WIDTH - px(60.0))
+        let beside = legend.beside(panel.high());
+        let wide = WIDTH - beside.unwrap_or(0);
+        let layout = panel.layout(wide);
+        let end = layout.header + panel.high();
+        let below = if beside.is_some() { 0 } else { legend.height(WIDTH - px(60.0)) + px(8.0) };
+        page(end + below, |page| {
+            panel.draw(page, &layout, (0, 0), layout.header)?;
+            match beside {
+                Some(beside) => legend.draw(page, (wide + px(4.0), layout.header), beside),
+                None => legend.draw(page, (px(40.0), end + px(4.0)), WIDTH - px(60.0)),
             }
         })
     }
@@ -168,6 +168,28 @@ pub(super) struct Panel<'a> {
     x: Span,
     y: Span,
     sizes: Sizes,
+}
+
+/// Height of a row of what is above the axis.
+const ABOVE: i32 = px(11.0);
+
+/// Where everything stands in a panel.
+pub(super) struct Layout<'a> {
+    title: Vec<String>,
+    /// Ticks of the vertical axis at most.
+    most: usize,
+    y_width: i32,
+    /// Of the frame.
+    left: i32,
+    across: i32,
+    /// Width of the frame.
+    wide: i32,
+    /// With the rows of their labels.
+    marks: Vec<(&'a Mark, usize)>,
+    /// Height of what is above the axis.
+    above: i32,
+    /// Height of all above the frame.
+    pub header: i32,
 }
 
 /// Upper left and lower right corner.
@@ -206,8 +228,8 @@ impl<'a> Panel<'a> {
     }
 
     pub fn above_legend(&self) -> Legend {
-        let above = (0..self.plot.series.len()).any(|k| self.has_above(k));
-        Legend(above.then(|| (Key::Above, "above the axis".to_owned())).into_iter().collect())
+        let entry = (!self.rows_above().is_empty()).then(|| (Key::Above, "above the axis".to_owned()));
+        Legend(entry.into_iter().collect())
     }
 
     pub fn legend(&self) -> Legend {
@@ -226,11 +248,13 @@ impl<'a> Panel<'a> {
         self.plot.x.shows(p.x) && self.plot.y.shows(p.y) && p.y > self.y.to()
     }
 
-    fn has_above(&self, series: usize) -> bool {
-        self.plot.series[series].points.iter().any(|p| self.is_above(p))
+    /// Series with points above the axis, each of which has its row of triangles.
+    fn rows_above(&self) -> Vec<usize> {
+        let series = &self.plot.series;
+        (0..series.len()).filter(|k| series[*k].points.iter().any(|p| self.is_above(p))).collect()
     }
 
-    /// Marks from left to right with their labels' widths, and the row of each label counted upwards. A label begins at its line;
+    /// Marks from left to right with the row of each one's label, counted upwards. A label begins at its line;
     /// one that would reach over another's line stands above that one's label, so that no line crosses a word.
     fn mark_rows(&self, wide: i32) -> Vec<(&'a Mark, usize)> {
         let mut marks: Vec<&Mark> = self.plot.marks.iter().collect();
@@ -249,33 +273,45 @@ impl<'a> Panel<'a> {
         px(4.0) + width(&mark.label, self.sizes.tick)
     }
 
-    /// Draws title, axes and data between two corners; returns the frame of the data.
-    pub fn draw(&self, page: &Area, [(left, top), (right, bottom)]: Frame) -> Result<Frame> {
+    /// Where everything stands in a panel so wide.
+    pub fn layout(&self, across: i32) -> Layout<'a> {
         let Sizes { title, label, tick, .. } = self.sizes;
-        let lines = wrap(&self.plot.title, title, right - left - px(24.0));
-        let title_end = top + px(8.0) + lines_height(lines.len(), title);
-        let style = bold(title, HPos::Center, VPos::Center);
-        write_lines(page, &lines, &style, title, ((left + right) / 2, top + px(6.0)))?;
-
-        let below = lines_height(1, tick) + lines_height(1, label) + px(12.0);
-        let y_ticks = self.y.ticks(((bottom - below - title_end) / px(3.0 * tick)).max(2) as usize);
-        let y_width = y_ticks.iter().map(|t| width(&t.1, tick)).max().unwrap_or(0);
-        let frame_left = left + px(24.0) + lines_height(1, label) + y_width;
+        let most = ((self.high() - self.below()) / px(3.0 * tick)).max(2) as usize;
+        let y_width = self.y.ticks(most).iter().map(|t| width(&t.1, tick)).max().unwrap_or(0);
+        let left = px(24.0) + lines_height(1, label) + y_width;
         // Less where a mark's label would reach beyond the edge.
-        let marks = || self.plot.marks.iter();
-        let needed = |m: &Mark| f64::from(right - frame_left - self.mark_width(m)) / self.x.fraction(m.x).max(0.3);
-        let wide = marks().map(|m| needed(m) as i32).fold(right - px(20.0) - frame_left, i32::min).max(px(60.0));
-        let rows = self.mark_rows(wide);
-        let row = lines_height(1, tick);
-        let above_height = if self.above_legend().0.is_empty() { 0 } else { px(12.0) };
-        let mark_height = row * rows.iter().map(|r| r.1 as i32 + 1).max().unwrap_or(0);
-        let frame =
-            [(frame_left, title_end + px(6.0) + above_height + mark_height), (frame_left + wide, bottom - below)];
+        let needed = |m: &Mark| f64::from(across - left - self.mark_width(m)) / self.x.fraction(m.x).max(0.3);
+        let needed = self.plot.marks.iter().map(|m| needed(m) as i32);
+        let wide = needed.fold(across - px(20.0) - left, i32::min).max(px(60.0));
+        let marks = self.mark_rows(wide);
+        let title_lines = wrap(&self.plot.title, title, across - px(24.0));
+        let mark_rows = marks.iter().map(|r| r.1 as i32 + 1).max().unwrap_or(0);
+        let above = ABOVE * self.rows_above().len() as i32;
+        let header = px(14.0) + lines_height(title_lines.len(), title) + above + lines_height(1, tick) * mark_rows;
+        Layout { title: title_lines, most, y_width, left, across, wide, marks, above, header }
+    }
 
-        self.draw_axes(page, frame, y_ticks.len(), y_width)?;
-        for (mark, height) in rows {
+    /// Height of the frame with the labels below it.
+    pub fn high(&self) -> i32 {
+        px(self.sizes.high)
+    }
+
+    fn below(&self) -> i32 {
+        lines_height(1, self.sizes.tick) + lines_height(1, self.sizes.label) + px(12.0)
+    }
+
+    /// Draws title, axes and data below and right of a corner, with at least the layout's header above the frame.
+    pub fn draw(&self, page: &Area, layout: &Layout, (left, top): Pixel, header: i32) -> Result<()> {
+        let Sizes { title, tick, .. } = self.sizes;
+        let style = bold(title, HPos::Center, VPos::Center);
+        write_lines(page, &layout.title, &style, title, (left + layout.across / 2, top + px(6.0)))?;
+        let corner = (left + layout.left, top + header);
+        let frame = [corner, (corner.0 + layout.wide, corner.1 + self.high() - self.below())];
+        self.draw_axes(page, frame, layout)?;
+        let row = lines_height(1, tick);
+        for (mark, height) in &layout.marks {
             let x = self.at(frame, mark.x, self.y.from()).0;
-            let y = frame[0].1 - above_height - row * height as i32;
+            let y = frame[0].1 - layout.above - row * *height as i32;
             dashed(page, &[(x, frame[1].1), (x, y - row)], px(2.0), px(3.0), GREY.stroke_width(px(1.0) as u32))?;
             let style = words(tick, GREY, HPos::Left, VPos::Center);
             page.draw_text(&mark.label, &style, (x + px(4.0), y - row / 2))?;
@@ -286,15 +322,28 @@ impl<'a> Panel<'a> {
         for (series, look) in self.plot.series.iter().zip(&self.looks) {
             self.draw_series(page, frame, series, *look)?;
         }
-        Ok(frame)
+        for (row, k) in self.rows_above().into_iter().enumerate() {
+            let above: Vec<&Point> = self.plot.series[k].points.iter().filter(|p| self.is_above(p)).collect();
+            let y = frame[0].1 - px(2.0) - ABOVE * row as i32;
+            let mut last = i32::MIN / 2;
+            for x in above.iter().map(|p| self.at(frame, p.x, self.y.to()).0) {
+                if (x - last).abs() >= px(9.0) {
+                    draw::above(page, (x, y), colour(self.looks[k]))?;
+                    last = x;
+                }
+            }
+        }
+        Ok(())
     }
 
-    fn draw_axes(&self, page: &Area, frame: Frame, y_ticks: usize, y_width: i32) -> Result<()> {
+    fn draw_axes(&self, page: &Area, frame: Frame, layout: &Layout) -> Result<()> {
         let Sizes { label, tick, .. } = self.sizes;
         let (wide, high) = (frame[1].0 - frame[0].0, frame[1].1 - frame[0].1);
         let x_ticks = x_tick_count(&self.x, wide, tick);
-        let (left, below) =
-            (px(16.0) + lines_height(1, label) + y_width, lines_height(1, tick) + lines_height(1, label) + px(8.0));
+        let (left, below) = (
+            px(16.0) + lines_height(1, label) + layout.y_width,
+            lines_height(1, tick) + lines_height(1, label) + px(8.0),
+        );
         let around = page.clone().shrink((frame[0].0 - left, frame[0].1), (wide + left, high + below));
         let mut chart = ChartBuilder::on(&around)
             .x_label_area_size(below)
@@ -313,9 +362,9 @@ impl<'a> Panel<'a> {
             .axis_desc_style(words(size, INK, HPos::Center, VPos::Center))
             .label_style(words(tick, INK, HPos::Center, VPos::Center))
             .x_labels(x_ticks)
-            .y_labels(y_ticks)
+            .y_labels(layout.most)
             .x_label_formatter(&labels(&self.x, x_ticks))
-            .y_label_formatter(&labels(&self.y, y_ticks))
+            .y_label_formatter(&labels(&self.y, layout.most))
             .set_all_tick_mark_size(px(4.0))
             .axis_style(GREY.stroke_width(px(1.0) as u32))
             .bold_line_style(GRID.stroke_width(px(1.0) as u32))
@@ -353,16 +402,16 @@ impl<'a> Panel<'a> {
         for run in runs(&places, frame) {
             page.draw(&PathElement::new(run, colour.stroke_width(px(2.0) as u32)))?;
         }
-        let every = places.len().div_ceil(40).max(1);
+        // No more markers than have room side by side.
+        let every =
+            (places.len() * px(3.0 * self.sizes.marker) as usize).div_ceil((frame[1].0 - frame[0].0) as usize).max(1);
         for (k, (point, place)) in series.points.iter().zip(&places).enumerate() {
             let Some((x, _)) = *place else { continue };
             if let Some(ends) = point.spread {
                 self.draw_spread(page, frame, x, ends, colour)?;
             }
             let alone = |k: Option<usize>| k.and_then(|k| places.get(k)).is_none_or(Option::is_none);
-            if self.is_above(point) {
-                above(page, (x, frame[0].1 - px(2.0)), colour)?;
-            } else if k % every == 0 || alone(k.checked_sub(1)) && alone(Some(k + 1)) {
+            if !self.is_above(point) && (k % every == 0 || alone(k.checked_sub(1)) && alone(Some(k + 1))) {
                 marker(page, place.unwrap_or_default(), look, px(self.sizes.marker))?;
             }
         }
@@ -434,4 +483,113 @@ fn runs(points: &[Option<Pixel>], frame: Frame) -> Vec<Vec<Pixel>> {
         goes_on = segment.is_some();
     }
     runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(ys: &[f64], spread: f64) -> Vec<Point> {
+        let point = |(k, y): (usize, &f64)| Point { x: 1.0 + k as f64, y: *y, spread: Some([y - spread, y + spread]) };
+        ys.iter().enumerate().map(point).collect()
+    }
+
+    fn plot(series: Vec<Series>) -> Plot {
+        Plot::new("A title", Axis::linear("iteration"), Axis::linear("energy [J]")).series(series)
+    }
+
+    fn count(svg: &str, what: &str) -> usize {
+        svg.matches(what).count()
+    }
+
+    /// Polylines of the first series with the width of error bars.
+    fn error_bars(svg: &str) -> usize {
+        count(svg, "stroke=\"#0072B2\" stroke-width=\"3\" points")
+    }
+
+    #[test]
+    fn a_plot_holds_its_words_error_bars_and_fits() {
+        let line = Series::line("square <law>", points(&[1.0, 4.0, 9.0, 16.0], 0.5)).with_power_law();
+        let fit = LinearFit::fit(&[[1.0, 1.0], [2.0, 3.0], [4.0, 7.0]]).unwrap();
+        let marks = vec![Mark { x: 2.5, label: "level 2".into() }];
+        let plot = plot(vec![line]).line("fit", fit).marks(marks);
+        let svg = plot.svg().unwrap();
+        for word in [
+            "A title",
+            "iteration",
+            "energy [J]",
+            "square &lt;law&gt;: exponent 2.00 on 1 to 4",
+            "level 2",
+            "fit: y = 2 x − 1, R² = 1.0000",
+        ] {
+            assert!(svg.contains(word), "{word}");
+        }
+        assert_eq!(error_bars(&svg), 4);
+        assert!(svg.starts_with("<svg viewBox=\"0 0 2200 ") && svg.ends_with("</svg>\n"), "{svg}");
+        assert_eq!(svg, plot.svg().unwrap());
+    }
+
+    #[test]
+    fn what_cannot_be_shown_leaves_a_gap() {
+        let ys = [3.0, f64::NAN, 2.0, f64::INFINITY, 1.0, 1.5];
+        let mut gaps = points(&ys, 0.1);
+        gaps[0].spread = Some([f64::NAN, 4.0]);
+        let svg = plot(vec![Series::line("", gaps)]).svg().unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        // Four markers and three error bars; the line is left between the last two.
+        assert_eq!((count(&svg, "<circle"), error_bars(&svg)), (4, 3));
+        let lines = svg.lines().filter(|l| l.contains("#0072B2\" stroke-width=\"4\""));
+        assert_eq!(lines.map(|l| count(l, ",")).collect::<Vec<_>>(), [2]);
+
+        for nothing in [vec![], vec![Series::line("", vec![])], vec![Series::line("", points(&[f64::NAN], 0.0))]] {
+            let error = format!("{:#}", plot(nothing).svg().unwrap_err());
+            assert_eq!(error, "plot \"A title\": no point to show");
+        }
+        let beyond = vec![Mark { x: f64::NAN, label: "never".into() }];
+        assert!(plot(vec![Series::line("", points(&[1.0], 0.0))]).marks(beyond).svg().is_err());
+    }
+
+    #[test]
+    fn values_above_the_top_are_triangles_at_the_edge() {
+        let ys = [90.0, 8.0, 1e300, 5.0];
+        let points = points(&ys, 0.0).into_iter().map(|p| Point { spread: None, ..p }).collect();
+        let all = plot(vec![Series::line("a", points)]);
+        let svg = all.clone().top(10.0).svg().unwrap();
+        assert!(svg.contains("above the axis"));
+        // Two, and the legend's.
+        assert_eq!(count(&svg, "<polygon"), 3);
+        // Two in the plot, one in the legend.
+        assert_eq!(count(&svg, "<circle"), 3);
+        assert!(!all.svg().unwrap().contains("above the axis"));
+        let error = format!("{:#}", all.top(f64::NAN).svg().unwrap_err());
+        assert!(error.contains("axis \"energy [J]\" cannot end at NaN"), "{error}");
+    }
+
+    #[test]
+    fn lines_are_cut_at_the_edges() {
+        let frame = [(0, 0), (100, 100)];
+        let cut =
+            runs(&[Some((0, 50)), Some((10, -50)), Some((20, 50)), None, Some((30, 150)), Some((40, 250))], frame);
+        assert_eq!(cut, [vec![(0, 50), (5, 0)], vec![(15, 0), (20, 50)]]);
+        let whole = runs(&[Some((0, 0)), Some((10, 50)), Some((20, 100)), None, Some((30, 1))], frame);
+        assert_eq!(whole, [[(0, 0), (10, 50), (20, 100)]]);
+    }
+
+    #[test]
+    fn no_label_of_a_mark_is_crossed() {
+        let mark = |x: f64| Mark { x, label: format!("level {x}") };
+        let plot = plot(vec![Series::line("", points(&[1.0; 9], 0.0))]).marks([1.0, 1.1, 1.2, 8.0].map(mark).to_vec());
+        let panel = Panel::new(&plot, vec![0], LARGE).unwrap();
+        let rows: Vec<usize> = panel.layout(WIDTH).marks.iter().map(|m| m.1).collect();
+        assert_eq!(rows, [2, 1, 0, 0]);
+    }
+
+    #[test]
+    fn markers_differ() {
+        let draw = |look| page(100, |page| marker(page, (50, 50), look, 10)).unwrap();
+        let shapes: Vec<String> = (0..10).map(draw).collect();
+        for (k, shape) in shapes.iter().enumerate() {
+            assert!(!shapes[..k].contains(shape), "{k}");
+        }
+    }
 }
