@@ -139,7 +139,7 @@ impl Span {
         let decade = 10f64.powf(((self.to - self.from) / most as f64).log10().floor());
         let multiples = |step: f64| {
             let (first, last) = ((self.from / step - 1e-9).ceil(), (self.to / step + 1e-9).floor());
-            (0..=(last - first) as usize).map(|k| (first + k as f64) * step).collect::<Vec<_>>()
+            (0..(last - first + 1.0) as usize).map(|k| (first + k as f64) * step).collect::<Vec<_>>()
         };
         let steps = [1.0, 2.0, 5.0, 10.0, 20.0].map(|m| m * decade);
         steps.map(multiples).into_iter().find(|ticks| ticks.len() <= most).unwrap_or_default()

@@ -68,7 +68,7 @@ enum Row<'a> {
 impl Row<'_> {
     fn height(&self) -> i32 {
         match self {
-            Self::Group(name) if name.is_empty() => px(10.0),
+            Self::Group("") => px(10.0),
             Self::Group(_) => px(30.0),
             Self::Bar(_, lines) => px(8.0) + lines_height(lines.len().max(1), LARGE.tick),
         }
@@ -260,7 +260,13 @@ impl StackedBars {
             names.draw(page, (left, top + high + px(8.0)))?;
             if !self.x.is_empty() {
                 let style = words(LARGE.label, INK, HPos::Center, VPos::Center);
-                write_lines(page, &[self.x.clone()], &style, LARGE.label, ((left + right) / 2, names_end + px(4.0)))?;
+                write_lines(
+                    page,
+                    std::slice::from_ref(&self.x),
+                    &style,
+                    LARGE.label,
+                    ((left + right) / 2, names_end + px(4.0)),
+                )?;
             }
             match beside {
                 Some(wide) => legend.draw(page, (right + px(12.0), top), wide),

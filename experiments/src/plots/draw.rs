@@ -78,7 +78,7 @@ pub(super) const fn side_by_side(columns: usize) -> Sizes {
 /// Words of `size` pixels.
 pub(super) fn words(size: f64, colour: RGBColor, h: HPos, v: VPos) -> TextStyle<'static> {
     // plotters writes a size as an SVG `font-size` 1.24 times smaller.
-    TextStyle::from(("sans-serif", 1.24 * UNIT * size).into_font().color(&colour)).pos(Pos::new(h, v))
+    ("sans-serif", 1.24 * UNIT * size).into_font().color(&colour).pos(Pos::new(h, v))
 }
 
 pub(super) fn bold(size: f64, h: HPos, v: VPos) -> TextStyle<'static> {
@@ -174,5 +174,5 @@ pub(super) fn above(page: &Area, (x, y): Pixel, colour: RGBColor) -> Result<()> 
 }
 
 pub(super) fn dashed(page: &Area, points: &[Pixel], dash: i32, gap: i32, style: ShapeStyle) -> Result<()> {
-    Ok(page.draw(&plotters::element::DashedPathElement::new(points.to_vec().into_iter(), dash, gap, style))?)
+    Ok(page.draw(&plotters::element::DashedPathElement::new(points.iter().copied(), dash, gap, style))?)
 }

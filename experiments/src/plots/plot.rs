@@ -304,7 +304,13 @@ impl<'a> Panel<'a> {
     pub fn draw(&self, page: &Area, layout: &Layout, (left, top): Pixel, header: i32) -> Result<()> {
         let Sizes { title, tick, .. } = self.sizes;
         let style = bold(title, HPos::Center, VPos::Center);
-        write_lines(page, &layout.title, &style, title, (left + layout.across / 2, top + px(6.0)))?;
+        write_lines(
+            page,
+            &layout.title,
+            &style,
+            title,
+            (left + layout.across / 2, top + header - layout.header + px(6.0)),
+        )?;
         let corner = (left + layout.left, top + header);
         let frame = [corner, (corner.0 + layout.wide, corner.1 + self.high() - self.below())];
         self.draw_axes(page, frame, layout)?;
