@@ -1,0 +1,38 @@
+//! Plots as SVG text that can stand inline in an HTML page, drawn by plotters, and the laws fitted to what they show.
+//!
+//! [`Plot`] has points and laws over two axes; [`Grid`] several plots side by side; [`StackedBars`] and [`GroupedBars`] compare named
+//! things. Each has `svg()`, and [`write_svg`] writes the text to a file. [`PowerLaw`] and [`LinearFit`] are fitted to points (x, y).
+//!
+//! Every picture scales with the page by its `viewBox`, made to be read 1100 pixels wide, and has no identifiers, so that any number
+//! of them stand in one page. The same input gives the same text.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use anyhow::Result;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::io::write_atomically;
+
+mod axis;
+mod bars;
+mod draw;
+mod fit;
+mod grid;
+mod legend;
+mod log_log;
+mod plot;
+
+pub use axis::Axis;
+pub use bars::{Bar, GroupedBars, StackedBars};
+pub use fit::{Curvature, LinearFit, PowerLaw};
+pub use grid::Grid;
+pub use log_log::{Line, LogLog, write_log_log};
+pub use plot::{Mark, Plot, Point, Series};
+
+/// Writes a picture.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_svg(path: &Path, svg: &str) -> Result<()> {
+    Ok(write_atomically(path, |file| file.write_all(svg.as_bytes())).map_err(Failure::writing)?)
+}
