@@ -13,8 +13,11 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
-use nonrigid::model::{Autodiff, AutodiffError, NodeGraph, PositionFunction, Stiffness, Sumner};
-use nonrigid::model::{affine_hybrid, graph, hybrid, sumner};
+use nonrigid::model::{
+    AngleAxisMotion, Autodiff, AutodiffError, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion,
+    RigidMotion, Stiffness, Sumner,
+};
+use nonrigid::model::{affine_hybrid, graph, graph_of, hybrid, hybrid_of, sumner};
 use nonrigid::nlls::{Euclidean, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Scalar};
 use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
@@ -106,12 +109,36 @@ fn a_block_that_does_not_exist_is_named() {
     assert_eq!(error.to_string(), "wrong: vertex 5 names block 5, but there are 5 blocks");
 }
 
+/// The numbers of a rotation.
+type Parametrisation = fn(&Rotation3<f64>) -> Vec<f64>;
+
+fn matrix(rotation: &Rotation3<f64>) -> Vec<f64> {
+    rotation.matrix().transpose().as_slice().to_vec()
+}
+
+fn quaternion(rotation: &Rotation3<f64>) -> Vec<f64> {
+    let q = nalgebra::UnitQuaternion::from_rotation_matrix(rotation);
+    vec![q.w, q.i, q.j, q.k]
+}
+
+fn rotation_vector(rotation: &Rotation3<f64>) -> Vec<f64> {
+    nalgebra::UnitQuaternion::from_rotation_matrix(rotation).scaled_axis().as_slice().to_vec()
+}
+
 /// Parameters of nodes at `centres` that all move as `p -> rotation p + shift`.
-fn moved_nodes(rest: &[f64], centres: &[Vec3], rotation: &Rotation3<f64>, shift: Vec3) -> Vec<f64> {
+fn moved_nodes(
+    rest: &[f64],
+    centres: &[Vec3],
+    by: Parametrisation,
+    rotation: &Rotation3<f64>,
+    shift: Vec3,
+) -> Vec<f64> {
     let mut x = rest.to_vec();
-    for (node, centre) in x.chunks_exact_mut(12).zip(centres) {
-        node[..9].copy_from_slice(rotation.matrix().transpose().as_slice());
-        node[9..].copy_from_slice((rotation * centre + shift - centre).as_slice());
+    let turned = by(rotation);
+    for (node, centre) in x.chunks_exact_mut(turned.len() + 3).zip(centres) {
+        let (r, t) = node.split_at_mut(turned.len());
+        r.copy_from_slice(&turned);
+        t.copy_from_slice((rotation * centre + shift - centre).as_slice());
     }
     x
 }
@@ -125,15 +152,19 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     let shift = Vec3::new(30.0, -80.0, 12.0);
     let half_turn = Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(Vec3::new(0.3, -1.0, 0.6)), PI);
     let parts = ["graph smoothness (7)", "node rotation (Sumner)", "blendshape prior (5)"];
-    let models: [(Box<dyn DeformationModel>, &[&str]); 3] = [
-        (Box::new(hybrid(rest.clone(), nodes.clone(), basis.clone(), stiffness)), &[parts[0], parts[2]]),
-        (Box::new(affine_hybrid(rest.clone(), nodes.clone(), basis, stiffness)), &parts),
-        (Box::new(sumner(rest.clone(), nodes, 5.0, 5.0)), &parts[..2]),
+    let by_quaternion = hybrid_of::<QuaternionMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), stiffness);
+    let by_vector = hybrid_of::<AngleAxisMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), stiffness);
+    let models: [(Box<dyn DeformationModel>, Parametrisation, &[&str]); 5] = [
+        (Box::new(hybrid(rest.clone(), nodes.clone(), basis.clone(), stiffness)), matrix, &[parts[0], parts[2]]),
+        (Box::new(by_quaternion), quaternion, &[parts[0], parts[2]]),
+        (Box::new(by_vector), rotation_vector, &[parts[0], parts[2]]),
+        (Box::new(affine_hybrid(rest.clone(), nodes.clone(), basis, stiffness)), matrix, &parts),
+        (Box::new(sumner(rest.clone(), nodes, 5.0, 5.0)), matrix, &parts[..2]),
     ];
-    for (model, parts) in models {
+    for (model, by, parts) in models {
         let mut problem: Deformation<_, Box<dyn DataTerm>> = Deformation::new(model, zoo.samples());
         for rotation in [Rotation3::from_euler_angles(0.4, -2.0, 1.1), half_turn] {
-            let x = moved_nodes(&problem.model.rest_parameters(), &centres, &rotation, shift);
+            let x = moved_nodes(&problem.model.rest_parameters(), &centres, by, &rotation, shift);
             let energies = problem.energies(&x);
             assert_eq!(energies.iter().map(|e| e.0.as_str()).collect::<Vec<_>>(), parts);
             // Squares of rounding errors, E_rot's times 5 * 5 * reach^2.
@@ -147,6 +178,64 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
             }
         }
     }
+}
+
+/// What Gauss-Newton does from nodes all turned by `start`: energy and vertices after each step.
+fn steps_with<T: NodeTransform<6>>(
+    zoo: &Zoo,
+    shapes: bool,
+    by: Parametrisation,
+    start: &Rotation3<f64>,
+) -> Vec<(f64, Vec<Vec3>)> {
+    let (rest, nodes) = (zoo.mesh.positions.clone(), zoo.nodes.clone());
+    let model = if shapes {
+        hybrid_of::<T, 6>(rest, nodes, zoo.basis.clone(), zoo.stiffness)
+    } else {
+        graph_of::<T, 6>(rest, nodes, 0.7)
+    };
+    let mut problem = Deformation::new(model, zoo.samples());
+    let further = Rotation3::from_euler_angles(0.3, -0.2, 0.4);
+    let places: Vec<Vec3> = zoo.resting().iter().map(|p| further * start * p).collect();
+    problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(7), &places, Kernel::Huber { delta: 1.0 });
+    let centres = problem.model.graph().nodes().to_vec();
+    let mut x = moved_nodes(&problem.model.rest_parameters(), &centres, by, start, Vec3::zeros());
+    let minimizer = Minimizer::new(Options::gauss_newton().with_max_iterations(1).with_damping_floor(1e-9)).unwrap();
+    let step = |_| {
+        let energy = minimizer.minimize(&mut problem, &mut x).final_energy;
+        (energy, problem.vertices(&x).to_vec())
+    };
+    (0..40).map(step).collect()
+}
+
+#[test]
+fn quaternions_take_the_steps_of_matrices_and_rotation_vectors_arrive_where_they_do() {
+    let zoo = Zoo::small();
+    let apart = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    for shapes in [false, true] {
+        for start in [Rotation3::identity(), Rotation3::from_euler_angles(0.4, -1.5, 1.1)] {
+            let by_matrix = steps_with::<RigidMotion>(&zoo, shapes, matrix, &start);
+            let by_quaternion = steps_with::<QuaternionMotion>(&zoo, shapes, quaternion, &start);
+            let by_vector = steps_with::<AngleAxisMotion>(&zoo, shapes, rotation_vector, &start);
+            let worst = by_matrix.iter().zip(&by_quaternion).map(|(a, b)| apart(&a.1, &b.1)).fold(0.0, f64::max);
+            let [first, last] = [0, 39].map(|k| [by_matrix[k].0, by_vector[k].0]);
+            let (energy, distance) = ((last[0] - last[1]).abs() / last[0], apart(&by_matrix[39].1, &by_vector[39].1));
+            println!(
+                "shapes {shapes}: quaternions {worst:e}; vectors {first:?} to {last:?}, {energy:e}, {distance:e} mm"
+            );
+            assert!(worst < 1e-9, "{worst:e}");
+            for ((a, _), (b, _)) in by_matrix.iter().zip(&by_quaternion) {
+                assert!((a - b).abs() < 1e-11 * a, "{a} {b}");
+            }
+            assert!(energy < 1e-10 && distance < 1e-5, "{energy:e} {distance:e}");
+        }
+    }
+    // From elsewhere than the identity, where all derivatives are alike, the steps are others.
+    let turn = Rotation3::from_euler_angles(0.4, -1.5, 1.1);
+    let [a, b] = [
+        steps_with::<RigidMotion>(&zoo, false, matrix, &turn),
+        steps_with::<AngleAxisMotion>(&zoo, false, rotation_vector, &turn),
+    ];
+    assert!(apart(&a[0].1, &b[0].1) > 1e-6);
 }
 
 #[test]
@@ -181,7 +270,7 @@ fn pulled(
     let residuals = PointToPoint { targets, weights: vec![1.0; count], scale: 1.0 };
     problem.terms.push(Pointwise::new("point", residuals, Kernel::None));
     let centres = problem.model.graph().nodes().to_vec();
-    let mut x = moved_nodes(&problem.model.rest_parameters(), &centres, start, Vec3::zeros());
+    let mut x = moved_nodes(&problem.model.rest_parameters(), &centres, matrix, start, Vec3::zeros());
     let options = Options::levenberg_marquardt().with_max_iterations(200).with_damping_floor(1e-9);
     let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
     assert!(summary.final_energy.is_finite() && summary.final_energy <= summary.initial_energy, "{summary}");

@@ -12,8 +12,8 @@ use nonrigid::energy::Deformation;
 use nonrigid::mesh::Vec3;
 use nonrigid::model::Linearisation;
 use nonrigid::nlls::{
-    Euclidean, GradientCheck, Kernel, Manifold, NormalEquations, Problem, Se3, Sim3, So3, UnitQuaternion,
-    check_gradient, check_manifold,
+    Euclidean, GradientCheck, Kernel, Manifold, NormalEquations, Problem, QuaternionSe3, Se3, Sim3, So3,
+    UnitQuaternion, check_gradient, check_manifold,
 };
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -140,6 +140,21 @@ fn gradients_pass_the_derivative_checker_for_every_model_term_and_kernel() {
     }
 }
 
+/// Where they all start, and where a rotation vector is zero.
+#[test]
+fn gradients_pass_the_derivative_checker_at_rest() {
+    let zoo = Zoo::small();
+    let mut rng = ChaCha8Rng::seed_from_u64(26);
+    for Specimen { name, model, .. } in zoo.assembled() {
+        let mut problem = Deformation::new(model, zoo.samples());
+        let x = problem.model.rest_parameters();
+        each_choice_of_terms(&mut problem, &zoo.resting(), &mut rng, |problem, terms| {
+            let report = check_gradient(problem, &x, GradientCheck { step: 3e-5, ..GradientCheck::default() });
+            assert!(report.passed(), "{name}, {terms}:\n{report}");
+        });
+    }
+}
+
 /// Points all over a manifold, reached by steps of up to `size` from one point of it.
 fn check_everywhere<M: Manifold>(origin: &[f64], size: f64) {
     let mut rng = ChaCha8Rng::seed_from_u64(24);
@@ -160,6 +175,7 @@ fn every_manifold_passes_the_checker_everywhere() {
         check_everywhere::<So3>(&Se3::IDENTITY[..9], size);
         check_everywhere::<UnitQuaternion>(&[1.0, 0.0, 0.0, 0.0], size);
         check_everywhere::<Se3>(&Se3::IDENTITY, size);
+        check_everywhere::<QuaternionSe3>(&QuaternionSe3::IDENTITY, size);
         check_everywhere::<Sim3>(&Sim3::IDENTITY, size.min(1.0));
         check_everywhere::<Euclidean<1>>(&[0.0], size);
         check_everywhere::<Euclidean<12>>(&Se3::IDENTITY, size);

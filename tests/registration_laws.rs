@@ -19,8 +19,9 @@ use nonrigid::model::{
 };
 use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
 use nonrigid::registration::{
-    GraphOptions, Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Schedule, ScheduleError, Stage, StepAlgorithm, StepRecord, StopOptions, register,
+    GraphOptions, Level, ModelKind, NodeKind, RegistrationError, RegistrationInput, RegistrationObserver,
+    RegistrationResult, RegistrationStop, RotationKind, Schedule, ScheduleError, Stage, StepAlgorithm, StepRecord,
+    StopOptions, register,
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
@@ -605,6 +606,38 @@ fn the_reference_linearisation_gives_the_same_registration_and_is_refused_where_
             let error = ScheduleError::Linearisation { model: without.to_string() };
             assert_eq!(result.unwrap_err(), RegistrationError::Schedule(error));
         }
+    }
+}
+
+#[test]
+fn a_schedule_chooses_the_rotations_parameters_where_there_are_rotations() {
+    let task = small_task();
+    let none = &mut |_: &StepRecord| ControlFlow::Continue(());
+    for model in [ModelKind::Hybrid, ModelKind::Graph] {
+        let mut schedule = Schedule::default_for(&model.to_string()).unwrap();
+        let expected = task.fit_by(model, &schedule).positions;
+        for (rotation, tolerance) in [(RotationKind::Quaternion, 1e-9), (RotationKind::AngleAxis, 0.05)] {
+            schedule.graph.rotation = rotation;
+            let positions = task.fit_by(model, &schedule).positions;
+            let distance = farthest(&positions, &expected);
+            println!("{model}, {rotation:?}: {distance:e}");
+            assert!(distance < tolerance, "{model}, {rotation:?}: {distance:e}");
+            assert!(bits(&positions) != bits(&expected), "{model}: {rotation:?} is not heard");
+        }
+        schedule.graph.node = NodeKind::Affine;
+        let refused = |field: &str, nodes| ScheduleError::Rotation { field: field.into(), nodes };
+        assert_eq!(schedule.validate(), Err(refused("graph.rotation", "these")));
+        let mut stage = Schedule { then: Some(Box::new(graph_stage(schedule.levels.clone()))), ..schedule.clone() };
+        stage.graph.node = NodeKind::Rigid;
+        assert_eq!(stage.validate(), Ok(()));
+        let then = stage.then.as_mut().unwrap();
+        (then.model, then.graph.rotation) = (ModelKind::Sumner, RotationKind::Quaternion);
+        assert_eq!(stage.validate(), Err(refused("then.graph.rotation", "Sumner's")));
+        stage.then.as_mut().unwrap().graph.node = NodeKind::Affine;
+        assert_eq!(stage.validate(), Err(refused("then.graph.rotation", "these")));
+        schedule.graph.node = NodeKind::Rigid;
+        let error = register(&task.input(), &ModelKind::Sumner, &schedule, none).unwrap_err();
+        assert_eq!(error, RegistrationError::Schedule(refused("graph.rotation", "Sumner's")));
     }
 }
 

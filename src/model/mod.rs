@@ -26,13 +26,15 @@ pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
 pub use blendshape::{Blendshape, blendshape};
 pub use edge_weights::EdgeWeights;
 pub use free::{Free, FreeOptions, Smoothness};
-pub use graph::{Graph, graph};
-pub use hybrid::{AffineHybrid, Hybrid, affine_hybrid, hybrid};
+pub use graph::{Graph, graph, graph_of};
+pub use hybrid::{AffineHybrid, Hybrid, affine_hybrid, hybrid, hybrid_of};
 pub use node_graph::NodeGraph;
 pub use rigid::{Rigid, rigid};
 pub use similarity::{Similarity, similarity};
 pub use sumner::{Sumner, sumner};
-pub use transform::{AffineMap, AffineMotion, NodeTransform, RigidMotion, SimilarityMotion};
+pub use transform::{
+    AffineMap, AffineMotion, AngleAxisMotion, NodeTransform, QuaternionMotion, RigidMotion, SimilarityMotion,
+};
 
 use crate::mesh::Vec3;
 

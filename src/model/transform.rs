@@ -1,6 +1,6 @@
 //! The motions a node can make, each stated once for any dual number.
 
-use crate::nlls::{Euclidean, Manifold, Scalar, Se3, Sim3};
+use crate::nlls::{Euclidean, Manifold, QuaternionSe3, Scalar, Se3, Sim3, UnitQuaternion, so3};
 
 /// An affine map `q -> A q + t` with entries of any number type.
 #[derive(Debug, Clone, Copy)]
@@ -56,6 +56,37 @@ impl NodeTransform<6> for RigidMotion {
             linear: [[p[0], p[1], p[2]], [p[3], p[4], p[5]], [p[6], p[7], p[8]]],
             translation: [p[9], p[10], p[11]],
         }
+    }
+}
+
+/// [`RigidMotion`] with the rotation as a unit quaternion: the same tangent and so, but for rounding, the same steps.
+#[derive(Debug, Clone, Copy)]
+pub struct QuaternionMotion;
+
+impl NodeTransform<6> for QuaternionMotion {
+    type Parameters = QuaternionSe3;
+    const IDENTITY: &'static [f64] = &QuaternionSe3::IDENTITY;
+
+    #[inline(always)]
+    fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
+        AffineMap { linear: UnitQuaternion::matrix(&[p[0], p[1], p[2], p[3]]), translation: [p[4], p[5], p[6]] }
+    }
+}
+
+/// [`RigidMotion`] with the rotation as a rotation vector, `R = exp(r^)`: six plain numbers `(r, t)`, and steps add to them.
+///
+/// The minima are those of the other two, the steps are not. Where `|r|` comes near `2 pi`, turns across `r` no longer change R:
+/// two directions are lost, and whoever has to turn so far from the rest pose should choose another parametrisation.
+#[derive(Debug, Clone, Copy)]
+pub struct AngleAxisMotion;
+
+impl NodeTransform<6> for AngleAxisMotion {
+    type Parameters = Euclidean<6>;
+    const IDENTITY: &'static [f64] = &[0.0; 6];
+
+    #[inline(always)]
+    fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
+        AffineMap { linear: so3::exp([p[0], p[1], p[2]]), translation: [p[3], p[4], p[5]] }
     }
 }
 

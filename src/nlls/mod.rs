@@ -49,7 +49,9 @@ pub use covariance::border_covariance;
 pub use error::OptionError;
 pub use kernel::{Kernel, RobustKernel, Scaled, check_kernel, mad_scale};
 pub use linear::{LinearError, LinearSolver, LinearSolverKind, UnknownLinearSolver};
-pub use manifold::{Euclidean, Manifold, PointArray, Se3, Sim3, So3, UnitQuaternion, check_manifold, so3};
+pub use manifold::{
+    Euclidean, Manifold, PointArray, QuaternionSe3, Se3, Sim3, So3, UnitQuaternion, check_manifold, so3,
+};
 pub use minimizer::{
     Algorithm, Convergence, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Observer, Options,
     ProblemSize, Silent, StageTimes, StopReason, Summary, Workspace,

@@ -28,8 +28,9 @@ pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use scan::ScanSurface;
 pub use scan_points::ScanPoints;
 pub use schedule::{
-    AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, ScanOptions, Schedule,
-    ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage, StepAlgorithm, StopOptions,
+    AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, RotationKind,
+    ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage,
+    StepAlgorithm, StopOptions,
 };
 pub use seam::Seams;
 pub use start::{StartFit, StartOptions, StartSearch};

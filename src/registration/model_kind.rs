@@ -4,14 +4,14 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{GraphDistance, Level, NodeKind, RegistrationError, Schedule, ScheduleError, SmoothOptions};
+use super::{GraphDistance, Level, NodeKind, RegistrationError, RotationKind, Schedule, ScheduleError, SmoothOptions};
 use crate::energy::DeformationModel;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::model::{
-    Affine, Arap, ArapOptions, Autodiff, Free, FreeOptions, Linearisation, NodeAssembly, NodeGraph, NodeTransform,
-    PositionFunction, Stiffness,
+    Affine, AffineMotion, AngleAxisMotion, Arap, ArapOptions, Autodiff, Free, FreeOptions, Linearisation, NodeAssembly,
+    NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, RigidMotion, Stiffness,
 };
-use crate::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
+use crate::model::{blendshape, graph_of, hybrid_of, rigid, similarity, sumner};
 use crate::rig::ShapeBasis;
 
 /// A deformation model that a schedule can stiffen and soften.
@@ -125,6 +125,19 @@ impl ModelKind {
     pub fn is_assembled(self) -> bool {
         !matches!(self, Self::Affine | Self::Free | Self::Arap)
     }
+
+    /// The hybrid, or else the graph, with nodes that move as `T` says.
+    fn with_nodes<T: NodeTransform<W>, const W: usize>(
+        self,
+        input: &ModelInput<'_>,
+    ) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
+        let (rest, nodes, stiffness) = (input.rest.positions.clone(), node_graph(input)?, Stiffness::default());
+        Ok(if self == Self::Hybrid {
+            Box::new(hybrid_of::<T, W>(rest, nodes, input.shapes.clone(), stiffness))
+        } else {
+            Box::new(graph_of::<T, W>(rest, nodes, stiffness.graph))
+        })
+    }
 }
 
 impl std::fmt::Display for ModelKind {
@@ -166,16 +179,18 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
         let rest = input.rest.positions.clone();
-        let affine = input.schedule.graph.node == NodeKind::Affine;
+        let options = &input.schedule.graph;
         // Levels set it before the first step.
         let stiffness = Stiffness::default();
         Ok(match self {
-            Self::Hybrid if affine => {
-                Box::new(affine_hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness))
-            }
-            Self::Hybrid => Box::new(hybrid(rest, node_graph(input)?, input.shapes.clone(), stiffness)),
-            Self::Graph if !affine => Box::new(graph(rest, node_graph(input)?, stiffness.graph)),
+            Self::Hybrid | Self::Graph if options.node == NodeKind::Rigid => match options.rotation {
+                RotationKind::Matrix => self.with_nodes::<RigidMotion, 6>(input)?,
+                RotationKind::Quaternion => self.with_nodes::<QuaternionMotion, 6>(input)?,
+                RotationKind::AngleAxis => self.with_nodes::<AngleAxisMotion, 6>(input)?,
+            },
+            Self::Hybrid => self.with_nodes::<AffineMotion, 12>(input)?,
             Self::Graph | Self::Sumner => {
+                options.require_no_rotation("", "Sumner's")?;
                 Box::new(sumner(rest, node_graph(input)?, stiffness.graph, stiffness.rotation))
             }
             Self::Sequential if input.schedule.then.is_none() => return Err(ScheduleError::NoSecondStage.into()),

@@ -96,11 +96,29 @@ pub struct GraphOptions {
     pub distance: GraphDistance,
     /// How a node moves.
     pub node: NodeKind,
+    /// What the rotation of a rigid node is parametrised by.
+    pub rotation: RotationKind,
 }
 
 impl Default for GraphOptions {
     fn default() -> Self {
-        Self { nodes: 400, influences: 4, distance: GraphDistance::Surface, node: NodeKind::Rigid }
+        Self {
+            nodes: 400,
+            influences: 4,
+            distance: GraphDistance::Surface,
+            node: NodeKind::Rigid,
+            rotation: RotationKind::Matrix,
+        }
+    }
+}
+
+impl GraphOptions {
+    /// For affine nodes, `nodes` saying whose; `prefix` is where the options stand in the file.
+    pub(super) fn require_no_rotation(&self, prefix: &str, nodes: &'static str) -> Result<(), ScheduleError> {
+        if self.rotation == RotationKind::Matrix {
+            return Ok(());
+        }
+        Err(ScheduleError::Rotation { field: format!("{prefix}graph.rotation"), nodes })
     }
 }
 
@@ -137,6 +155,20 @@ pub enum NodeKind {
     Rigid,
     /// Any affine map, kept near the rotations by `lambda_rotation` (Sumner et al. 2007).
     Affine,
+}
+
+/// The parametrisation of a rigid node's rotation. An affine node has none: to name another than the default for it is an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RotationKind {
+    /// A 3 x 3 matrix with steps from the left, `R <- exp(omega^) R`: [`RigidMotion`](crate::model::RigidMotion).
+    #[default]
+    Matrix,
+    /// A unit quaternion with the same steps: [`QuaternionMotion`](crate::model::QuaternionMotion).
+    Quaternion,
+    /// The rotation vector itself, `R = exp(r^)`, `r <- r + delta`; for turns well below `2 pi`:
+    /// [`AngleAxisMotion`](crate::model::AngleAxisMotion).
+    AngleAxis,
 }
 
 /// The smoothness of free vertices.
@@ -443,6 +475,16 @@ pub enum ScheduleError {
         /// What was given.
         model: ModelKind,
     },
+    /// An affine node has no rotation to parametrise.
+    #[error(
+        "{field} is not \"matrix\", but {nodes} nodes are affine and have no rotation; leave it out, or let nodes be rigid"
+    )]
+    Rotation {
+        /// Where, as in the file.
+        field: String,
+        /// Whose.
+        nodes: &'static str,
+    },
     /// A model with one linearisation only.
     #[error(
         "solver.linearisation = \"reference\", but model '{model}' has only one linearisation; leave it out, or choose a model made \
@@ -493,6 +535,9 @@ impl Schedule {
             }
             positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
+            if graph.node == NodeKind::Affine {
+                graph.require_no_rotation(&prefix, "these")?;
+            }
         }
         positive("affine.gamma".into(), self.affine.gamma)?;
         positive("search.rotations".into(), self.search.rotations as f64)?;
@@ -540,6 +585,9 @@ impl Schedule {
         for (k, stage) in self.later_stages().enumerate() {
             if stage.model.uses_shapes() {
                 return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model: stage.model });
+            }
+            if stage.model == ModelKind::Sumner {
+                stage.graph.require_no_rotation(&"then.".repeat(k + 1), "Sumner's")?;
             }
             if self.solver.linearisation == Linearisation::Reference && !stage.model.is_assembled() {
                 return Err(ScheduleError::Linearisation { model: stage.model.to_string() });

@@ -4,10 +4,10 @@
 use nonrigid::energy::{DataTerm, DeformationModel, Pointwise, SampleResidual, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Affine, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Linearisation, NodeAssembly,
-    NodeGraph, NodeTransform, PositionFunction, Smoothness, Stiffness,
+    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Linearisation,
+    NodeAssembly, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, Smoothness, Stiffness,
 };
-use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, rigid, similarity, sumner};
+use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, hybrid_of, rigid, similarity, sumner};
 use nonrigid::nlls::{Euclidean, Kernel, RobustKernel, Scalar};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
@@ -143,6 +143,12 @@ impl Zoo {
         let single = NodeGraph::single(Vec3::new(3.0, -2.0, 1.0), rest.len());
         vec![
             Specimen::assembled("hybrid", || hybrid(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)),
+            Specimen::assembled("hybrid by quaternions", || {
+                hybrid_of::<QuaternionMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
+            }),
+            Specimen::assembled("hybrid by rotation vectors", || {
+                hybrid_of::<AngleAxisMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
+            }),
             Specimen::assembled("graph", || graph(rest.clone(), nodes.clone(), 0.7)),
             Specimen::assembled("blendshape", || blendshape(rest.clone(), basis.clone(), 0.3)),
             Specimen::assembled("rigid", || rigid(rest.clone())),

@@ -15,7 +15,7 @@ pub mod so3;
 pub use check::check_manifold;
 pub use euclidean::Euclidean;
 pub use quaternion::UnitQuaternion;
-pub use rigid::{Se3, Sim3};
+pub use rigid::{QuaternionSe3, Se3, Sim3};
 pub use so3::So3;
 
 /// A smooth manifold, embedded in numbers. The type is a name only: points are slices of `AMBIENT` doubles.

@@ -51,6 +51,20 @@ impl UnitQuaternion {
         let vu = cross(v, u);
         std::array::from_fn(|i| p[i] + w[i] * u[i] + vu[i])
     }
+
+    /// `R(q)` of a unit quaternion, as rows.
+    pub fn matrix<D: Scalar>(q: &[D; 4]) -> [[D; 3]; 3] {
+        let [w, x, y, z] = *q;
+        let [xx, yy, zz] = [x * x, y * y, z * z];
+        let [xy, xz, yz] = [x * y, x * z, y * z];
+        let [wx, wy, wz] = [w * x, w * y, w * z];
+        let (off, on) = (|product: D| product * 2.0, |squares: D| -(squares * 2.0) + 1.0);
+        [
+            [on(yy + zz), off(xy - wz), off(xz + wy)],
+            [off(xy + wz), on(xx + zz), off(yz - wx)],
+            [off(xz - wy), off(yz + wx), on(xx + yy)],
+        ]
+    }
 }
 
 #[cfg(test)]
@@ -69,6 +83,15 @@ mod tests {
     #[test]
     fn laws() {
         check_manifold::<UnitQuaternion>(&[0.1_f64.cos(), 0.0, 0.1_f64.sin() * 0.6, 0.1_f64.sin() * 0.8]).unwrap();
+    }
+
+    #[test]
+    fn the_matrix_rotates_as_the_quaternion_does() {
+        let mut q = [0.3, -0.5, 0.1, 0.9];
+        UnitQuaternion::normalize(&mut q);
+        for (a, b) in UnitQuaternion::matrix(&q).as_flattened().iter().zip(matrix(&q)) {
+            assert!((a - b).abs() < 1e-15);
+        }
     }
 
     #[test]

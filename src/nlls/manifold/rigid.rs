@@ -1,6 +1,6 @@
 //! Rigid motions and similarities, with rotation and translation moved separately.
 
-use super::{Manifold, Scalar, so3, so3::So3};
+use super::{Manifold, Scalar, UnitQuaternion, so3, so3::So3};
 
 /// `p -> R p + t`. Point: R row-major, then t. Step: (omega, tau), `R <- exp(omega^) R`, `t <- t + tau`.
 ///
@@ -36,6 +36,32 @@ impl Se3 {
         let moved = so3::rotate(rotation, p);
         std::array::from_fn(|i| moved[i] + x[9 + i])
     }
+}
+
+/// [`Se3`] with the rotation as a unit quaternion. Point: q = (w, x, y, z), then t. Step: that of [`Se3`].
+#[derive(Debug, Clone, Copy)]
+pub struct QuaternionSe3;
+
+impl Manifold for QuaternionSe3 {
+    const AMBIENT: usize = 7;
+    const TANGENT: usize = 6;
+    type Point<D: Scalar> = [D; 7];
+
+    fn plus<D: Scalar>(x: &[f64], delta: &[D], out: &mut [D]) {
+        UnitQuaternion::plus(&x[..4], &delta[..3], &mut out[..4]);
+        for i in 0..3 {
+            out[4 + i] = delta[3 + i] + x[4 + i];
+        }
+    }
+
+    fn normalize(x: &mut [f64]) {
+        UnitQuaternion::normalize(&mut x[..4]);
+    }
+}
+
+impl QuaternionSe3 {
+    /// The identity.
+    pub const IDENTITY: [f64; 7] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 }
 
 /// `p -> e^s R p + t`. Point: R row-major, t, then the log scale s. Step: (omega, tau, sigma), `s <- s + sigma`.
