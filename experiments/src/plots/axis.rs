@@ -71,7 +71,8 @@ impl Span {
         let (mut from, mut to) =
             shown.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |r, v| (r.0.min(*v), r.1.max(*v)));
         if axis.log {
-            let room = (to / from).powf(0.04).clamp(1.02, 4.0) * if to / from < 1.1 { 1.3 } else { 1.0 };
+            let length = to.ln() - from.ln();
+            let room = if length < 0.1 { 1.3 } else { (0.04 * length).exp().clamp(1.02, 4.0) };
             (from, to) = ((from / room).max(f64::MIN_POSITIVE), (to * room).min(f64::MAX));
         } else {
             let size = from.abs().max(to.abs());
@@ -98,7 +99,7 @@ impl Span {
     /// 0 at the beginning, 1 at the end; not finite for what cannot be shown.
     pub fn fraction(&self, v: f64) -> f64 {
         if self.axis.log {
-            (v / self.from).ln() / (self.to / self.from).ln()
+            (v.ln() - self.from.ln()) / (self.to.ln() - self.from.ln())
         } else {
             (v - self.from) / (self.to - self.from)
         }
@@ -107,7 +108,7 @@ impl Span {
     /// The value at a fraction.
     pub fn value(&self, fraction: f64) -> f64 {
         if self.axis.log {
-            self.from * (self.to / self.from).powf(fraction)
+            (self.from.ln() + (self.to.ln() - self.from.ln()) * fraction).exp()
         } else {
             self.from + (self.to - self.from) * fraction
         }
@@ -176,7 +177,7 @@ impl Ranged for Span {
     fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
         if !hint.weight().allow_light_points() {
             self.ticks(hint.max_num_points()).into_iter().map(|t| t.0).collect()
-        } else if self.axis.log && (self.to / self.from).log10() < 8.0 {
+        } else if self.axis.log && self.to.log10() - self.from.log10() < 8.0 {
             self.multiples(1, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0])
         } else {
             Vec::new()
@@ -262,6 +263,8 @@ mod tests {
         assert_eq!(span(&linear.clone().from_zero(), &[4.0], None).start, 0.0);
         let range = span(&log, &[-1.0, 0.0, 0.1, 10.0], None);
         assert!((0.05..0.1).contains(&range.start) && (10.0..20.0).contains(&range.end), "{range:?}");
+        let widest = Span::new(&log, [1e-300, 1e300].into_iter(), None).unwrap();
+        assert!((widest.fraction(1.0) - 0.5).abs() < 1e-12 && widest.ticks(8).len() > 3);
         for (axis, values, top) in [
             (&linear, &[][..], None),
             (&linear, &[f64::NAN, f64::INFINITY], None),

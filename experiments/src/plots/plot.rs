@@ -210,7 +210,8 @@ impl<'a> Panel<'a> {
             bail!("no point to show");
         }
         let y = Span::new(&plot.y, shown().flat_map(|p| p.spread.into_iter().flatten().chain([p.y])), plot.top)?;
-        let xs = shown().map(|p| p.x).chain(plot.marks.iter().map(|m| m.x));
+        let ends = plot.lines.iter().flat_map(|l| [l.from, l.to]);
+        let xs = shown().map(|p| p.x).chain(plot.marks.iter().map(|m| m.x)).chain(ends);
         let x = Span::new(&plot.x, xs, None)?;
         Ok(Self { plot, looks, x, y, sizes })
     }
@@ -390,7 +391,10 @@ impl<'a> Panel<'a> {
 
     fn draw_straight(&self, page: &Area, frame: Frame, line: &Straight, colour: RGBColor) -> Result<()> {
         let ends = [line.from, line.to].map(|x| if self.plot.x.shows(x) { self.x.fraction(x) } else { 0.0 });
-        let [from, to] = ends.map(|at| at.clamp(0.0, 1.0));
+        let [from, to] = ends;
+        if from >= to {
+            return Ok(());
+        }
         // Not straight on a logarithmic axis.
         let places = (0..=64).map(|k| {
             let x = self.x.value(from + (to - from) * f64::from(k) / 64.0);
