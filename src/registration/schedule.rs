@@ -336,7 +336,7 @@ impl BoundsOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Level {
-    /// Gauss-Newton steps at most, each with new correspondences.
+    /// Steps of the solver at most, each with new correspondences.
     pub steps: usize,
     /// `lambda_graph` of (7), per directed edge.
     #[serde(default)]
