@@ -1,63 +1,156 @@
-//! Generated data: a rig and one scan with its truth on disk, as a first run needs it; the standard cases in memory. All use of
-//! `data-gen` is here.
+//! Generated data: a rig and the standard cases with their truth on disk, and any scans in memory. All use of `data-gen` is here.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Result;
 use data_gen::{
-    FaceModel, FaceOptions, FaceRig, STANDARD_CASES, ScanOptions, Subject, simulate_scan, write_case, write_rig,
+    FaceModel, FaceOptions, FaceRig, StandardCase, Subject, resolve_shapes, simulate_scan, write_case, write_rig,
 };
+pub use data_gen::{STANDARD_CASES, ScanOptions};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::{Landmark, Scan, TemplatePoint};
-use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
 
 use crate::scan_bench::BenchCase;
 
-/// Where the data is, and what the files do not say.
-pub struct Generated {
-    /// Rig folder.
-    pub rig: PathBuf,
-    /// Folder of the one case.
-    pub case: PathBuf,
-    /// From the rig's coordinates to the scan's: pictures are taken in the rig's.
-    pub pose: Pose,
-    /// Template vertices of the mouth's landmarks.
-    pub mouth: Vec<u32>,
-    /// Number of the rig's identity modes.
-    pub identity_modes: usize,
-}
-
-/// Makes a rig of about `vertices` vertices and the first standard case, a mouth wide open under raised brows of a person whose
-/// neutral is known, and writes them to `folder`/rig and `folder`/cases/same_open.
+/// Makes a rig of about `vertices` vertices and the standard cases of these names, scans of about `triangles` triangles, and writes
+/// them to `folder`/rig and `folder`/cases, as `data-gen` does.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn extreme_mouth(folder: &Path, vertices: usize, seed: u64) -> Result<Generated> {
+pub fn write_standard_cases(folder: &Path, vertices: usize, triangles: usize, cases: &[&str], seed: u64) -> Result<()> {
     let rig = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-    let [standard, ..] = STANDARD_CASES;
-    let options = ScanOptions { expressions: Some(standard.expressions()), ..ScanOptions::default() };
-    let scan = simulate_scan(&rig, &options, seed)?;
-
-    let (rig_folder, case_folder) = (folder.join("rig"), folder.join("cases").join(standard.name));
     let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
-    write_rig(&rig_folder, &rig).map_err(unwritten)?;
-    write_case(&case_folder, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?;
-    let mouth = rig.landmarks.iter().skip(48).map(|l| l.vertex).collect(); // 48 to 67 of the 68 are the mouth
-    Ok(Generated { rig: rig_folder, case: case_folder, pose: scan.pose, mouth, identity_modes: rig.identities.len() })
+    write_rig(&folder.join("rig"), &rig).map_err(unwritten)?;
+    let write = |(k, standard): (usize, &StandardCase)| -> Result<()> {
+        let options = ScanOptions { expressions: Some(standard.expressions()), triangles, ..ScanOptions::default() };
+        let (seed, place) = (seed + k as u64, folder.join("cases").join(standard.name));
+        let scan = simulate_scan(&rig, &options, seed)?;
+        Ok(write_case(&place, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?)
+    };
+    STANDARD_CASES.iter().enumerate().filter(|(_, standard)| cases.contains(&standard.name)).try_for_each(write)
 }
 
-/// The standard cases on a template of about `vertices` vertices, scans of about `triangles` triangles; as `data-gen` writes them
-/// to files, but for its rounding to 32 bits.
+/// A generated face, and scans of it in memory: as `data-gen` writes them to files, but for its rounding to 32 bits.
+pub struct Studio {
+    face: FaceRig,
+    rig: Rig,
+}
+
+/// What the person of a scan in a [`Studio`] does, how well it is scanned, and what a fit may know.
+#[derive(Debug, Clone)]
+pub struct Shot {
+    /// Name of the case.
+    pub name: String,
+    /// Person, expression, scanner.
+    pub scan: ScanOptions,
+    /// Whether a fit knows the person's neutral; otherwise it gets the first forty identity modes.
+    pub known: bool,
+    /// Expressions that no fit may use; a name without `_L` or `_R` stands for both sides.
+    pub withheld: Vec<String>,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+impl Studio {
+    /// Makes a face of about `vertices` vertices.
+    ///
+    /// # Errors
+    /// When the rig cannot be made.
+    pub fn new(vertices: usize) -> Result<Self> {
+        let face = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
+        let rig = rig_of(&face)?;
+        Ok(Self { face, rig })
+    }
+
+    /// The rig.
+    #[must_use]
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// The template.
+    #[must_use]
+    pub fn template(&self) -> &PolygonMesh {
+        &self.face.mesh
+    }
+
+    /// Faces of random people with random expressions, one position per template vertex.
+    #[must_use]
+    pub fn random_faces(&self, count: usize, seed: u64) -> Vec<Vec<Vec3>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut faces = Vec::with_capacity(count);
+        for _ in 0..count {
+            let mut expressions = vec![0.0; self.face.expressions.len()];
+            (0..5).for_each(|_| {
+                expressions[rng.random_range(0..self.face.expressions.len())] = rng.random_range(0.2..1.0)
+            });
+            let identity: Vec<f64> = self.face.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
+            faces.push(self.face.pose(&expressions, &identity));
+        }
+        faces
+    }
+
+    /// Standard case `k` with a scan of about `triangles` triangles.
+    ///
+    /// # Errors
+    /// When there are too few triangles for a scan.
+    pub fn standard(&self, k: usize, triangles: usize, seed: u64) -> Result<BenchCase> {
+        let standard = &STANDARD_CASES[k];
+        let withheld = match standard.subject(&self.face)? {
+            Subject::Same { withheld } => withheld,
+            Subject::New { .. } => Vec::new(),
+        };
+        self.shoot(&Shot {
+            name: standard.name.to_owned(),
+            scan: ScanOptions { expressions: Some(standard.expressions()), triangles, ..ScanOptions::default() },
+            known: standard.withheld.is_some(),
+            withheld,
+            seed: seed + k as u64,
+        })
+    }
+
+    /// Scans a face.
+    ///
+    /// # Errors
+    /// When the scan's options make no sense, or the cameras see next to nothing.
+    pub fn shoot(&self, shot: &Shot) -> Result<BenchCase> {
+        let scan = simulate_scan(&self.face, &shot.scan, shot.seed)?;
+        let modes = if shot.known { 0 } else { self.face.identities.len() * 2 / 5 };
+        let all: Vec<&str> = self.face.expressions.iter().map(|e| &*e.0).collect();
+        let withheld: Vec<Vec<&str>> =
+            shot.withheld.iter().map(|w| resolve_shapes(&all, w)).collect::<Result<_, _>>()?;
+        let offered = all.iter().filter(|name| !withheld.iter().flatten().any(|w| w == *name));
+        let names: Vec<String> = offered.map(|name| (*name).to_owned()).collect();
+        let landmark = |&(vertex, target): &(u32, _)| Landmark {
+            name: vertex.to_string(),
+            template: TemplatePoint::Vertex(vertex),
+            target,
+        };
+        Ok(BenchCase {
+            name: shot.name.clone(),
+            template: self.face.mesh.clone(),
+            neutral: shot.known.then(|| self.face.pose(&[], &scan.identity_weights)),
+            shapes: self.rig.select(ShapeSelection { names: Some(&names), identity_modes: modes })?,
+            landmarks: scan.landmarks.iter().map(landmark).collect(),
+            scan: Scan { mesh: scan.scan, normals: None, colors: None },
+            truth: scan.truth,
+            observed: scan.observed,
+        })
+    }
+}
+
+/// The standard cases on a template of about `vertices` vertices, scans of about `triangles` triangles.
 ///
 /// # Errors
 /// When `triangles` is too few for a scan.
 pub fn standard_cases(vertices: usize, triangles: usize, seed: u64) -> Result<Vec<BenchCase>> {
-    let face = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-    let rig = rig_of(&face)?;
-    (0..STANDARD_CASES.len()).map(|k| case_of(&face, &rig, k, triangles, seed)).collect()
+    let studio = Studio::new(vertices)?;
+    (0..STANDARD_CASES.len()).map(|k| studio.standard(k, triangles, seed)).collect()
 }
 
 /// The first of [`standard_cases`] alone.
@@ -65,8 +158,7 @@ pub fn standard_cases(vertices: usize, triangles: usize, seed: u64) -> Result<Ve
 /// # Errors
 /// When `triangles` is too few for a scan.
 pub fn first_standard_case(vertices: usize, triangles: usize, seed: u64) -> Result<BenchCase> {
-    let face = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-    case_of(&face, &rig_of(&face)?, 0, triangles, seed)
+    Studio::new(vertices)?.standard(0, triangles, seed)
 }
 
 fn rig_of(face: &FaceRig) -> Result<Rig> {
@@ -78,34 +170,6 @@ fn rig_of(face: &FaceRig) -> Result<Rig> {
         deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
     }
     Ok(Rig::new(face.neutral.clone(), Some(face.mesh.clone()), shapes, deltas)?.0)
-}
-
-/// Standard case `k`.
-fn case_of(face: &FaceRig, rig: &Rig, k: usize, triangles: usize, seed: u64) -> Result<BenchCase> {
-    let standard = &STANDARD_CASES[k];
-    let options = ScanOptions { expressions: Some(standard.expressions()), triangles, ..ScanOptions::default() };
-    let scan = simulate_scan(face, &options, seed + k as u64)?;
-    let (withheld, identity_modes) = match standard.subject(face)? {
-        Subject::Same { withheld } => (withheld, 0),
-        Subject::New { identity_modes } => (Vec::new(), identity_modes),
-    };
-    let offered = rig.shapes().iter().filter(|s| s.family == Family::Expression).map(|s| s.name.clone());
-    let names: Vec<String> = offered.filter(|name| !withheld.contains(name)).collect();
-    let landmark = |&(vertex, target): &(u32, _)| Landmark {
-        name: vertex.to_string(),
-        template: TemplatePoint::Vertex(vertex),
-        target,
-    };
-    Ok(BenchCase {
-        name: standard.name.to_owned(),
-        template: face.mesh.clone(),
-        neutral: standard.withheld.map(|_| face.pose(&[], &scan.identity_weights)),
-        shapes: rig.select(ShapeSelection { names: Some(&names), identity_modes })?,
-        landmarks: scan.landmarks.iter().map(landmark).collect(),
-        scan: Scan { mesh: scan.scan, normals: None, colors: None },
-        truth: scan.truth,
-        observed: scan.observed,
-    })
 }
 
 /// A face as the solver sees it: a triangle mesh at rest, its first shapes (expressions, then identity modes), and a goal.

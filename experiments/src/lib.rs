@@ -2,7 +2,6 @@
 
 pub mod compare;
 pub mod compare_rigs;
-pub mod first;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;
@@ -10,6 +9,7 @@ pub mod plots;
 pub mod random_pose;
 pub mod real_scans;
 pub mod remesh;
+pub mod report;
 pub mod rig_statistics;
 pub mod scaling;
 pub mod scan_bench;

@@ -1,4 +1,4 @@
-//! Studies on top of `nonrigid`: the first run, and one subcommand for each of the others.
+//! Studies on top of `nonrigid`: the report, and one subcommand for each study of its own.
 
 use std::io;
 use std::process::ExitCode;
@@ -6,14 +6,14 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare, compare_rigs, first, more_garbow_hillstrom, nist, real_scans, scaling, scan_bench_command,
+    compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
     schedule_search, solver_case, start_bench,
 };
 use nonrigid::cli::{Failure, Stage, answer};
 use nonrigid::registration::RegistrationError;
 
-/// Without a subcommand, the first run: makes a face rig and a scan of an extreme mouth, registers it with three models,
-/// and leaves a picture, results and errors.
+/// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
+/// claims, compares all models, and puts everything on one page, in at most ten minutes on two cores.
 #[derive(Parser)]
 #[command(name = "experiments", version, max_term_width = 110, args_conflicts_with_subcommands = true)]
 #[command(after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.")]
@@ -21,7 +21,7 @@ struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
     #[command(flatten)]
-    first: first::Options,
+    report: report::Options,
     /// Threads [default: all cores]; results do not depend on them
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -57,7 +57,11 @@ fn main() -> ExitCode {
         Err(e) => return answer(&e),
     };
     let outcome = match &cli.command {
-        None => on_threads(cli.threads, || first::run(&cli.first, &mut io::stdout().lock()).map(drop)),
+        None => on_threads(cli.threads, || {
+            let program =
+                std::env::current_exe().map_err(|e| Failure::computation(format!("this program's own file: {e}")))?;
+            report::run(&cli.report, &cli.report.effort(), &program, &mut io::stdout().lock()).map(drop)
+        }),
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
         Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),

@@ -122,6 +122,21 @@ impl Target {
 /// A [`Failure`] when the rig or every scan cannot be read, when something cannot be written, and when every single
 /// registration failed.
 pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
+    say(format_args!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads()))?;
+    let (rows, picture) = register_all(a)?;
+    write(a, &rows, &picture)?;
+    if let Some(reason) = rows.iter().all(|r| r.fit.is_none()).then(|| rows.iter().find_map(|r| r.error.as_ref())) {
+        let reason = reason.map_or("no model was asked for", String::as_str);
+        return Err(Failure::new(Stage::Computation, format!("no registration succeeded: {reason}")).into());
+    }
+    Ok(rows)
+}
+
+/// Registers every scan with every model and leaves the results as OBJ: rows, and a picture of all.
+///
+/// # Errors
+/// A [`Failure`] when the rig or every scan cannot be read, or a result cannot be written.
+pub fn register_all(a: &Arguments) -> Result<(Vec<RealScanRow>, RgbImage)> {
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let template = Template::read(&a.rig, a.identity_modes).map_err(|e| unread(e.context("--rig")))?;
     let targets = SCANS.map(|(name, file)| (name, Target::read(&a.scans.join(file), &template.mesh)));
@@ -132,7 +147,6 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
         return Err(Failure::loading(message).into());
     }
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
-    say(format_args!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads()))?;
     let (mut rows, mut sheet) = (
         Vec::new(),
         Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),
@@ -147,12 +161,7 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
             sheet = sheet.row(if i == 0 { name } else { "" }, panels.to_vec());
         }
     }
-    write(a, &rows, &sheet.render())?;
-    if let Some(reason) = rows.iter().all(|r| r.fit.is_none()).then(|| rows.iter().find_map(|r| r.error.as_ref())) {
-        let reason = reason.map_or("no model was asked for", String::as_str);
-        return Err(Failure::new(Stage::Computation, format!("no registration succeeded: {reason}")).into());
-    }
-    Ok(rows)
+    Ok((rows, sheet.render()))
 }
 
 /// Registers a scan with every model: rows, and panels of the scan and of every result.
@@ -310,13 +319,12 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 }
 
 fn write(a: &Arguments, rows: &[RealScanRow], picture: &RgbImage) -> Result<()> {
-    let header = "scan,model,accepted,median,median_within,share_within,flips,self_intersections,\
-                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations,error";
+    let header = format!("scan,model,{},error", COLUMNS.join(","));
     let lines = rows.iter().map(|r| {
         let numbers = r.fit.as_ref().map_or_else(|| ",".repeat(9), |fit| numbers(fit, 6).join(","));
         format!("{},{},{numbers},{}", r.scan, r.model, csv_text(r.error.as_deref().unwrap_or_default()))
     });
-    write_csv(&a.out.join("real-scans.csv"), header, lines)?;
+    write_csv(&a.out.join("real-scans.csv"), &header, lines)?;
     write_json(&a.out.join("real-scans.json"), &serde_json::json!({ "rows": rows }))?;
     let threads = rayon::current_num_threads();
     let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", r.scan, r.model, r.seconds));
@@ -352,8 +360,23 @@ fn write(a: &Arguments, rows: &[RealScanRow], picture: &RgbImage) -> Result<()> 
     Ok(())
 }
 
-/// From `accepted` to `iterations`, as the tables have them.
-fn numbers(fit: &Fit, decimals: usize) -> Vec<String> {
+/// Columns of [`numbers`].
+pub const COLUMNS: [&str; 10] = [
+    "accepted",
+    "median",
+    "median_within",
+    "share_within",
+    "flips",
+    "self_intersections",
+    "self_intersections_at_rest",
+    "stretch_p1",
+    "stretch_p99",
+    "iterations",
+];
+
+/// What the tables say of a fit, in the order of [`COLUMNS`].
+#[must_use]
+pub fn numbers(fit: &Fit, decimals: usize) -> Vec<String> {
     let Quality { to_scan, median_within, flipped, mesh } = &fit.quality;
     let real = |x: f64| format!("{x:.decimals$}");
     vec![

@@ -12,13 +12,14 @@ use nonrigid::evaluation::{EvaluationError, MeshQuality, TruthErrors};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
-    ModelFactory, ModelInput, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult, Schedule,
-    ScheduleError, StepRecord, TermFactory, register_with,
+    Level, ModelFactory, ModelInput, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult,
+    Schedule, ScheduleError, Stage, StepRecord, TermFactory, register_with,
 };
 use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};
 
 /// One case: a scan with the true position of every template vertex.
+#[derive(Clone)]
 pub struct BenchCase {
     /// Name of its folder.
     pub name: String,
@@ -65,6 +66,12 @@ impl BenchRig {
         &self.template
     }
 
+    /// The rig.
+    #[must_use]
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
     /// All expressions.
     pub fn expressions(&self) -> Result<ShapeBasis> {
         Ok(self.rig.select(ShapeSelection::default())?)
@@ -72,6 +79,12 @@ impl BenchRig {
 }
 
 impl BenchCase {
+    /// The shape that a fit deforms: the subject's neutral, or else the template.
+    #[must_use]
+    pub fn rest(&self) -> &[Vec3] {
+        self.neutral.as_deref().unwrap_or(&self.template.positions)
+    }
+
     /// Reads a case folder.
     pub fn read(folder: &Path, rig: &BenchRig) -> Result<Self> {
         let path = folder.join("case.json");
@@ -194,11 +207,21 @@ impl LandmarkUse {
             Self::None => Vec::new(),
             Self::Some(n) => spread(&case.landmarks, &case.template, n),
             Self::Align => {
-                schedule.levels.iter_mut().for_each(|level| level.landmarks = 0.0);
+                each_level(&mut schedule, |level| level.landmarks = 0.0);
                 case.landmarks.clone()
             }
         };
         (landmarks, schedule)
+    }
+}
+
+/// Changes the levels of all stages.
+pub fn each_level(schedule: &mut Schedule, mut change: impl FnMut(&mut Level)) {
+    schedule.levels.iter_mut().for_each(&mut change);
+    let mut stage = schedule.then.as_deref_mut();
+    while let Some(Stage { levels, then, .. }) = stage {
+        levels.iter_mut().for_each(&mut change);
+        stage = then.as_deref_mut();
     }
 }
 

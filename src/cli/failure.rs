@@ -44,6 +44,12 @@ impl Failure {
         Self::new(Stage::Writing, error.to_string())
     }
 
+    /// The stage at which it happened.
+    #[must_use]
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
     /// The process' exit code.
     #[must_use]
     pub fn exit_code(&self) -> ExitCode {

@@ -124,7 +124,7 @@ impl Variant {
         let mut fit = || -> Result<Score> {
             let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
             reset_peak();
-            let (result, wall) = fit_case(&self.model, &terms, &self.effective_schedule(), case, self.landmarks)?;
+            let (result, wall) = fit_case(&self.model, &terms, &self.schedule, case, self.landmarks)?;
             (seconds, peak) = (Some(wall), peak_bytes());
             let (errors, mesh) = case.score(&result.positions)?;
             if !errors.finite {

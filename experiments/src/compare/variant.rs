@@ -1,10 +1,10 @@
 //! What is compared: a model with a schedule. Each group varies one thing and holds all else.
 
 use nonrigid::nlls::Kernel;
-use nonrigid::registration::{Level, ModelFactory as _, ModelKind, Schedule, ScheduleError, Stage};
+use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule, ScheduleError};
 use serde::{Deserialize, Serialize};
 
-use crate::scan_bench::LandmarkUse;
+use crate::scan_bench::{LandmarkUse, each_level};
 
 /// A model with its schedule: one line of the summary, one row for each case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,32 +101,15 @@ impl Variant {
         change(&mut variant.schedule);
         Ok(variant)
     }
-
-    /// The schedule of a run: landmarks for the start alone weigh nothing, in later stages neither.
-    pub(super) fn effective_schedule(&self) -> Schedule {
-        let mut schedule = self.schedule.clone();
-        if self.landmarks == LandmarkUse::Align {
-            each_level(&mut schedule, |level| level.landmarks = 0.0);
-        }
-        schedule
-    }
 }
 
 /// What makes another schedule of the default.
 type Change = fn(&mut Schedule);
 
-/// Changes the levels of all stages.
-fn each_level(schedule: &mut Schedule, mut change: impl FnMut(&mut Level)) {
-    schedule.levels.iter_mut().for_each(&mut change);
-    let mut stage = schedule.then.as_deref_mut();
-    while let Some(Stage { levels, then, .. }) = stage {
-        levels.iter_mut().for_each(&mut change);
-        stage = then.as_deref_mut();
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use nonrigid::registration::Level;
+
     use super::*;
 
     #[test]
@@ -174,15 +157,5 @@ mod tests {
             assert_eq!(v.schedule.scan.test_vertices, v.name != "point_to_point");
             v.schedule.validate().unwrap();
         }
-    }
-
-    #[test]
-    fn landmarks_for_the_start_leave_every_stage() {
-        let mut variant = Variant::of_model(ModelKind::Sequential).unwrap();
-        let weights = |s: &Schedule| s.levels_by_name().map(|(_, l)| l.landmarks).collect::<Vec<_>>();
-        assert_eq!(variant.effective_schedule(), variant.schedule);
-        assert!(weights(&variant.schedule).len() > variant.schedule.levels.len());
-        variant.landmarks = LandmarkUse::Align;
-        assert!(weights(&variant.effective_schedule()).iter().all(|w| *w == 0.0));
     }
 }

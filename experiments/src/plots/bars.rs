@@ -30,6 +30,7 @@ pub struct GroupedBars {
     title: String,
     y: String,
     bars: Vec<(String, Bar)>,
+    top: f64,
 }
 
 /// Vertical bars of parts that add up: time by stage.
@@ -79,7 +80,14 @@ impl GroupedBars {
     /// `y` is the quantity with its unit; `bars` each have the name of their group, those of a group one after another.
     #[must_use]
     pub fn new(title: &str, y: &str, bars: Vec<(String, Bar)>) -> Self {
-        Self { title: title.to_owned(), y: y.to_owned(), bars }
+        Self { title: title.to_owned(), y: y.to_owned(), bars, top: f64::INFINITY }
+    }
+
+    /// Greatest value on the axis: what is longer ends there, and its number says that it does.
+    #[must_use]
+    pub fn top(mut self, limit: f64) -> Self {
+        self.top = limit;
+        self
     }
 
     /// The bars as SVG, as high as they need.
@@ -88,7 +96,7 @@ impl GroupedBars {
     /// Without a finite value.
     pub fn svg(&self) -> Result<String> {
         let finite = self.bars.iter().map(|b| &b.1).filter(|b| b.value.is_finite());
-        let ends = finite.flat_map(|b| b.spread.into_iter().flatten().chain([b.value]));
+        let ends = finite.flat_map(|b| b.spread.into_iter().flatten().chain([b.value])).map(|v| v.min(self.top));
         let span = Span::new(&Axis::linear(&self.y).from_zero(), ends, None)
             .with_context(|| format!("bars {:?}", self.title))?;
 
@@ -109,7 +117,7 @@ impl GroupedBars {
             .bars
             .iter()
             .filter(|b| b.1.value.is_finite())
-            .map(|b| width(&short(b.1.value), LARGE.tick))
+            .map(|b| width(&self.label(&b.1), LARGE.tick))
             .max()
             .unwrap_or(0);
         let right = WIDTH - px(16.0) - value;
@@ -124,8 +132,17 @@ impl GroupedBars {
         })
     }
 
+    /// What stands at a bar's end.
+    fn label(&self, bar: &Bar) -> String {
+        match bar.value {
+            v if !v.is_finite() => NO_VALUE.to_owned(),
+            v if v > self.top => format!("{}, off the scale", short(v)),
+            v => short(v),
+        }
+    }
+
     fn draw_rows(&self, page: &Area, [(left, top), (right, bottom)]: Frame, span: &Span, rows: &[Row]) -> Result<()> {
-        let at = |v: f64| left + (span.fraction(v) * f64::from(right - left)).round() as i32;
+        let at = |v: f64| left + (span.fraction(v.min(self.top)) * f64::from(right - left)).round() as i32;
         let tops = rows.iter().scan(top, |y, row| Some(std::mem::replace(y, *y + row.height())));
         let rows: Vec<(&Row, i32)> = rows.iter().zip(tops).collect();
         let bars = || {
@@ -156,8 +173,8 @@ impl GroupedBars {
             write_lines(page, lines, &style, LARGE.tick, (left - px(8.0), from + px(4.0)))?;
             let ends = [0.0, bar.value].into_iter().chain(spread(bar).into_iter().flatten()).filter(|v| v.is_finite());
             let end = ends.map(&at).max().unwrap_or(left) + px(5.0);
-            let (label, ink) =
-                if bar.value.is_finite() { (short(bar.value), INK) } else { (NO_VALUE.to_owned(), GREY) };
+            let ink = if bar.value.is_finite() { INK } else { GREY };
+            let label = self.label(bar);
             write_on_white(page, &label, &words(LARGE.tick, ink, HPos::Left, VPos::Center), (end, (from + to) / 2))?;
         }
         for (k, (row, y)) in rows.iter().enumerate() {
@@ -402,6 +419,15 @@ mod tests {
         assert_eq!(svg, plot.svg().unwrap());
         assert!(GroupedBars::new("Errors", "", vec![]).svg().is_err());
         assert!(GroupedBars::new("Errors", "", vec![bar("", "a", f64::NAN, None)]).svg().is_err());
+    }
+
+    #[test]
+    fn a_bar_beyond_the_top_ends_there_and_says_so() {
+        let bars = vec![bar("all", "short", 1.5, None), bar("all", "long", 8.75, Some([7.0, 11.0]))];
+        let svg = GroupedBars::new("", "mm", bars).top(2.0).svg().unwrap();
+        let texts = texts(&svg);
+        assert!(texts.contains(&"1.5") && texts.contains(&"8.75, off the scale"), "{texts:?}");
+        assert!(!texts.contains(&"4") && !texts.contains(&"10"), "the axis ends at the top: {texts:?}");
     }
 
     #[test]

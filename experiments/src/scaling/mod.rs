@@ -8,7 +8,7 @@
 //! of JSON a run on standard output; tables, plots and the fitted exponents in the output folder.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
 
@@ -117,10 +117,11 @@ pub fn run(a: &Arguments) -> Result<()> {
     }
     let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    let program = std::env::current_exe().map_err(|e| Failure::computation(format!("this program's own file: {e}")))?;
     let mut rows = Vec::new();
     for (k, configuration) in configurations.iter().enumerate() {
         eprintln!("{}/{}  {}", k + 1, configurations.len(), describe(configuration));
-        let row = run_apart(configuration)?;
+        let row = run_apart(&program, configuration)?;
         say(&row)?;
         rows.push(row);
     }
@@ -229,10 +230,12 @@ fn run_here(configuration: &str) -> Result<()> {
     Ok(())
 }
 
-/// Runs a configuration in a process of its own.
-fn run_apart(configuration: &Configuration) -> Result<Value> {
+/// Runs a configuration in a process of its own, of the `experiments` at `program`, and returns all that is known of it.
+///
+/// # Errors
+/// A [`Failure`] of the computation, with the configuration, when the run fails.
+pub fn run_apart(program: &Path, configuration: &Configuration) -> Result<Value> {
     let failed = |what: String| Failure::computation(format!("{}: {what}", describe(configuration)));
-    let program = std::env::current_exe().map_err(|e| failed(format!("this program's own file: {e}")))?;
     let mut command = Command::new(program);
     command.args(["scaling", "--run"]).arg(serde_json::to_string(configuration)?).stdin(Stdio::null());
     let output = command.output().map_err(|e| failed(format!("cannot be started: {e}")))?;
@@ -344,7 +347,7 @@ fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<Line> {
 }
 
 /// All that rows hold, a column for each number.
-fn write_rows(path: &std::path::Path, rows: &[&Value]) -> Result<()> {
+fn write_rows(path: &Path, rows: &[&Value]) -> Result<()> {
     let flat = |row: &Value| -> Vec<(String, String)> {
         let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), csv_text);
         let object = row.as_object().into_iter().flatten();

@@ -1,0 +1,380 @@
+//! The claims themselves, in the order of the paper.
+
+use super::Bound::{AtLeast, AtMost};
+use super::Take::{First, Last, Mean, Variation};
+use super::{Claim, Pick, Rule, Take};
+
+type Rows = &'static [(&'static str, &'static str)];
+
+const fn pick(csv: &'static str, rows: Rows, column: &'static str, take: Take) -> Pick {
+    Pick { csv, rows, column, take }
+}
+
+/// Mean rmse of the rows.
+const fn rmse(csv: &'static str, rows: Rows) -> Pick {
+    pick(csv, rows, "rmse", Mean)
+}
+
+const fn ratio(value: Pick, over: Pick, is: super::Bound) -> Rule {
+    Rule { value, over: Some(over), is }
+}
+
+const fn alone(value: Pick, is: super::Bound) -> Rule {
+    Rule { value, over: None, is }
+}
+
+const fn model(name: Rows) -> Pick {
+    rmse("comparison", name)
+}
+
+const PAPER: Rows = &[("differentiation", "paper"), ("quantity", "seconds")];
+const OURS: Rows = &[("differentiation", "ours"), ("quantity", "seconds")];
+
+/// Every sentence of the paper that claims something which can be measured.
+pub const CLAIMS: &[Claim] = &[
+    Claim {
+        quote: "[The modified algorithm provides for] the highly accurate registration of 3D models which differ greatly.",
+        section: "Abstract",
+        rule: "On the most extreme expression the hybrid's rmse is at most 1 mm, and at most half of the graph's.",
+        rules: &[
+            alone(rmse("extreme", &[("model", "hybrid")]), AtMost(1.0)),
+            ratio(rmse("extreme", &[("model", "hybrid")]), rmse("extreme", &[("model", "graph")]), AtMost(0.5)),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "Rigid registration is, as a rule, very robust to noise.",
+        section: "1.1",
+        rule: "The rigid model's rmse at 2 mm of noise is at most 1.1 times that without noise.",
+        rules: &[ratio(
+            rmse("sweeps", &[("sweep", "noise"), ("value", "2"), ("model", "rigid")]),
+            rmse("sweeps", &[("sweep", "noise"), ("value", "0"), ("model", "rigid")]),
+            AtMost(1.1),
+        )],
+        remark: "Noise on top of an error of many millimetres, which is the shape's.",
+    },
+    Claim {
+        quote: "However, it requires that source and target have practically the same shape, and so does not suit objects whose \
+                shape may change a lot, such as human faces.",
+        section: "1.1",
+        rule: "The rigid model's mean rmse is at least 3 times the hybrid's.",
+        rules: &[ratio(
+            model(&[("group", "model"), ("name", "rigid")]),
+            model(&[("group", "model"), ("name", "hybrid")]),
+            AtLeast(3.0),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "As-rigid-as-possible algorithms [...] allow good registration where the source is close enough to the target.",
+        section: "1.1",
+        rule: "With the mouth closed, as in the neutral, ARAP's rmse is at most 1.5 times the hybrid's.",
+        rules: &[ratio(
+            rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "arap")]),
+            rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "hybrid")]),
+            AtMost(1.5),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "Unfortunately, this approach works poorly where the source is far from the target.",
+        section: "1.1",
+        rule: "With the mouth wide open, ARAP's rmse is at least twice the hybrid's and at least twice its own with the mouth closed.",
+        rules: &[
+            ratio(
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "hybrid")]),
+                AtLeast(2.0),
+            ),
+            ratio(
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "arap")]),
+                AtLeast(2.0),
+            ),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "It also works poorly with models of high resolution, as ARAP then controls the global shape poorly.",
+        section: "1.1, again 2.1",
+        rule: "ARAP's rmse on the finest template is at least 1.2 times that on the coarsest.",
+        rules: &[ratio(
+            pick("resolution", &[("study", "template"), ("name", "arap"), ("case", "0")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "arap"), ("case", "0")], "rmse", First),
+            AtLeast(1.2),
+        )],
+        remark: "Here weights scale with the template's resolution; with weights per vertex as they stand it would be otherwise.",
+    },
+    Claim {
+        quote: "Unlike ARAP, the deformation graph works with polygonal models of any resolution.",
+        section: "1.1",
+        rule: "The graph's rmse on the finest template is at most 1.2 times that on the coarsest.",
+        rules: &[ratio(
+            pick("resolution", &[("study", "template"), ("name", "graph"), ("case", "0")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "graph"), ("case", "0")], "rmse", First),
+            AtMost(1.2),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "The graph is meant for cases where smoothness is violated evenly; with a mouth wide open the corner of the mouth \
+                must deform strongly and the rest of the model little.",
+        section: "1.1",
+        rule: "With the mouth wide open, the graph's rmse is at least twice the hybrid's.",
+        rules: &[ratio(
+            rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "graph")]),
+            rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "hybrid")]),
+            AtLeast(2.0),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "[Blendshapes] suit the registration of models unlike each other well [...]",
+        section: "1.1",
+        rule: "With the mouth wide open, the blendshape model's rmse is at most half of ARAP's and of the graph's.",
+        rules: &[
+            ratio(
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "blendshape")]),
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
+                AtMost(0.5),
+            ),
+            ratio(
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "blendshape")]),
+                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "graph")]),
+                AtMost(0.5),
+            ),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "[...] but do not suit capturing fine detail, such as wrinkles.",
+        section: "1.1, again 2.1",
+        rule: "The blendshape model's error off the surface is on average at least 1.5 times the hybrid's.",
+        rules: &[ratio(
+            pick("comparison", &[("group", "model"), ("name", "blendshape")], "off", Mean),
+            pick("comparison", &[("group", "model"), ("name", "hybrid")], "off", Mean),
+            AtLeast(1.5),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "[Blendshapes first, ARAP after] does not allow to repair mistakes of registration that the first step has made.",
+        section: "1.1",
+        rule: "Without any of the shown shapes, the sequential method's rmse is at least 1.25 times the hybrid's.",
+        rules: &[ratio(
+            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "sequential")]),
+            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "hybrid")]),
+            AtLeast(1.25),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "It also has all the problems of algorithms based on ARAP.",
+        section: "1.1",
+        rule: "The sequential method's rmse on the finest template is at least 1.2 times that on the coarsest.",
+        rules: &[ratio(
+            pick("resolution", &[("study", "template"), ("name", "sequential"), ("case", "0")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "sequential"), ("case", "0")], "rmse", First),
+            AtLeast(1.2),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "The distance from point to point is not always the best choice; ICP may be unstable where the scan has few vertices.",
+        section: "1.2",
+        rule: "On a scan of 2,000 triangles, the hybrid's rmse with point-to-point is at least 1.2 times that with point-to-plane.",
+        rules: &[ratio(
+            rmse("resolution", &[("study", "scan"), ("size", "2000"), ("name", "point_to_point")]),
+            rmse("resolution", &[("study", "scan"), ("size", "2000"), ("name", "point_to_plane")]),
+            AtLeast(1.2),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "Though the data term matters, it is often the choice of the deformation model that has the key influence on quality.",
+        section: "1.2",
+        rule: "The rmse varies (standard deviation over mean) at least 1.5 times as much from model to model as from data term to \
+               data term.",
+        rules: &[ratio(
+            pick("comparison", &[("group", "model")], "rmse", Variation),
+            pick("comparison", &[("group", "term")], "rmse", Variation),
+            AtLeast(1.5),
+        )],
+        remark: "Both vary with the scan as well.",
+    },
+    Claim {
+        quote: "A smiling blendshape applied with a weight of 2 will most likely give a model that is not like a face at all; so it \
+                makes sense to regularise the weights.",
+        section: "2.1, eq. (5)",
+        rule: "Without the prior, the largest weight is at least 1.5 times as large, and the rmse larger.",
+        rules: &[
+            ratio(
+                pick("ablations", &[("group", "prior"), ("name", "lambda_blend x 0")], "largest_weight", Mean),
+                pick("ablations", &[("group", "prior"), ("name", "lambda_blend x 1")], "largest_weight", Mean),
+                AtLeast(1.5),
+            ),
+            ratio(
+                rmse("ablations", &[("group", "prior"), ("name", "lambda_blend x 0")]),
+                rmse("ablations", &[("group", "prior"), ("name", "lambda_blend x 1")]),
+                AtLeast(1.0),
+            ),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "Rotations are parametrised by orthonormal matrices; any other parametrisation may be used, quaternions included.",
+        section: "2.1",
+        rule: "The rmse with unit quaternions and with angle-axis is within 2 % of that with matrices.",
+        rules: &[
+            ratio(
+                rmse("ablations", &[("group", "rotation"), ("name", "quaternion")]),
+                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
+                AtMost(1.02),
+            ),
+            ratio(
+                rmse("ablations", &[("group", "rotation"), ("name", "quaternion")]),
+                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
+                AtLeast(0.98),
+            ),
+            ratio(
+                rmse("ablations", &[("group", "rotation"), ("name", "angle-axis")]),
+                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
+                AtMost(1.02),
+            ),
+            ratio(
+                rmse("ablations", &[("group", "rotation"), ("name", "angle-axis")]),
+                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
+                AtLeast(0.98),
+            ),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "One may choose a different number of nodes: a small one for coarse deformations, a large one for fine ones.",
+        section: "2.1",
+        rule: "With 50 nodes, the error off the surface is at least 1.3 times that with 800.",
+        rules: &[ratio(
+            pick("ablations", &[("group", "nodes"), ("name", "50")], "off", Mean),
+            pick("ablations", &[("group", "nodes"), ("name", "800")], "off", Mean),
+            AtLeast(1.3),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "The graph cannot capture uneven deformations, as of a scan with a closed eye.",
+        section: "2.1",
+        rule: "On the scan with closed eyes, the graph's rmse is at least 1.5 times the hybrid's.",
+        rules: &[ratio(
+            model(&[("group", "model"), ("name", "graph"), ("case", "same_blink")]),
+            model(&[("group", "model"), ("name", "hybrid"), ("case", "same_blink")]),
+            AtLeast(1.5),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "Joined, the blendshapes define the possible uneven deformations and the graph captures the fine detail.",
+        section: "2.1, eq. (8)",
+        rule: "The hybrid's mean rmse is below that of its parts, blendshapes and graph, and of the two in sequence.",
+        rules: &[
+            ratio(
+                model(&[("group", "model"), ("name", "hybrid")]),
+                model(&[("group", "model"), ("name", "blendshape")]),
+                AtMost(1.0),
+            ),
+            ratio(
+                model(&[("group", "model"), ("name", "hybrid")]),
+                model(&[("group", "model"), ("name", "graph")]),
+                AtMost(1.0),
+            ),
+            ratio(
+                model(&[("group", "model"), ("name", "hybrid")]),
+                model(&[("group", "model"), ("name", "sequential")]),
+                AtMost(1.0),
+            ),
+        ],
+        remark: "",
+    },
+    Claim {
+        quote: "The number of blendshapes directly influences the quality.",
+        section: "2.2",
+        rule: "With 5 PCA components the mean rmse is at least 1.2 times that with 150.",
+        rules: &[ratio(
+            rmse("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "5")]),
+            rmse("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "150")]),
+            AtLeast(1.2),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "A large number of blendshapes lowers the speed considerably, as more operations are needed for residuals and \
+                derivatives, and there are more variables.",
+        section: "2.2",
+        rule: "By the paper's differentiation, a registration with the most components takes at least twice as long as with the fewest.",
+        rules: &[alone(pick("shapes-fit.timing", PAPER, "last_over_first", First), AtLeast(2.0))],
+        remark: "",
+    },
+    Claim {
+        quote: "Where no blendshape resembles the target scan, convergence and quality may suffer strongly.",
+        section: "2.2",
+        rule: "Without any of the shown shapes, the hybrid's rmse is at least 1.5 times that with all of them.",
+        rules: &[ratio(
+            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "hybrid")]),
+            rmse("sweeps", &[("sweep", "missing"), ("value", "0"), ("model", "hybrid")]),
+            AtLeast(1.5),
+        )],
+        remark: "",
+    },
+    Claim {
+        quote: "[With PCA components in place of raw blendshapes] quality and speed of convergence depend less on the particular \
+                target scan.",
+        section: "2.2",
+        rule: "With 50 components, rmse and steps vary (standard deviation over mean) less from scan to scan than with 50 raw shapes.",
+        rules: &[
+            ratio(
+                pick("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "50")], "rmse", Variation),
+                pick("shapes", &[("family", "raw"), ("shapes", "50")], "rmse", Variation),
+                AtMost(1.0),
+            ),
+            ratio(
+                pick(
+                    "shapes",
+                    &[("family", "pca"), ("differentiation", "ours"), ("shapes", "50")],
+                    "iterations",
+                    Variation,
+                ),
+                pick("shapes", &[("family", "raw"), ("shapes", "50")], "iterations", Variation),
+                AtMost(1.0),
+            ),
+        ],
+        remark: "Few scans: the variation itself is uncertain.",
+    },
+    Claim {
+        quote: "The speed of the method depends practically linearly on the number of blendshapes.",
+        section: "2.2, Fig. 4",
+        rule: "By the paper's differentiation: a straight line explains at least 95 % of the variance of the time, and the curvature \
+               is not significant (p at least 0.05).",
+        rules: &[
+            alone(pick("shapes-fit.timing", PAPER, "r_squared", First), AtLeast(0.95)),
+            alone(pick("shapes-fit.timing", PAPER, "curvature_p", First), AtLeast(0.05)),
+        ],
+        remark: "Medians over the scans; what other programs on the machine take is noise on top.",
+    },
+    Claim {
+        quote: "Where time is critical, it makes sense to use as few blendshapes as possible.",
+        section: "2.2",
+        rule: "By our differentiation, a registration with the most components takes at least 1.5 times as long as with the fewest.",
+        rules: &[alone(pick("shapes-fit.timing", OURS, "last_over_first", First), AtLeast(1.5))],
+        remark: "It is a claim about the method; by our differentiation a further shape costs a dense update, no derivatives.",
+    },
+    Claim {
+        quote: "The time may differ with topology and implementation, but its dependence on the number of blendshapes will remain.",
+        section: "2.2",
+        rule: "By our differentiation, the share of the time that grows with the shapes is at least half of that by the paper's.",
+        rules: &[ratio(
+            pick("shapes-fit.timing", OURS, "growing_share", First),
+            pick("shapes-fit.timing", PAPER, "growing_share", First),
+            AtLeast(0.5),
+        )],
+        remark: "",
+    },
+];

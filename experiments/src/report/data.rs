@@ -1,0 +1,135 @@
+//! The rig and the cases that most studies share: generated, or the user's own.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::{Pose, PoseKind, Vec3, closest_pose};
+use nonrigid::registration::InputFile;
+
+use super::effort::Effort;
+use crate::generated::write_standard_cases;
+use crate::real_scans::SCANS;
+use crate::scan_bench::{BenchCase, BenchRig, case_folders};
+
+/// Rig and cases.
+pub struct Data {
+    /// Rig folder.
+    pub rig_folder: PathBuf,
+    /// Folder of the cases.
+    pub cases_folder: PathBuf,
+    /// Whether they are made from the seed.
+    pub generated: bool,
+    /// The rig.
+    pub rig: BenchRig,
+    /// The cases, by the standard order or by name; at least one.
+    pub cases: Vec<BenchCase>,
+    /// The user's rig and the folder of real scans, without truth, where there are any.
+    pub real: Option<[PathBuf; 2]>,
+}
+
+impl Data {
+    /// Makes rig and standard cases in `folder`.
+    ///
+    /// # Errors
+    /// When something cannot be written or read back.
+    pub fn generate(folder: &Path, effort: &Effort, seed: u64) -> Result<Self> {
+        write_standard_cases(folder, effort.vertices, effort.triangles, &effort.cases, seed)?;
+        let mut data = Self::read(&folder.join("rig"), &folder.join("cases"))?;
+        data.cases.sort_by_key(|case| effort.cases.iter().position(|name| *name == case.name));
+        data.generated = true;
+        Ok(data)
+    }
+
+    /// Reads rig and cases.
+    ///
+    /// # Errors
+    /// When something cannot be read.
+    pub fn read(rig_folder: &Path, cases_folder: &Path) -> Result<Self> {
+        let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
+        let rig = BenchRig::read(rig_folder).map_err(unread)?;
+        let cases = BenchCase::read_all(cases_folder, &rig).map_err(unread)?;
+        let (rig_folder, cases_folder) = (rig_folder.to_owned(), cases_folder.to_owned());
+        Ok(Self { rig_folder, cases_folder, generated: false, rig, cases, real: None })
+    }
+
+    /// The user's own: cases with truth, folders with a `case.json`, anywhere below `scans`; and the real scans of
+    /// [`real_scans`](crate::real_scans), in it or in its folder `scans`. Without cases these are generated, as by
+    /// [`generate`](Self::generate).
+    ///
+    /// # Errors
+    /// When something cannot be read, or there is neither.
+    pub fn of_user(rig: &Path, scans: &Path, folder: &Path, effort: &Effort, seed: u64) -> Result<Self> {
+        let real =
+            [scans.to_owned(), scans.join("scans")].into_iter().find(|f| SCANS.iter().any(|s| f.join(s.1).exists()));
+        let mut data = match (case_folders(scans), &real) {
+            (Err(_), Some(_)) => Self::generate(folder, effort, seed)?,
+            _ => Self::read(rig, scans)?,
+        };
+        data.real = real.map(|scans| [rig.to_owned(), scans]);
+        Ok(data)
+    }
+
+    /// The case whose scan is farthest from where a rigid motion takes the neutral: the most extreme expression.
+    ///
+    /// # Panics
+    /// Without cases; there is at least one.
+    #[must_use]
+    pub fn extreme(&self) -> &BenchCase {
+        let size = |case: &BenchCase| {
+            let (rest, pose) = (case.rest(), upright(case));
+            let way: f64 = rest.iter().zip(&case.truth).map(|(r, t)| (pose.apply(*r) - t).norm_squared()).sum();
+            (case.neutral.is_some(), way)
+        };
+        let farther = |a: &&BenchCase, b: &&BenchCase| {
+            let (a, b) = (size(a), size(b));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+        };
+        self.cases.iter().max_by(farther).expect("proven: reading refuses a folder without cases")
+    }
+
+    /// Every file of rig and cases with its hash.
+    ///
+    /// # Errors
+    /// When one cannot be read.
+    pub fn hashes(&self) -> Result<Vec<InputFile>> {
+        let mut found = Vec::new();
+        let real = self.real.iter().flat_map(|[rig, scans]| [("rig of real scans", rig), ("real scans", scans)]);
+        for (role, folder) in [("rig", &self.rig_folder), ("cases", &self.cases_folder)].into_iter().chain(real) {
+            for path in files_below(folder)? {
+                let mut file = InputFile::hash(role, &path).map_err(|e| unreadable(&path, &e))?;
+                file.name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
+                found.push(file);
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// The folder of the real scans: `scans`, or `scans` in it; where it holds one of them.
+#[must_use]
+pub fn real_scans_in(scans: &Path) -> Option<PathBuf> {
+    [scans.to_owned(), scans.join("scans")].into_iter().find(|f| SCANS.iter().any(|s| f.join(s.1).exists()))
+}
+
+fn unreadable(path: &Path, e: &std::io::Error) -> Failure {
+    Failure::loading(format!("{}: {e}", path.display()))
+}
+
+/// Every file below a folder, by name.
+fn files_below(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, &e))? {
+        let path = entry.map_err(|e| unreadable(folder, &e))?.path();
+        if path.is_dir() { found.extend(files_below(&path)?) } else { found.push(path) }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The pose of the person's neutral, or else the template, in the scan: its inverse stands the scan upright for a picture.
+#[must_use]
+pub fn upright(case: &BenchCase) -> Pose {
+    let pairs: Vec<(Vec3, Vec3)> = case.rest().iter().copied().zip(case.truth.iter().copied()).collect();
+    closest_pose(&pairs, PoseKind::Rigid).unwrap_or_else(|_| Pose::identity())
+}

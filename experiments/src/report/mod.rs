@@ -1,0 +1,334 @@
+//! The report: Klimov's figures and claims, the models side by side, and how the solver grows, on one page that fills as results
+//! arrive.
+
+use std::fs;
+use std::io::{IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use nonrigid::cli::{Failure, Stage, say_to};
+use serde_json::json;
+
+pub mod claims;
+mod data;
+pub mod effort;
+mod page;
+mod studies;
+mod study;
+pub mod table;
+
+use claims::{Judged, Measured, Verdict};
+use data::{Data, real_scans_in};
+use effort::Effort;
+use page::{Page, State};
+use studies::STUDIES;
+use study::{Setting, Study};
+
+use crate::tables::write_json;
+
+/// What to run.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Options {
+    /// Less of everything: at most two minutes on two cores
+    #[arg(long, conflicts_with = "full")]
+    pub quick: bool,
+    /// More of everything, however long it takes
+    #[arg(long)]
+    pub full: bool,
+    /// Names the studies with what they would take, and ends
+    #[arg(long)]
+    pub list: bool,
+    /// Only these studies
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    pub only: Vec<String>,
+    /// A rig of your own instead of the generated one, for studies of cases
+    #[arg(long, value_name = "DIR", requires = "scans")]
+    pub rig: Option<PathBuf>,
+    /// Its scans: cases with truth as data-gen writes them, anywhere below DIR, and real ones as real-scans reads them, there or
+    /// in DIR/scans
+    #[arg(long, value_name = "DIR", requires = "rig")]
+    pub scans: Option<PathBuf>,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 7)]
+    pub seed: u64,
+    /// Where the page and everything else goes
+    #[arg(long, value_name = "DIR", default_value = "out/report")]
+    pub out: PathBuf,
+}
+
+impl Options {
+    /// How much they ask for.
+    #[must_use]
+    pub fn effort(&self) -> Effort {
+        match (self.quick, self.full) {
+            (true, _) => Effort::quick(),
+            (_, true) => Effort::full(),
+            _ => Effort::usual(),
+        }
+    }
+}
+
+/// Runs the studies that were asked for and tells `log` about it. `program` is the `experiments` whose processes measure memory.
+///
+/// # Errors
+/// A [`Failure`] of the arguments, of reading, of writing; and of the computation when a study failed, after all others have run.
+pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Write) -> Result<Vec<Judged>> {
+    let chosen = choose(options)?;
+    if options.list {
+        list(effort, log)?;
+        return Ok(Vec::new());
+    }
+    let out = &options.out;
+    fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
+    let clock = Instant::now();
+    let threads = rayon::current_num_threads();
+    let seconds: f64 = chosen.iter().map(|s| (s.seconds)(effort)).sum::<f64>() + generating(options, effort);
+    let plan =
+        chosen.iter().map(|s| format!("{} {}", s.name, spoken((s.seconds)(effort)))).collect::<Vec<_>>().join(", ");
+    let say = |log: &mut dyn Write, text: String| say_to(log, format_args!("{text}"));
+    say(log, format!("Klimov 2020, measured ({}); seed {}, threads {threads}\n", effort.name, options.seed))?;
+    say(log, format!("plan, about {} on two cores: {plan}\n", spoken(seconds)))?;
+    say(log, format!("page: {}, grows as results arrive\n\n", out.join("index.html").display()))?;
+
+    let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
+    forget_results(out, &tables)?;
+    let measured = Measured { folder: out, tables: &tables };
+    let data = read_data(options, effort, log)?;
+    write_manifest(options, effort, &data, &chosen)?;
+    let about = about(options, effort, &data);
+    let mut states: Vec<(&'static Study, State)> = chosen.iter().map(|s| (*s, State::Waiting)).collect();
+    let mut times = Vec::new();
+    for k in 0..states.len() {
+        let study = states[k].0;
+        states[k].1 = State::Running;
+        page::write(out, &Page { about: &about, verdicts: &claims::judge_all(measured)?, studies: &states })?;
+        let begin = Instant::now();
+        let progress = progress_bar();
+        say(log, format!("{:12}", study.name))?;
+        states[k].1 =
+            outcome(study, &Setting { effort, data: &data, seed: options.seed, out, program, progress: &progress })?;
+        progress.finish_and_clear();
+        let seconds = begin.elapsed().as_secs_f64();
+        times.push((study.name, seconds));
+        let failure =
+            if let State::Failed(message) = &states[k].1 { format!("  failed: {message}") } else { String::new() };
+        say(log, format!("{seconds:7.1} s{failure}\n"))?;
+    }
+    let verdicts = claims::judge_all(measured)?;
+    claims::table(&verdicts).write(out, "claims")?;
+    page::write(out, &Page { about: &about, verdicts: &verdicts, studies: &states })?;
+    write_machine(out, &times, clock.elapsed().as_secs_f64())?;
+
+    let count = |v: Verdict| verdicts.iter().filter(|j| j.verdict == v).count();
+    let [holds, fails, open] = [Verdict::Holds, Verdict::Fails, Verdict::NotMeasured].map(count);
+    say(log, format!("\nclaims: {holds} hold, {fails} do not, {open} not measured\n"))?;
+    say(log, format!("page    {}\n", out.join("index.html").display()))?;
+    say(log, format!("data    {}, {}\n", data.rig_folder.display(), data.cases_folder.display()))?;
+    say(log, format!("took {}\n\n{}\n", spoken(clock.elapsed().as_secs_f64()), next_commands(&data, out)))?;
+    let failed =
+        states.iter().find_map(|(s, state)| if let State::Failed(m) = state { Some((s.name, m)) } else { None });
+    match failed {
+        None => Ok(verdicts),
+        Some((study, message)) => Err(Failure::computation(format!("{study}: {message}")).into()),
+    }
+}
+
+/// Runs a study. That it fails is its outcome, but what cannot be written ends everything: the next would not be written either.
+fn outcome(study: &Study, setting: &Setting<'_>) -> Result<State> {
+    match (study.run)(setting) {
+        Ok(section) => Ok(State::Done(section)),
+        Err(e) if e.downcast_ref::<Failure>().is_some_and(|f| f.stage() == Stage::Writing) => Err(e),
+        Err(e) => Ok(State::Failed(format!("{e:#}"))),
+    }
+}
+
+/// The studies that are asked for, in the order of the page: all without names, but those of real scans only where there are some.
+fn choose(options: &Options) -> Result<Vec<&'static Study>> {
+    let names = &options.only;
+    if let Some(unknown) = names.iter().find(|n| !STUDIES.iter().any(|s| s.name == n.as_str())) {
+        let known = STUDIES.iter().map(|s| s.name).collect::<Vec<_>>().join(", ");
+        let message = format!("--only {unknown}: no study of that name; there are {known}");
+        return Err(Failure::new(Stage::Arguments, message).into());
+    }
+    let real = options.scans.as_deref().and_then(real_scans_in).is_some();
+    if names.iter().any(|n| n == studies::REAL) && !real {
+        let message = format!("--only {}: needs --rig, and --scans with a real scan", studies::REAL);
+        return Err(Failure::new(Stage::Arguments, message).into());
+    }
+    let wanted = |s: &&Study| match &names[..] {
+        [] => s.name != studies::REAL || real,
+        names => names.iter().any(|n| n == s.name),
+    };
+    Ok(STUDIES.iter().filter(wanted).collect())
+}
+
+fn list(effort: &Effort, log: &mut dyn Write) -> Result<()> {
+    for study in STUDIES {
+        say_to(log, format_args!("{:12} {:>8}  {}\n", study.name, spoken((study.seconds)(effort)), study.title))?;
+    }
+    Ok(())
+}
+
+/// Seconds to make the data, on two cores.
+fn generating(options: &Options, effort: &Effort) -> f64 {
+    if options.rig.is_some() { 1.0 } else { 0.5 + 0.6 * effort.cases.len() as f64 }
+}
+
+fn read_data(options: &Options, effort: &Effort, log: &mut dyn Write) -> Result<Data> {
+    let begin = Instant::now();
+    say_to(log, format_args!("{:12}", "data"))?;
+    let folder = options.out.join("data").join(effort.name);
+    let data = match (&options.rig, &options.scans) {
+        (Some(rig), Some(scans)) => Data::of_user(rig, scans, &folder, effort, options.seed)?,
+        _ => Data::generate(&folder, effort, options.seed)?,
+    };
+    say_to(log, format_args!("{:7.1} s\n", begin.elapsed().as_secs_f64()))?;
+    Ok(data)
+}
+
+/// Removes what an earlier run left under these names, so that no verdict rests on it.
+fn forget_results(out: &Path, tables: &[&str]) -> Result<()> {
+    for path in tables.iter().flat_map(|table| ["csv", "json"].map(|e| out.join(format!("{table}.{e}")))) {
+        if path.exists() {
+            fs::remove_file(&path).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
+        }
+    }
+    Ok(())
+}
+
+fn about(options: &Options, effort: &Effort, data: &Data) -> String {
+    let template = data.rig.template();
+    let of = if data.generated {
+        format!("generated from seed {}", options.seed)
+    } else {
+        "your own rig and scans; sweeps, resolution and Fig. 4 on generated faces".to_owned()
+    };
+    format!(
+        "{} cases on a template of {} vertices, {of}. Effort: {}.",
+        data.cases.len(),
+        template.positions.len(),
+        effort.name
+    )
+}
+
+/// What identifies a run: equal manifests, equal results.
+fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&Study]) -> Result<()> {
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let schedules = nonrigid::registration::DEFAULT_SCHEDULES;
+    let manifest = json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "commit": commit(),
+        "command": command,
+        "seed": options.seed,
+        "effort": effort,
+        "studies": chosen.iter().map(|s| s.name).collect::<Vec<_>>(),
+        "schedules": schedules.iter().copied().collect::<std::collections::BTreeMap<_, _>>(),
+        "generated": data.generated,
+        "inputs": data.hashes()?,
+    });
+    write_json(&options.out.join("manifest.json"), &manifest)
+}
+
+/// The commit that this program's sources are at, and whether they differ from it; `None` outside of a checkout.
+fn commit() -> Option<String> {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").args(["-C", env!("CARGO_MANIFEST_DIR")]).args(arguments).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let commit = git(&["rev-parse", "HEAD"])?;
+    let changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|s| !s.is_empty());
+    Some(if changed { format!("{commit}, changed") } else { commit })
+}
+
+/// What may differ between equal runs.
+fn write_machine(out: &Path, times: &[(&str, f64)], total: f64) -> Result<()> {
+    let processor = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|l| l.starts_with("model name"))?.to_owned();
+        Some(line.split_once(':')?.1.trim().to_owned())
+    });
+    let finished = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let machine = json!({
+        "processor": processor,
+        "cores": std::thread::available_parallelism().map_or(1, usize::from),
+        "threads": rayon::current_num_threads(),
+        "system": std::env::consts::OS,
+        "architecture": std::env::consts::ARCH,
+        "finished_unix_seconds": finished,
+        "seconds": times.iter().copied().collect::<std::collections::BTreeMap<_, _>>(),
+        "seconds_in_all": total,
+    });
+    write_json(&out.join("machine.json"), &machine)
+}
+
+fn progress_bar() -> ProgressBar {
+    let target =
+        if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let style = ProgressStyle::with_template("  {bar:30} {pos}/{len}, {eta} left").expect("proven: a fixed template");
+    let bar = ProgressBar::with_draw_target(Some(0), target).with_style(style);
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar
+}
+
+/// Seconds as people say them.
+fn spoken(seconds: f64) -> String {
+    let seconds = seconds.ceil() as u64;
+    if seconds < 60 { format!("{seconds} s") } else { format!("{} min {:02} s", seconds / 60, seconds % 60) }
+}
+
+/// What to type next, as it works from the same folder.
+fn next_commands(data: &Data, out: &Path) -> String {
+    let quoted = |path: PathBuf| {
+        let text = path.display().to_string();
+        if text.contains(char::is_whitespace) { format!("\"{text}\"") } else { text }
+    };
+    let (rig, template) = (quoted(data.rig_folder.clone()), quoted(data.rig_folder.join("template.obj")));
+    let case = data.cases_folder.join(&data.extreme().name);
+    let modes = data.rig.rig().shapes().iter().filter(|s| s.family == nonrigid::rig::Family::Identity).count();
+    let modes = if modes > 0 { format!(" --identity-modes {}", modes.min(40)) } else { String::new() };
+    format!(
+        "look closer:\n  \
+         cargo run --release -p experiments -- compare {} --rig {rig} --out {}\n\n\
+         your own scan, in a folder YOUR_SCAN with scan.ply and landmarks.json ({} is one):\n  \
+         cargo run --release -- register --template {template} --rig {rig}{modes} \
+         --target YOUR_SCAN/scan.ply --landmarks YOUR_SCAN/landmarks.json --out {} --picture {}",
+        quoted(data.cases_folder.clone()),
+        quoted(out.join("compare")),
+        quoted(case),
+        quoted(out.join("wrapped.obj")),
+        quoted(out.join("wrapped.png")),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_studies_are_refused_with_those_that_there_are() {
+        let options = |names: &[&str]| Options {
+            quick: true,
+            full: false,
+            list: false,
+            only: names.iter().map(ToString::to_string).collect(),
+            rig: None,
+            scans: None,
+            seed: 7,
+            out: PathBuf::new(),
+        };
+        let error = choose(&options(&["shapes", "fig9"])).unwrap_err().to_string();
+        assert!(error.contains("fig9") && error.contains("sweeps"), "{error}");
+        let error = choose(&options(&["real"])).unwrap_err().to_string();
+        assert!(error.contains("--scans"), "{error}");
+        let chosen = choose(&options(&["sweeps", "inputs"])).unwrap();
+        assert_eq!(chosen.iter().map(|s| s.name).collect::<Vec<_>>(), ["inputs", "sweeps"]);
+        assert_eq!(choose(&options(&[])).unwrap().len(), STUDIES.len() - 1);
+    }
+
+    #[test]
+    fn durations_read_well() {
+        assert_eq!([0.2, 59.0, 59.5, 125.0].map(spoken), ["1 s", "59 s", "1 min 00 s", "2 min 05 s"]);
+    }
+}

@@ -1,0 +1,191 @@
+//! The page: one HTML file with everything in it.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use nonrigid::cli::Failure;
+use nonrigid::mesh::io::write_atomically;
+
+use super::claims::{Judged, Verdict};
+use super::study::{Block, Section, Study};
+use super::table::Table;
+
+/// Where a study stands.
+pub enum State {
+    /// Not yet begun.
+    Waiting,
+    /// At it.
+    Running,
+    /// Done.
+    Done(Section),
+    /// Ended with an error.
+    Failed(String),
+}
+
+/// What the page is made of.
+pub struct Page<'a> {
+    /// What was run, in a sentence.
+    pub about: &'a str,
+    /// The verdicts so far.
+    pub verdicts: &'a [Judged],
+    /// Every study, in order.
+    pub studies: &'a [(&'static Study, State)],
+}
+
+const STYLE: &str = "\
+body{font:16px/1.5 system-ui,sans-serif;color:#20242c;max-width:1180px;margin:0 auto;padding:24px}\
+h1{font-size:30px;margin:0 0 4px}h2{font-size:23px;margin:48px 0 8px;border-top:1px solid #d0d3d8;padding-top:24px}\
+p.about{color:#555b66;max-width:900px}figure{margin:18px 0}figure img,figure svg{max-width:100%;height:auto;display:block}\
+figcaption,caption{color:#555b66;font-size:14px;text-align:left;padding:6px 0;max-width:900px;caption-side:bottom}\
+table{border-collapse:collapse;font-size:14px;margin:18px 0}div.wide{overflow-x:auto}\
+th,td{padding:4px 10px;text-align:right;border-bottom:1px solid #e6e8ec;vertical-align:top}\
+th{background:#f4f5f7;white-space:nowrap}td:first-child,th:first-child,table.text td,table.text th{text-align:left}\
+table.text td{min-width:90px}table.text td:first-child{min-width:260px}\
+.holds{color:#006a4e;font-weight:600}.fails{color:#a8321e;font-weight:600}\
+.waiting{color:#777}.failed{color:#a8321e;white-space:pre-wrap}nav a{margin-right:14px}code{background:#f4f5f7;padding:1px 4px}";
+
+/// Writes `index.html` into a folder, with the pictures that lie there inside.
+///
+/// # Errors
+/// When a picture cannot be read or the page not be written.
+pub fn write(folder: &Path, page: &Page<'_>) -> Result<()> {
+    let html = html(folder, page)?;
+    let path = folder.join("index.html");
+    Ok(write_atomically(&path, |file| std::io::Write::write_all(file, html.as_bytes())).map_err(Failure::writing)?)
+}
+
+fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
+    let mut out = String::new();
+    let count = |v: Verdict| page.verdicts.iter().filter(|j| j.verdict == v).count();
+    let [holds, fails, open] = [Verdict::Holds, Verdict::Fails, Verdict::NotMeasured].map(count);
+    let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
+    write!(
+        out,
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>nonrigid: Klimov 2020, measured</title><style>{STYLE}</style></head><body>\n\
+         <h1>A hybrid deformation model, measured</h1>\n\
+         <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020: its \
+         figures and its claims, on data whose truth is known. {}</p>\n\
+         <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, {open} are not \
+         measured{}.</p>\n<nav>",
+        escaped(page.about),
+        page.verdicts.len(),
+        if unfinished { " yet" } else { "" },
+    )?;
+    for (study, _) in page.studies {
+        write!(out, "<a href=\"#{0}\">{0}</a>", study.name)?;
+    }
+    out.push_str("<a href=\"#claims\">claims</a></nav>\n");
+    for (study, state) in page.studies {
+        let [title, about] = [study.title, study.about].map(escaped);
+        write!(out, "<h2 id=\"{}\">{title}</h2>\n<p class=\"about\">{about}</p>\n", study.name)?;
+        match state {
+            State::Waiting => out.push_str("<p class=\"waiting\">Not yet run.</p>\n"),
+            State::Running => out.push_str("<p class=\"waiting\">Running; reload this page.</p>\n"),
+            State::Failed(message) => writeln!(out, "<p class=\"failed\">failed: {}</p>", escaped(message))?,
+            State::Done(section) => {
+                for block in &section.blocks {
+                    write_block(&mut out, folder, block)?;
+                }
+            }
+        }
+    }
+    out.push_str("<h2 id=\"claims\">What the paper claims</h2>\n");
+    write_claims(&mut out, page.verdicts)?;
+    out.push_str(
+        "<p class=\"about\">Every number is in a CSV and a JSON file beside this page; <code>manifest.json</code> has version, \
+         command, configuration, seed and hashes of the inputs, <code>machine.json</code> processor, threads and times.</p>\n\
+         </body></html>\n",
+    );
+    Ok(out)
+}
+
+fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
+    match block {
+        Block::Figure { file, caption } => {
+            let path = folder.join(file);
+            let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
+            out.push_str("<figure>");
+            if file.ends_with(".svg") {
+                out.push_str(&String::from_utf8_lossy(&bytes));
+            } else {
+                let data = STANDARD.encode(bytes);
+                write!(out, "<img alt=\"{}\" src=\"data:image/png;base64,{data}\">", escaped(caption))?;
+            }
+            writeln!(out, "<figcaption>{}</figcaption></figure>", escaped(caption))?;
+        }
+        Block::Table { table, caption, file } => {
+            write_table(out, table, &format!("{} All digits: <code>{}</code>.", escaped(caption), escaped(file)))?;
+        }
+    }
+    Ok(())
+}
+
+fn write_table(out: &mut String, table: &Table, caption: &str) -> Result<()> {
+    write!(out, "<div class=\"wide\"><table><caption>{caption}</caption><tr>")?;
+    for name in &table.header {
+        write!(out, "<th>{}</th>", escaped(&name.replace('_', " ")))?;
+    }
+    out.push_str("</tr>\n");
+    for row in &table.rows {
+        let cells: String = row.iter().map(|cell| format!("<td>{}</td>", escaped(&short(cell)))).collect();
+        writeln!(out, "<tr>{cells}</tr>")?;
+    }
+    out.push_str("</table></div>\n");
+    Ok(())
+}
+
+fn write_claims(out: &mut String, verdicts: &[Judged]) -> Result<()> {
+    out.push_str(
+        "<div class=\"wide\"><table class=\"text\"><caption>One row for each sentence that claims something. A claim holds when \
+         every number of its rule does. The same in <code>claims.csv</code>.</caption>\
+         <tr><th>claim</th><th>section</th><th>verdict</th><th>rule</th><th>number, bound</th><th>rows</th><th>remark</th></tr>\n",
+    );
+    for j in verdicts {
+        let class = match j.verdict {
+            Verdict::Holds => "holds",
+            Verdict::Fails => "fails",
+            Verdict::NotMeasured => "waiting",
+        };
+        write!(out, "<tr><td>{}</td><td>{}</td>", escaped(j.claim.quote), escaped(j.claim.section))?;
+        write!(out, "<td class=\"{class}\">{}</td><td>{}</td>", j.verdict.name(), escaped(j.claim.rule))?;
+        for texts in [&j.numbers, &j.places] {
+            write!(out, "<td>{}</td>", texts.iter().map(|t| escaped(t)).collect::<Vec<_>>().join("<br>"))?;
+        }
+        writeln!(out, "<td>{}</td></tr>", escaped(j.claim.remark))?;
+    }
+    out.push_str("</table></div>\n");
+    Ok(())
+}
+
+/// Text as HTML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// A cell as people read it: three significant digits where there are more.
+fn short(cell: &str) -> String {
+    match cell.parse::<f64>() {
+        Ok(v) if v.is_finite() && cell.contains('.') => match v.abs() {
+            0.0 => "0".to_owned(),
+            a if a < 1e-3 => format!("{v:.1e}"),
+            a => format!("{v:.*}", (2 - a.log10().floor() as i32).clamp(0, 5) as usize),
+        },
+        _ => cell.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_short_and_text_is_escaped() {
+        let cells = ["1.234567", "0.012345", "1234.500000", "400", "a < b", "1.2345e-5"].map(short);
+        assert_eq!(cells, ["1.23", "0.0123", "1234", "400", "a < b", "1.2e-5"]);
+        assert_eq!(escaped("<b> & \"c\""), "&lt;b&gt; &amp; &quot;c&quot;");
+    }
+}

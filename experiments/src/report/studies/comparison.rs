@@ -1,0 +1,114 @@
+//! The comparison table: every model, kernel and data term on the same scans.
+
+use anyhow::{Result, anyhow};
+
+use crate::compare::{CompareRow, Variant, measure_by, summarize};
+use crate::plots::{Bar, GroupedBars};
+use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, models, spread};
+use crate::report::table::{Table, number};
+use crate::scan_bench::BenchRow;
+
+pub const STUDY: Study = Study {
+    name: "comparison",
+    title: "Comparison: models, robust kernels, data terms",
+    about: "Varied: the model with its default schedule; then, for the hybrid, the robust kernel of its data term and the data \
+            terms. Held: scans, shapes, landmarks. Measured: errors over the observed vertices, flips, self-intersections, \
+            steps, and, each variant in a process of its own, seconds and greatest memory.",
+    tables: &["comparison", "comparison.timing"],
+    seconds: |effort| {
+        let slow = effort.models.iter().filter(|m| m.to_string() == "affine").count() as f64;
+        let fast = effort.models.len() as f64 + if effort.kernels_and_terms { 16.0 } else { 0.0 };
+        effort.vertices as f64 / 5000.0 * effort.cases.len() as f64 * (1.0 * fast + 9.0 * slow)
+    },
+    run,
+};
+
+fn run(setting: &Setting<'_>) -> Result<Section> {
+    let data = setting.data;
+    let mut variants = models(&setting.effort.models)?;
+    if setting.effort.kernels_and_terms {
+        variants.extend(Variant::kernels()?);
+        variants.extend(Variant::terms()?);
+    }
+    setting.progress.set_length((variants.len() * data.cases.len()) as u64);
+    let threads = rayon::current_num_threads();
+    let rows = measure_by(setting.program, &data.cases_folder, &data.rig_folder, &variants, threads, &mut |_| {
+        setting.progress.inc(1);
+        Ok(())
+    })?;
+
+    let mut table = Table::new(&[&["group", "name", "case"][..], &ERROR_COLUMNS, &["error"]].concat());
+    let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mib", "threads"]);
+    for row in &rows {
+        let of = [row.group.clone(), row.name.clone(), row.case.clone()];
+        let mut cells = of.to_vec();
+        cells.extend(error_cells(&bench_row(row)));
+        cells.push(row.error.clone().unwrap_or_default());
+        table.push(cells);
+        let mut cells = of.to_vec();
+        let mib = row.peak_bytes.map_or(f64::NAN, |b| b as f64 / 1048576.0);
+        cells.extend([row.seconds.unwrap_or(f64::NAN), mib, threads as f64].map(number));
+        times.push(cells);
+    }
+    table.write(setting.out, "comparison")?;
+    times.write(setting.out, "comparison.timing")?;
+
+    let columns = [
+        "group",
+        "variant",
+        "rmse",
+        "worst",
+        "off",
+        "slide",
+        "p95",
+        "flips",
+        "self-intersections",
+        "steps",
+        "seconds",
+        "MiB",
+        "failed",
+    ];
+    let mut shown = Table::new(&columns);
+    let mut bars = Vec::new();
+    for s in summarize(&rows) {
+        let of: Vec<f64> = rows
+            .iter()
+            .filter(|r| (&r.group, &r.name) == (&s.group, &s.name))
+            .filter_map(|r| Some(r.score.as_ref()?.errors.rmse))
+            .collect();
+        bars.push((s.group.clone(), Bar { name: s.name.clone(), value: s.mean_rmse, spread: Some(spread(&of).1) }));
+        let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
+        let mut cells = vec![s.group, s.name];
+        cells.extend([s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.mean_p95].map(number));
+        cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));
+        let missing = f64::NAN;
+        cells.extend(
+            [s.mean_iterations.unwrap_or(missing).round(), s.mean_seconds.unwrap_or(missing), memory].map(number),
+        );
+        cells.push(s.failed.to_string());
+        shown.push(cells);
+    }
+    let cases = data.cases.len();
+    let caption = format!("Mean and range of the rmse over {cases} cases.");
+    let figure = setting.plot("comparison", &GroupedBars::new("", "rmse / mm", bars).svg()?, caption)?;
+    let caption = format!(
+        "Over {cases} cases, millimetres: means of rmse, off, slide, p95, steps and seconds; the worst rmse; the most flips and \
+         self-intersections of a case; the greatest memory, data included. {threads} threads."
+    );
+    let shown = Block::Table { table: shown, caption, file: "comparison.csv and comparison.timing.csv".into() };
+    Ok(Section { blocks: vec![figure, shown] })
+}
+
+/// What the columns of errors are taken from.
+fn bench_row(row: &CompareRow) -> Result<BenchRow> {
+    let score = row.score.clone().ok_or_else(|| anyhow!(row.error.clone().unwrap_or_default()))?;
+    Ok(BenchRow {
+        case: row.case.clone(),
+        model: row.name.clone(),
+        errors: score.errors,
+        mesh: score.mesh,
+        iterations: score.iterations.unwrap_or(0),
+        vertex_coincidence: score.vertex_coincidence,
+        seconds: row.seconds.unwrap_or(f64::NAN),
+    })
+}

@@ -1,0 +1,157 @@
+//! Fig. 5: the most extreme expression, registered by every model, side by side.
+
+use std::fs;
+
+use anyhow::Result;
+use nonrigid::cli::Failure;
+use nonrigid::evaluation::{TruthErrors, VertexErrors};
+use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::render::{Camera, ColourScale, Frame, RgbImage, Scene, Sheet, Style, View, render};
+
+use crate::report::data::upright;
+use crate::report::study::{
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, models, register_variant,
+};
+use crate::report::table::{Table, number};
+use crate::scan_bench::{BenchCase, BenchRow};
+
+pub const STUDY: Study = Study {
+    name: "extreme",
+    title: "Fig. 5: an extreme expression, every model",
+    about: "Varied: the deformation model. Held: the scan of a mouth wide open, the shapes, the landmarks, each model's default \
+            schedule. Measured: the distance of every vertex from where it truly is, along the surface's normal (off) and \
+            along the surface (slide); over all observed vertices, and over those of mouth and eyes alone.",
+    tables: &["extreme"],
+    seconds: |effort| {
+        let slow = effort.models.iter().filter(|m| m.to_string() == "affine").count() as f64;
+        effort.vertices as f64 / 5000.0 * (0.9 * effort.models.len() as f64 + 12.0 * slow)
+    },
+    run,
+};
+
+/// Width and height of a panel, pixels.
+const PANEL: [u32; 2] = [292, 320];
+/// A region is what lies within this distance of its landmarks on the template, millimetres.
+const NEAR: f64 = 12.0;
+/// Landmarks of the 68 that mark the eyes, and those that mark the mouth.
+const EYES: std::ops::Range<usize> = 36..48;
+const MOUTH: std::ops::Range<usize> = 48..68;
+
+fn run(setting: &Setting<'_>) -> Result<Section> {
+    let case = setting.data.extreme();
+    let folder = setting.out.join("extreme");
+    fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+    let regions = [MOUTH, EYES].map(|of| region(setting, case, of));
+    let variants = models(&setting.effort.models)?;
+    let outcomes = setting.run_all(&variants, |variant| register_variant(variant, case));
+
+    let columns = [&["model"][..], &ERROR_COLUMNS, &["mouth_rmse", "eyes_rmse", "error"]].concat();
+    let mut table = Table::new(&columns);
+    let mut results = Vec::new();
+    for (variant, outcome) in variants.iter().zip(outcomes) {
+        let (row, positions) = match outcome {
+            Ok((row, result)) => (Ok(row), Some(result.positions)),
+            Err(e) => (Err(e), None),
+        };
+        let errors = positions
+            .as_ref()
+            .map(|p| TruthErrors::new(p, &case.truth, &case.observed, &case.template.triangulate().triangles));
+        let errors: Option<VertexErrors> = errors.transpose()?.map(|e| e.1);
+        let near =
+            regions.each_ref().map(|r| errors.as_ref().map_or_else(String::new, |e| number(rmse_of(&e.distance, r))));
+        let mut cells = vec![variant.name.clone()];
+        cells.extend(error_cells(&row));
+        cells.extend(near);
+        cells.push(error_text(&row));
+        table.push(cells);
+        if let (Ok(row), Some(positions), Some(errors)) = (row, positions, errors) {
+            let mesh = case.template.with_positions(positions);
+            write_polygon_mesh(&folder.join(format!("{}.obj", variant.name)), &mesh).map_err(Failure::writing)?;
+            results.push((row, mesh, errors));
+        }
+    }
+    table.write(setting.out, "extreme")?;
+    let caption = format!(
+        "Template, true shape and scan of {}; then for every model its result, the polygons at the mouth, and the errors off the \
+         true surface and along it. Grey: the scan does not show it. The results are in the folder extreme, as OBJ.",
+        case.name
+    );
+    let picture = setting.picture("extreme", &draw(setting, case, &results), caption)?;
+    let shown = Block::Table { table, caption: "The same in numbers, millimetres.".into(), file: "extreme.csv".into() };
+    Ok(Section { blocks: vec![picture, shown] })
+}
+
+/// Observed vertices of the template near some of its 68 landmarks; none for a rig without these.
+fn region(setting: &Setting<'_>, case: &BenchCase, of: std::ops::Range<usize>) -> Vec<usize> {
+    let template = &case.template.positions;
+    let marks: Vec<Vec3> = landmarks(setting, of).iter().map(|v| template[*v]).collect();
+    let near = |i: &usize| case.observed[*i] && marks.iter().any(|m| (m - template[*i]).norm() <= NEAR);
+    (0..template.len()).filter(near).collect()
+}
+
+fn landmarks(setting: &Setting<'_>, of: std::ops::Range<usize>) -> Vec<usize> {
+    let all = setting.data.rig.rig().landmarks().unwrap_or_default();
+    all.get(of).unwrap_or_default().iter().map(|v| *v as usize).collect()
+}
+
+fn rmse_of(distance: &[f64], vertices: &[usize]) -> f64 {
+    (vertices.iter().map(|v| distance[*v].powi(2)).sum::<f64>() / vertices.len() as f64).sqrt()
+}
+
+/// First template, truth and scan; then a row for each model.
+fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(BenchRow, PolygonMesh, VertexErrors)]) -> RgbImage {
+    let pose = upright(case);
+    let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
+    let truth = case.template.with_positions(stand(&case.truth));
+    let rest = case.template.with_positions(case.rest().to_vec());
+    let scan = TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() };
+    let panel = |scene: &Scene, frame: &Frame, view: View| render(scene, &Camera::framing(frame, view, PANEL), PANEL);
+    let clay = |mesh: &TriangleMesh| Scene::new().mesh(mesh, Style::Clay);
+    let wired = |mesh: &PolygonMesh| clay(&mesh.triangulate()).wireframe(mesh);
+
+    let face = Frame::of(&truth.positions).union(Frame::of(&rest.positions)).scaled(0.9);
+    let angle = View::Angles { yaw: 32.0, pitch: 4.0 };
+    let mouth = landmarks(setting, MOUTH);
+    let lips = |mesh: &PolygonMesh| {
+        let marks: Vec<Vec3> = mouth.iter().map(|v| mesh.positions[*v]).collect();
+        if marks.is_empty() { Frame::of(&mesh.positions) } else { Frame::of(&marks).scaled(1.35) }
+    };
+    let open = lips(&truth);
+    let seen = |values: &[f64]| -> Vec<f64> {
+        values.iter().zip(&case.observed).map(|(v, o)| if *o { *v } else { f64::NAN }).collect()
+    };
+    // Models that cannot deform would leave no colour for the others.
+    let nonrigid = results.iter().filter(|r| r.0.model != "rigid" && r.0.model != "similarity");
+    let all: Vec<f64> = nonrigid.flat_map(|r| seen(&r.2.distance)).collect();
+    let scale = ColourScale::for_magnitudes(&all, "error, off or along the surface", "mm");
+
+    let first = vec![
+        labelled(panel(&wired(&rest), &face, angle), "template"),
+        labelled(panel(&wired(&rest), &lips(&rest).at_scale_of(open), View::Front), "its mouth"),
+        labelled(panel(&clay(&scan), &face, angle), "scan"),
+        labelled(panel(&clay(&scan), &open, View::Front), "its mouth"),
+    ];
+    let mut sheet = Sheet::new("").colour_bar(&scale).row("", first);
+    for (row, mesh, errors) in results {
+        let mesh = mesh.with_positions(stand(&mesh.positions));
+        let heat = |values: &[f64]| {
+            panel(
+                &Scene::new().mesh(&mesh.triangulate(), Style::Values(seen(values), scale.clone())),
+                &face,
+                View::Front,
+            )
+        };
+        let panels = vec![
+            labelled(
+                panel(&clay(&mesh.triangulate()), &face, angle),
+                &format!("{} {:.2} mm", row.model, row.errors.rmse),
+            ),
+            labelled(panel(&wired(&mesh), &open, View::Front), "mouth"),
+            labelled(heat(&errors.off), "off"),
+            labelled(heat(&errors.slide), "slide"),
+        ];
+        sheet = sheet.row("", panels);
+    }
+    sheet.render()
+}

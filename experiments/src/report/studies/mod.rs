@@ -1,0 +1,31 @@
+//! The studies, one file each, in the order of the page.
+
+mod ablations;
+mod comparison;
+mod convergence;
+mod extreme;
+mod inputs;
+mod real;
+mod resolution;
+mod shapes;
+mod solver;
+mod sweeps;
+
+use super::study::Study;
+
+/// All of them.
+pub const STUDIES: &[Study] = &[
+    inputs::STUDY,
+    extreme::STUDY,
+    shapes::STUDY,
+    convergence::STUDY,
+    comparison::STUDY,
+    sweeps::STUDY,
+    resolution::STUDY,
+    ablations::STUDY,
+    real::STUDY,
+    solver::STUDY,
+];
+
+/// The study that needs scans of the user's.
+pub const REAL: &str = real::STUDY.name;

@@ -1,0 +1,48 @@
+//! Real scans, every model: nobody knows the truth, so what counts is distance, coverage and the state of the mesh.
+
+use anyhow::{Result, bail};
+
+use crate::real_scans::{Arguments, COLUMNS, numbers, register_all};
+use crate::report::study::{Block, Section, Setting, Study};
+use crate::report::table::Table;
+
+pub const STUDY: Study = Study {
+    name: "real",
+    title: "Real scans, every model",
+    about: "Varied: the model. Held: the rig with its expressions and 40 identity modes, landmarks where a scan has some, the default \
+            schedules. Measured, as nobody knows the truth: the share of vertices with an accepted correspondence, the median \
+            distance to the scan, self-intersections, the stretch of edges.",
+    tables: &["real"],
+    seconds: |effort| 6.0 * effort.models.len() as f64,
+    run,
+};
+
+/// Of the rig, from the first.
+const IDENTITY_MODES: usize = 40;
+
+fn run(setting: &Setting<'_>) -> Result<Section> {
+    let Some([rig, scans]) = setting.data.real.clone() else {
+        bail!("--scans holds none of the real scans, in it or in its folder scans");
+    };
+    let arguments = Arguments {
+        scans,
+        rig,
+        identity_modes: IDENTITY_MODES,
+        models: setting.effort.models.clone(),
+        out: setting.out.join("real"),
+        threads: None,
+    };
+    let (rows, picture) = register_all(&arguments)?;
+    let mut table = Table::new(&[&["scan", "model"][..], &COLUMNS, &["error"]].concat());
+    for row in &rows {
+        let mut cells = vec![row.scan.clone(), row.model.clone()];
+        cells.extend(row.fit.as_ref().map_or_else(|| vec![String::new(); COLUMNS.len()], |fit| numbers(fit, 6)));
+        cells.push(row.error.clone().unwrap_or_default());
+        table.push(cells);
+    }
+    table.write(setting.out, "real")?;
+    let caption = "Each scan and what every model makes of it. The results are in the folder real, as OBJ.";
+    let picture = setting.picture("real", &picture, caption)?;
+    let caption = "The same in numbers, millimetres; median and share over vertices within 3 mm as well.";
+    Ok(Section { blocks: vec![picture, Block::Table { table, caption: caption.into(), file: "real.csv".into() }] })
+}

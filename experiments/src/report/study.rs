@@ -1,0 +1,174 @@
+//! What a study is: a name, what it is about, how long it takes, and a function that fills its section of the page.
+
+use std::path::Path;
+
+use anyhow::Result;
+use indicatif::ProgressBar;
+use nonrigid::cli::Failure;
+use nonrigid::registration::{ModelKind, RegistrationResult, TermFactory, TermKind};
+use nonrigid::render::{RgbImage, draw_text, save_png};
+use rayon::prelude::*;
+
+use super::data::Data;
+use super::effort::Effort;
+use super::table::{Table, number};
+use crate::compare::Variant;
+use crate::plots::write_svg;
+use crate::scan_bench::{BenchCase, BenchRow, run_case};
+
+/// One figure, table or group of them on the page.
+#[derive(Debug)]
+pub struct Study {
+    /// Name on the command line and of its files.
+    pub name: &'static str,
+    /// Heading on the page.
+    pub title: &'static str,
+    /// What is varied, what is held, what is measured.
+    pub about: &'static str,
+    /// The tables that it writes, by their files' names without extension.
+    pub tables: &'static [&'static str],
+    /// Seconds on two cores, about.
+    pub seconds: fn(&Effort) -> f64,
+    /// Does it.
+    pub run: fn(&Setting<'_>) -> Result<Section>,
+}
+
+/// What a study works with.
+pub struct Setting<'a> {
+    /// How much of it.
+    pub effort: &'a Effort,
+    /// Rig and cases.
+    pub data: &'a Data,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Where its files go.
+    pub out: &'a Path,
+    /// The `experiments` whose processes measure memory.
+    pub program: &'a Path,
+    /// How far it is.
+    pub progress: &'a ProgressBar,
+}
+
+/// What a study leaves on the page, from top to bottom.
+#[derive(Debug, Default)]
+pub struct Section {
+    /// In this order.
+    pub blocks: Vec<Block>,
+}
+
+/// A part of a section.
+#[derive(Debug)]
+pub enum Block {
+    /// A file below the output folder, `.png` or `.svg`.
+    Figure {
+        /// Its name.
+        file: String,
+        /// What it shows.
+        caption: String,
+    },
+    /// A table as people read it.
+    Table {
+        /// Its rows.
+        table: Table,
+        /// What it holds.
+        caption: String,
+        /// The file with all of its digits.
+        file: String,
+    },
+}
+
+impl Setting<'_> {
+    /// Saves a picture as `name`.png.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn picture(&self, name: &str, picture: &RgbImage, caption: impl Into<String>) -> Result<Block> {
+        let file = format!("{name}.png");
+        save_png(picture, self.out.join(&file)).map_err(Failure::writing)?;
+        Ok(Block::Figure { file, caption: caption.into() })
+    }
+
+    /// Saves a plot as `name`.svg.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn plot(&self, name: &str, svg: &str, caption: impl Into<String>) -> Result<Block> {
+        let file = format!("{name}.svg");
+        write_svg(&self.out.join(&file), svg)?;
+        Ok(Block::Figure { file, caption: caption.into() })
+    }
+
+    /// Runs every job, several at a time. Each is done whether or not others fail; a failure is its row.
+    pub fn run_all<J: Sync, R: Send>(&self, jobs: &[J], run: impl Fn(&J) -> R + Sync) -> Vec<R> {
+        self.progress.set_length(jobs.len() as u64);
+        let one = |job: &J| {
+            let result = run(job);
+            self.progress.inc(1);
+            result
+        };
+        // One job a task: they take unequally long.
+        jobs.par_iter().with_max_len(1).map(one).collect()
+    }
+}
+
+/// Models with their default schedules.
+///
+/// # Errors
+/// When a default schedule cannot be read.
+pub fn models(models: &[ModelKind]) -> Result<Vec<Variant>> {
+    models.iter().map(|m| Ok(Variant::of_model(*m)?)).collect()
+}
+
+/// Registers a case with a variant.
+///
+/// # Errors
+/// When the registration fails.
+pub fn register_variant(variant: &Variant, case: &BenchCase) -> Result<(BenchRow, RegistrationResult)> {
+    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks)
+}
+
+/// A picture with a few words in its upper left corner.
+#[must_use]
+pub fn labelled(mut picture: RgbImage, words: &str) -> RgbImage {
+    draw_text(&mut picture, 6, 6, words, 2, [32, 36, 44]);
+    picture
+}
+
+/// Columns of [`error_cells`].
+pub const ERROR_COLUMNS: [&str; 9] =
+    ["rmse", "off", "slide", "median", "p95", "unobserved", "flips", "self_intersections", "iterations"];
+
+/// The errors of a row, millimetres; of a failure none.
+#[must_use]
+pub fn error_cells(row: &Result<BenchRow>) -> Vec<String> {
+    let Ok(row) = row else { return vec![String::new(); ERROR_COLUMNS.len()] };
+    let e = &row.errors;
+    let counts = [e.flipped, row.mesh.self_intersections, row.iterations];
+    let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved];
+    numbers.into_iter().chain(counts.map(|n| n as f64)).map(number).collect()
+}
+
+/// What a failed job says; nothing for a success.
+#[must_use]
+pub fn error_text<T>(result: &Result<T>) -> String {
+    result.as_ref().err().map_or_else(String::new, |e| format!("{e:#}"))
+}
+
+/// Mean, least and greatest of some numbers; not a number without any.
+#[must_use]
+pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let greatest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (mean, [least, greatest])
+}
+
+/// The middle value, the mean of the two middle ones of an even number.
+#[must_use]
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let (n, at) = (sorted.len(), |k: usize| sorted.get(k).copied().unwrap_or(f64::NAN));
+    (at(n.saturating_sub(1) / 2) + at(n / 2)) / 2.0
+}

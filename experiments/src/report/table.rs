@@ -1,0 +1,129 @@
+//! Tables that studies write, and that claims and the page read again: CSV for people and programs, JSON beside it.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use nonrigid::mesh::io::write_atomically;
+use serde_json::{Map, Value};
+
+use crate::tables::{csv_text, write_json};
+
+/// Rows of text under named columns.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Table {
+    /// Names of the columns.
+    pub header: Vec<String>,
+    /// Rows, as long as the header.
+    pub rows: Vec<Vec<String>>,
+}
+
+/// A number as tables hold it: six decimals, none for whole numbers, nothing where there is no number.
+#[must_use]
+pub fn number(value: f64) -> String {
+    match value {
+        v if !v.is_finite() => String::new(),
+        v if v == v.trunc() && v.abs() < 1e15 => format!("{v:.0}"),
+        v if v.abs() < 1e-3 => format!("{v:.6e}"),
+        v => format!("{v:.6}"),
+    }
+}
+
+impl Table {
+    /// A table without rows.
+    #[must_use]
+    pub fn new(header: &[&str]) -> Self {
+        Self { header: header.iter().map(ToString::to_string).collect(), rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    ///
+    /// # Panics
+    /// When it is not as long as the header.
+    pub fn push(&mut self, row: Vec<String>) {
+        assert_eq!(row.len(), self.header.len(), "a row as long as the header {:?}", self.header);
+        self.rows.push(row);
+    }
+
+    /// Writes `name`.csv and `name`.json into a folder.
+    ///
+    /// # Errors
+    /// When one cannot be written.
+    pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
+        let line = |cells: &[String]| cells.iter().map(|c| csv_text(c)).collect::<Vec<_>>().join(",") + "\n";
+        let text: String = std::iter::once(&self.header).chain(&self.rows).map(|r| line(r)).collect();
+        let path = folder.join(format!("{name}.csv"));
+        write_atomically(&path, |file| std::io::Write::write_all(file, text.as_bytes()))
+            .map_err(nonrigid::cli::Failure::writing)?;
+        let value = |cell: &String| match cell.parse::<f64>() {
+            Ok(v) if v.is_finite() => serde_json::json!(v),
+            _ if cell.is_empty() => Value::Null,
+            _ => Value::String(cell.clone()),
+        };
+        let object = |row: &Vec<String>| -> Value {
+            self.header.iter().cloned().zip(row.iter().map(value)).collect::<Map<_, _>>().into()
+        };
+        write_json(&folder.join(format!("{name}.json")), &self.rows.iter().map(object).collect())
+    }
+
+    /// Reads a table from CSV.
+    ///
+    /// # Errors
+    /// When it cannot be read, or a row is not as long as the header.
+    pub fn read(path: &Path) -> Result<Self> {
+        let place = || path.display().to_string();
+        let mut reader = csv::Reader::from_path(path).with_context(place)?;
+        let header = reader.headers().with_context(place)?.iter().map(str::to_owned).collect();
+        let rows = reader.records().map(|r| Ok(r?.iter().map(str::to_owned).collect()));
+        Ok(Self { header, rows: rows.collect::<Result<_>>().with_context(place)? })
+    }
+
+    /// Index of a column.
+    ///
+    /// # Errors
+    /// When there is none of that name.
+    pub fn column(&self, name: &str) -> Result<usize> {
+        match self.header.iter().position(|h| h == name) {
+            Some(k) => Ok(k),
+            None => bail!("no column {name:?}; there are {}", self.header.join(", ")),
+        }
+    }
+
+    /// Rows that hold all of these (column, text) pairs, with their line in the file, from 2.
+    ///
+    /// # Errors
+    /// When a column does not exist.
+    pub fn find(&self, holding: &[(&str, &str)]) -> Result<Vec<(usize, &[String])>> {
+        let wanted: Vec<(usize, &str)> =
+            holding.iter().map(|(c, v)| Ok((self.column(c)?, *v))).collect::<Result<_>>()?;
+        let fits = |row: &[String]| wanted.iter().all(|(k, v)| row[*k] == *v);
+        Ok(self.rows.iter().enumerate().map(|(k, r)| (k + 2, &r[..])).filter(|(_, r)| fits(r)).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_comes_back_as_it_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut table = Table::new(&["name", "rmse", "note"]);
+        table.push(vec!["a, b".into(), number(1.5), "say \"no\"".into()]);
+        table.push(vec!["c".into(), number(f64::NAN), String::new()]);
+        table.write(folder.path(), "t").unwrap();
+        let read = Table::read(&folder.path().join("t.csv")).unwrap();
+        assert_eq!(read, table);
+        let json: Value = serde_json::from_slice(&std::fs::read(folder.path().join("t.json")).unwrap()).unwrap();
+        assert_eq!(
+            json,
+            serde_json::json!([{ "name": "a, b", "rmse": 1.5, "note": "say \"no\"" }, { "name": "c", "rmse": null, "note": null }])
+        );
+        assert_eq!(read.find(&[("name", "c")]).unwrap()[0].0, 3);
+        assert!(read.find(&[("nothing", "c")]).is_err());
+    }
+
+    #[test]
+    fn numbers_are_short_and_whole() {
+        assert_eq!([0.0, 12.0, 0.25, 1e-7, f64::INFINITY].map(number), ["0", "12", "0.250000", "1.000000e-7", ""]);
+    }
+}

@@ -1,0 +1,226 @@
+//! The report at its smallest: what it leaves, that verdicts follow the tables, that equal runs leave equal files, how it fails.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use experiments::report::claims::{self, Bound, CLAIMS, Judged, Measured, Pick, Verdict};
+use experiments::report::effort::Effort;
+use experiments::report::table::{Table, number};
+use experiments::report::{Options, run};
+use nonrigid::registration::ModelKind;
+
+/// Everything, as small as it gets.
+fn tiny() -> Effort {
+    let models = vec![
+        ModelKind::Hybrid,
+        ModelKind::Sequential,
+        ModelKind::Blendshape,
+        ModelKind::Graph,
+        ModelKind::Arap,
+        ModelKind::Rigid,
+    ];
+    Effort {
+        name: "tiny",
+        vertices: 1000,
+        triangles: 6000,
+        cases: vec!["same_open"],
+        models: models.clone(),
+        kernels_and_terms: false,
+        components: vec![5, 50, 150],
+        components_of_paper: vec![5, 30, 50, 90],
+        population: 160,
+        scans: 2,
+        ablation_cases: 1,
+        sweep_values: 2,
+        sweep_scans: 1,
+        sweep_models: models,
+        sweep_vertices: 1000,
+        sweep_triangles: 5000,
+        resolutions: vec![1000, 1500],
+        resolution_cases: 1,
+        solver_sizes: vec![1000, 2000],
+        solver_shapes: vec![5, 20],
+        solver_nodes: vec![50, 100],
+        solver_repeats: 1,
+    }
+}
+
+fn program() -> &'static Path {
+    Path::new(env!("CARGO_BIN_EXE_experiments"))
+}
+
+fn report(out: &Path, threads: usize, only: &[&str]) -> (Vec<Judged>, String) {
+    report_of(None, out, threads, only)
+}
+
+/// With rig and scans of the user's.
+fn report_of(own: Option<[PathBuf; 2]>, out: &Path, threads: usize, only: &[&str]) -> (Vec<Judged>, String) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let only = only.iter().map(ToString::to_string).collect();
+    let (rig, scans) = own.map(|[rig, scans]| (rig, scans)).unzip();
+    let options = Options { quick: false, full: false, list: false, only, rig, scans, seed: 7, out: out.to_owned() };
+    let mut log = Vec::new();
+    let verdicts = pool.install(|| run(&options, &tiny(), program(), &mut log)).unwrap();
+    (verdicts, String::from_utf8(log).unwrap())
+}
+
+/// Every file below `folder` by its path from there.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    fn collect(folder: &Path, below: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
+        for entry in fs::read_dir(below).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                collect(folder, &path, found);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    collect(folder, folder, &mut found);
+    found
+}
+
+#[test]
+fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let (verdicts, log) = report(folder.path(), 2, &[]);
+    let page = fs::read_to_string(folder.path().join("index.html")).unwrap();
+    for study in
+        ["inputs", "extreme", "shapes", "convergence", "comparison", "sweeps", "resolution", "ablations", "solver"]
+    {
+        assert!(page.contains(&format!("<h2 id=\"{study}\">")), "{study}");
+    }
+    // One page with everything in it.
+    assert!(!page.contains("Not yet run") && !page.contains("Running; reload"));
+    let failures: Vec<&str> = page.split("<p class=\"failed\">").skip(1).filter_map(|p| p.lines().next()).collect();
+    assert!(failures.is_empty(), "{failures:?}");
+    let words = page.split("base64,").map(|part| part.split_once('"').map_or(part, |p| p.1)).collect::<String>();
+    assert!(!words.contains("NaN"));
+    let sources: Vec<&str> = page.split(" src=\"").skip(1).collect();
+    assert!(sources.len() >= 4 && sources.iter().all(|s| s.starts_with("data:image/png;base64,")));
+    assert!(!page.contains("href=\"http") && page.matches("<svg").count() >= 8);
+    assert!(log.contains("plan, about") && log.contains("YOUR_SCAN/scan.ply"), "{log}");
+
+    // Only the case with closed eyes and the kernels and terms are left out of so small a run.
+    let open: Vec<&str> =
+        verdicts.iter().filter(|j| j.verdict == Verdict::NotMeasured).map(|j| j.claim.quote).collect();
+    assert_eq!(open.len(), 2, "{open:#?}");
+    assert!(fs::read_to_string(folder.path().join("claims.csv")).unwrap().lines().count() == CLAIMS.len() + 1);
+
+    // Verdicts rest on this run's tables alone.
+    let tables: Vec<&str> =
+        CLAIMS.iter().flat_map(|c| c.rules).flat_map(|r| [Some(r.value), r.over]).flatten().map(|p| p.csv).collect();
+    let measured = Measured { folder: folder.path(), tables: &tables };
+    let none = claims::judge_all(Measured { tables: &[], ..measured }).unwrap();
+    assert!(none.iter().all(|j| j.verdict == Verdict::NotMeasured));
+
+    // Each verdict turns when the rows behind it do.
+    for judged in verdicts.iter().filter(|j| j.verdict != Verdict::NotMeasured) {
+        for (k, rule) in judged.claim.rules.iter().enumerate() {
+            let (before, file) = (fs::read(csv(folder.path(), &rule.value)).unwrap(), csv(folder.path(), &rule.value));
+            for holds in [true, false] {
+                let wanted = match (rule.is, holds) {
+                    (Bound::AtLeast(_), true) | (Bound::AtMost(_), false) => 1e6,
+                    _ => 1e-6,
+                };
+                scale(&file, &rule.value, wanted);
+                let after = claims::judge(judged.claim, measured).unwrap();
+                assert_eq!(
+                    !after.numbers[k].ends_with("(missed)"),
+                    holds,
+                    "{}: {:?}",
+                    judged.claim.quote,
+                    after.numbers
+                );
+                assert!(holds || after.verdict == Verdict::Fails);
+                fs::write(&file, &before).unwrap();
+            }
+        }
+        let again = claims::judge(judged.claim, measured).unwrap();
+        assert_eq!((again.verdict, &again.numbers), (judged.verdict, &judged.numbers));
+    }
+}
+
+fn csv(folder: &Path, pick: &Pick) -> PathBuf {
+    folder.join(format!("{}.csv", pick.csv))
+}
+
+/// Multiplies the numbers of a pick; where their variation counts, that.
+fn scale(file: &Path, pick: &Pick, factor: f64) {
+    let mut table = Table::read(file).unwrap();
+    let column = table.column(pick.column).unwrap();
+    let mut lines: Vec<usize> = table.find(pick.rows).unwrap().iter().map(|r| r.0 - 2).collect();
+    match pick.take {
+        claims::Take::First => lines.truncate(1),
+        claims::Take::Last => lines = lines.split_off(lines.len() - 1),
+        _ => {}
+    }
+    for (k, line) in lines.into_iter().enumerate() {
+        let cell = &mut table.rows[line][column];
+        let value: f64 = cell.parse().unwrap_or(1.0);
+        *cell = match pick.take {
+            claims::Take::Variation => number(if factor > 1.0 { [1e-9, 1.0][k % 2] } else { 1.0 }),
+            _ => number(value.max(1e-12) * factor),
+        };
+    }
+    table.write(file.parent().unwrap(), file.file_stem().unwrap().to_str().unwrap()).unwrap();
+}
+
+#[test]
+fn equal_runs_leave_equal_files_at_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let studies = ["inputs", "extreme", "convergence", "sweeps", "resolution", "ablations"];
+    let runs = [("one", 1), ("two", 2)].map(|(name, threads)| {
+        let out = folder.path().join(name);
+        report(&out, threads, &studies);
+        let mut found = files(&out);
+        found.remove(Path::new("machine.json")).expect("processor and times, in a file of their own");
+        found
+    });
+    assert_eq!(runs[0].keys().collect::<Vec<_>>(), runs[1].keys().collect::<Vec<_>>());
+    let differing: Vec<_> = runs[0].iter().filter(|(name, bytes)| runs[1][*name] != **bytes).map(|f| f.0).collect();
+    assert!(differing.is_empty(), "{differing:?}");
+
+    // The same rig and cases as a user's own.
+    let data = folder.path().join("one/data/tiny");
+    let out = folder.path().join("own");
+    report_of(Some([data.join("rig"), data.join("cases")]), &out, 2, &["extreme", "convergence"]);
+    for table in ["extreme.csv", "convergence.csv", "extreme.png"] {
+        assert!(fs::read(out.join(table)).unwrap() == runs[0][Path::new(table)], "{table}");
+    }
+    assert!(!out.join("data").exists());
+}
+
+fn experiments(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(program()).args(arguments).current_dir(folder).output().unwrap()
+}
+
+#[test]
+fn failures_have_one_clear_message_and_the_code_of_their_stage() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("file"), "").unwrap();
+    let expect = |arguments: &[&str], code: i32, says: &str| {
+        let output = experiments(arguments, folder.path());
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+        assert!(text.starts_with("error: ") && text.contains(says), "{arguments:?}: {text}");
+        assert_eq!(text.matches("error:").count(), 1, "{arguments:?}: {text}");
+    };
+    expect(&["--only", "fig9"], 1, "sweeps");
+    expect(&["--quick", "--full"], 1, "--full");
+    expect(&["--rig", "rig"], 1, "--scans");
+    expect(&["--only", "real"], 1, "--scans");
+    expect(&["--threads", "0"], 1, "--threads");
+    expect(&["--seed", "1", "scan-bench", "data", "--rig", "rig"], 1, "--seed");
+    expect(&["--out", "file/below"], 3, "file/below");
+    expect(&["--only", "inputs", "--rig", "nowhere", "--scans", "nowhere"], 4, "nowhere");
+
+    let folder = tempfile::tempdir().unwrap();
+    let listed = experiments(&["--list"], folder.path());
+    let text = String::from_utf8(listed.stdout).unwrap();
+    assert!(listed.status.success() && text.lines().count() == 10 && text.contains("Fig. 4"), "{text}");
+    assert!(!folder.path().join("out").exists(), "a list leaves nothing");
+}
