@@ -90,7 +90,8 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
         chosen.iter().map(|s| format!("{} {}", s.name, spoken((s.seconds)(effort)))).collect::<Vec<_>>().join(", ");
     let say = |log: &mut dyn Write, text: String| say_to(log, format_args!("{text}"));
     say(log, format!("Klimov 2020, measured ({}); seed {}, threads {threads}\n", effort.name, options.seed))?;
-    say(log, format!("plan, about {} on two cores: {plan}\n", spoken(seconds)))?;
+    let of = if options.rig.is_some() { ", were the cases the generated ones" } else { "" };
+    say(log, format!("plan, about {} on two cores{of}: {plan}\n", spoken(seconds)))?;
     say(log, format!("page: {}, grows as results arrive\n\n", out.join("index.html").display()))?;
 
     let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
