@@ -18,3 +18,12 @@ pub mod schedule_search;
 pub mod solver_case;
 pub mod start_bench;
 pub mod tables;
+
+/// The file of this program, whose processes measure what needs one of its own.
+///
+/// # Errors
+/// A [`Failure`](nonrigid::cli::Failure) of the computation when the system does not say.
+pub fn this_program() -> anyhow::Result<std::path::PathBuf> {
+    let program = std::env::current_exe();
+    Ok(program.map_err(|e| nonrigid::cli::Failure::computation(format!("this program's own file: {e}")))?)
+}

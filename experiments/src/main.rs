@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
     compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
-    schedule_search, solver_case, start_bench,
+    schedule_search, solver_case, start_bench, this_program,
 };
 use nonrigid::cli::{Failure, Stage, answer};
 use nonrigid::registration::RegistrationError;
@@ -58,8 +58,7 @@ fn main() -> ExitCode {
     };
     let outcome = match &cli.command {
         None => on_threads(cli.threads, || {
-            let program =
-                std::env::current_exe().map_err(|e| Failure::computation(format!("this program's own file: {e}")))?;
+            let program = this_program()?;
             report::run(&cli.report, &cli.report.effort(), &program, &mut io::stdout().lock()).map(drop)
         }),
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
-use experiments::compare::{CompareRow, Variant, measure_by, summarize};
+use experiments::compare::{CompareRow, Variant, measure, summarize};
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case};
 use nonrigid::mesh::io::{write_npy, write_npy_points, write_polygon_mesh};
 use nonrigid::registration::{ModelKind, TermFactory, TermKind};
@@ -48,7 +48,7 @@ impl Data {
     }
 
     fn measure(&self, program: &Path, variants: &[Variant]) -> anyhow::Result<Vec<CompareRow>> {
-        measure_by(program, &self.path("cases"), &self.path("rig"), variants, 2, &mut |_| Ok(()))
+        measure(program, &self.path("cases"), &self.path("rig"), variants, 2, &mut |_| Ok(()))
     }
 }
 
@@ -213,7 +213,7 @@ fn a_variant_that_fails_leaves_the_others() {
     // Whoever takes the rows may end it.
     let (cases, rig) = (data.path("cases"), data.path("rig"));
     let mut stop = |_: &CompareRow| anyhow::bail!("enough");
-    let stopped = measure_by(Path::new(PROGRAM), &cases, &rig, &[rigid], 1, &mut stop).unwrap_err();
+    let stopped = measure(Path::new(PROGRAM), &cases, &rig, &[rigid], 1, &mut stop).unwrap_err();
     assert_eq!(stopped.to_string(), "enough");
 }
 

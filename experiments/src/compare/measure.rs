@@ -19,28 +19,12 @@ use crate::scaling::{peak_bytes, reset_peak};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders, fit_case, vertex_coincidence};
 
 /// Runs every variant on every case below `cases`, each variant in a process of its own, one after the other, on so many threads.
-/// `on_row` sees each row as it arrives and ends everything with an error. This program must be `experiments`; from another one
-/// use [`measure_by`].
+/// `program` is the `experiments` whose processes they are. `on_row` sees each row as it arrives and ends everything with an error.
 ///
 /// # Errors
 /// A [`Failure`]: of loading when rig or cases cannot be read; of the computation when no process can be started or every run
 /// fails. The run that fails beside others says so in its row. Whatever `on_row` returns.
 pub fn measure(
-    cases: &Path,
-    rig: &Path,
-    variants: &[Variant],
-    threads: usize,
-    on_row: &mut dyn FnMut(&CompareRow) -> Result<()>,
-) -> Result<Vec<CompareRow>> {
-    let program = std::env::current_exe().map_err(|e| Failure::computation(format!("this program's own file: {e}")))?;
-    measure_by(&program, cases, rig, variants, threads, on_row)
-}
-
-/// [`measure`] by the `experiments` at `program`.
-///
-/// # Errors
-/// As [`measure`].
-pub fn measure_by(
     program: &Path,
     cases: &Path,
     rig: &Path,

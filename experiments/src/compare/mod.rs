@@ -12,6 +12,7 @@ use nonrigid::cli::{Failure, Stage, say};
 use nonrigid::registration::ModelKind;
 
 use crate::scan_bench::LandmarkUse;
+use crate::this_program;
 
 mod external;
 mod measure;
@@ -19,7 +20,7 @@ mod row;
 mod variant;
 
 pub use external::External;
-pub use measure::{measure, measure_by};
+pub use measure::measure;
 pub use row::{CompareRow, CompareSummary, Score, summarize, summary_table, write_rows};
 pub use variant::Variant;
 
@@ -145,7 +146,8 @@ pub fn run(a: &Arguments) -> Result<()> {
         eprintln!("{done}/{total}  {:8} {:20} {:16} {outcome}{cost}", row.group, row.name, row.case);
         Ok(())
     };
-    let mut rows = measure(folder, rig, &variants, threads, &mut progress)?;
+    let program = this_program()?;
+    let mut rows = measure(&program, folder, rig, &variants, threads, &mut progress)?;
     external.iter().try_for_each(progress)?;
     rows.extend(external);
     write_rows(&a.out, &rows, threads)?;

@@ -13,7 +13,7 @@ use super::data::Data;
 use super::effort::Effort;
 use super::table::{Table, number};
 use crate::compare::Variant;
-use crate::plots::write_svg;
+use crate::plots::{Point, write_svg};
 use crate::scan_bench::{BenchCase, BenchRow, run_case};
 
 /// One figure, table or group of them on the page.
@@ -155,7 +155,7 @@ pub fn error_text<T>(result: &Result<T>) -> String {
     result.as_ref().err().map_or_else(String::new, |e| format!("{e:#}"))
 }
 
-/// Mean, least and greatest of some numbers; not a number without any.
+/// Mean, and least and greatest, of some numbers. Where one is none, as of a failure, so is the mean.
 #[must_use]
 pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -164,11 +164,9 @@ pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
     (mean, [least, greatest])
 }
 
-/// The middle value, the mean of the two middle ones of an even number.
+/// Mean and range of some numbers as a point of a plot.
 #[must_use]
-pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let (n, at) = (sorted.len(), |k: usize| sorted.get(k).copied().unwrap_or(f64::NAN));
-    (at(n.saturating_sub(1) / 2) + at(n / 2)) / 2.0
+pub fn mean_point(x: f64, values: &[f64]) -> Point {
+    let (y, range) = spread(values);
+    Point { x, y, spread: Some(range) }
 }

@@ -88,6 +88,15 @@ impl Table {
         }
     }
 
+    /// The numbers of a column in the rows that hold all of these (column, text) pairs; not a number where there is none.
+    ///
+    /// # Errors
+    /// When a column does not exist.
+    pub fn numbers(&self, holding: &[(&str, &str)], column: &str) -> Result<Vec<f64>> {
+        let k = self.column(column)?;
+        Ok(self.find(holding)?.iter().map(|(_, row)| row[k].parse().unwrap_or(f64::NAN)).collect())
+    }
+
     /// Rows that hold all of these (column, text) pairs, with their line in the file, from 2.
     ///
     /// # Errors
@@ -118,6 +127,8 @@ mod tests {
             json,
             serde_json::json!([{ "name": "a, b", "rmse": 1.5, "note": "say \"no\"" }, { "name": "c", "rmse": null, "note": null }])
         );
+        assert_eq!(read.numbers(&[("name", "a, b")], "rmse").unwrap(), [1.5]);
+        assert!(read.numbers(&[("name", "c")], "rmse").unwrap()[0].is_nan());
         assert_eq!(read.find(&[("name", "c")]).unwrap()[0].0, 3);
         assert!(read.find(&[("nothing", "c")]).is_err());
     }

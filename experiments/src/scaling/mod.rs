@@ -20,6 +20,7 @@ use serde_json::Value;
 use crate::generated::shapes_at_most;
 use crate::plots::{Line, LogLog, PowerLaw, write_log_log};
 use crate::tables::{csv_text, table, write_csv};
+use crate::this_program;
 
 mod measure;
 
@@ -117,7 +118,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     }
     let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
-    let program = std::env::current_exe().map_err(|e| Failure::computation(format!("this program's own file: {e}")))?;
+    let program = this_program()?;
     let mut rows = Vec::new();
     for (k, configuration) in configurations.iter().enumerate() {
         eprintln!("{}/{}  {}", k + 1, configurations.len(), describe(configuration));

@@ -58,11 +58,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut shown = Table::new(&[&["group", "variant"][..], &columns].concat());
     let mut bars: Vec<(String, Bar)> = Vec::new();
     for variant in &variants {
-        let rows = table.find(&[("group", &variant.group), ("name", &variant.name)])?;
-        let mean = |column: &str| -> Result<(f64, [f64; 2])> {
-            let k = table.column(column)?;
-            Ok(spread(&rows.iter().map(|r| r.1[k].parse().unwrap_or(f64::NAN)).collect::<Vec<_>>()))
-        };
+        let rows = [("group", &*variant.group), ("name", &*variant.name)];
+        let mean = |column: &str| table.numbers(&rows, column).map(|values| spread(&values));
         let mut cells = vec![variant.group.clone(), variant.name.clone()];
         for column in columns {
             let (mean, _) = mean(column)?;

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, anyhow};
 
-use crate::compare::{CompareRow, Variant, measure_by, summarize};
+use crate::compare::{CompareRow, Variant, measure, summarize};
 use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, models, spread};
 use crate::report::table::{Table, number};
@@ -32,7 +32,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     setting.progress.set_length((variants.len() * data.cases.len()) as u64);
     let threads = rayon::current_num_threads();
-    let rows = measure_by(setting.program, &data.cases_folder, &data.rig_folder, &variants, threads, &mut |_| {
+    let rows = measure(setting.program, &data.cases_folder, &data.rig_folder, &variants, threads, &mut |_| {
         setting.progress.inc(1);
         Ok(())
     })?;

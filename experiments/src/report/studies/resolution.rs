@@ -4,9 +4,9 @@ use anyhow::Result;
 
 use crate::compare::Variant;
 use crate::generated::Studio;
-use crate::plots::{Axis, Grid, Plot, Point, Series};
+use crate::plots::{Axis, Grid, Plot, Series};
 use crate::report::study::{
-    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, models, register_variant, spread,
+    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, models, register_variant,
 };
 use crate::report::table::Table;
 use crate::scan_bench::LandmarkUse;
@@ -79,15 +79,12 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     table.write(setting.out, "resolution")?;
 
     let plot = |study: &str, sizes: &[usize], variants: &[Variant], title: &str, x: &str| -> Result<Plot> {
-        let rmse = table.column("rmse")?;
         let mut series = Vec::new();
         for variant in variants {
             let mut points = Vec::new();
             for size in sizes {
-                let rows = table.find(&[("study", study), ("size", &size.to_string()), ("name", &variant.name)])?;
-                let errors: Vec<f64> = rows.iter().map(|r| r.1[rmse].parse().unwrap_or(f64::NAN)).collect();
-                let (mean, range) = spread(&errors);
-                points.push(Point { x: *size as f64, y: mean, spread: Some(range) });
+                let rows = [("study", study), ("size", &size.to_string()), ("name", &variant.name)];
+                points.push(mean_point(*size as f64, &table.numbers(&rows, "rmse")?));
             }
             series.push(Series::line(&variant.name, points));
         }

@@ -1,6 +1,7 @@
 //! Fig. 4: time of a registration against the number of blendshapes.
 
 use anyhow::Result;
+use nonrigid::evaluation::percentile;
 use nonrigid::mesh::{PoseKind, Vec3};
 use nonrigid::model::Linearisation;
 use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule};
@@ -13,7 +14,7 @@ use crate::compare::Variant;
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, LinearFit, Plot, Point, Series};
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, median, register_variant, spread,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, mean_point, register_variant, spread,
 };
 use crate::report::table::{Table, number};
 use crate::scan_bench::{BenchCase, LandmarkUse};
@@ -147,18 +148,26 @@ fn schedule(paper: bool) -> Result<Schedule> {
     Ok(schedule)
 }
 
-/// Times of a differentiation by number of shapes: (shapes, seconds of every scan).
-fn times_of(times: &Table, differentiation: &str, column: &str) -> Result<Vec<(f64, Vec<f64>)>> {
-    let (shapes, seconds) = (times.column("shapes")?, times.column(column)?);
+/// Numbers of a column by number of shapes, in the order of the table: (shapes, one number for each scan).
+fn by_shapes(table: &Table, rows: &[(&str, &str)], column: &str) -> Result<Vec<(f64, Vec<f64>)>> {
+    let (shapes, numbers) = (table.numbers(rows, "shapes")?, table.numbers(rows, column)?);
     let mut found: Vec<(f64, Vec<f64>)> = Vec::new();
-    for (_, row) in times.find(&[("family", "pca"), ("differentiation", differentiation)])? {
-        let (x, y) = (row[shapes].parse()?, row[seconds].parse()?);
+    for (x, y) in shapes.into_iter().zip(numbers) {
         match found.iter_mut().find(|f| f.0 == x) {
             Some(f) => f.1.push(y),
             None => found.push((x, vec![y])),
         }
     }
     Ok(found)
+}
+
+/// Times of a differentiation with principal components.
+fn times_of(times: &Table, differentiation: &str, column: &str) -> Result<Vec<(f64, Vec<f64>)>> {
+    by_shapes(times, &[("family", "pca"), ("differentiation", differentiation)], column)
+}
+
+fn median(values: &[f64]) -> f64 {
+    percentile(values, 50.0).unwrap_or(f64::NAN)
 }
 
 const DIFFERENTIATIONS: [(&str, &str); 2] = [("paper", "as in the paper"), ("ours", "ours")];
@@ -184,21 +193,10 @@ fn time_plot(title: &str, column: &str, times: &Table, worth: f64, unit: &str) -
 }
 
 fn error_plot(table: &Table) -> Result<Plot> {
-    let (shapes, rmse) = (table.column("shapes")?, table.column("rmse")?);
     let mut plot = Plot::new("Error", Axis::linear("blendshapes").from_zero(), Axis::linear("rmse / mm").from_zero());
     for (family, name) in [("pca", "PCA components"), ("raw", "raw shapes, drawn")] {
-        let mut found: Vec<(f64, Vec<f64>)> = Vec::new();
-        for (_, row) in table.find(&[("family", family), ("differentiation", "ours")])? {
-            let (x, y) = (row[shapes].parse()?, row[rmse].parse()?);
-            match found.iter_mut().find(|f| f.0 == x) {
-                Some(f) => f.1.push(y),
-                None => found.push((x, vec![y])),
-            }
-        }
-        let points = found.into_iter().map(|(x, errors)| {
-            let (mean, range) = spread(&errors);
-            Point { x, y: mean, spread: Some(range) }
-        });
+        let found = by_shapes(table, &[("family", family), ("differentiation", "ours")], "rmse")?;
+        let points = found.iter().map(|(x, errors)| mean_point(*x, errors));
         plot = plot.series(vec![Series::line(name, points.collect())]);
     }
     Ok(plot)

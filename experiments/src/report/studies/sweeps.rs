@@ -7,7 +7,7 @@ use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, Plot, Point, Series};
 use crate::random_pose::random_pose;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, models, register_variant, spread,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, models, register_variant,
 };
 use crate::report::table::{Table, number};
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse};
@@ -148,7 +148,6 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     table.write(setting.out, "sweeps")?;
 
-    let rmse = table.column("rmse")?;
     let mut plots = Vec::new();
     let mut breaks = Table::new(&[&["model"][..], &SWEEPS.map(|s| s.axis)].concat());
     let mut broken: Vec<Vec<String>> = variants.iter().map(|v| vec![v.name.clone()]).collect();
@@ -157,10 +156,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         for (variant, broken) in variants.iter().zip(&mut broken) {
             let mut points = Vec::new();
             for value in values(sweep) {
-                let rows = table.find(&[("sweep", sweep.name), ("value", &number(value)), ("model", &variant.name)])?;
-                let errors: Vec<f64> = rows.iter().map(|r| r.1[rmse].parse().unwrap_or(f64::NAN)).collect();
-                let (mean, range) = spread(&errors);
-                points.push(Point { x: value, y: mean, spread: Some(range) });
+                let rows = [("sweep", sweep.name), ("value", &number(value)), ("model", &variant.name)];
+                points.push(mean_point(value, &table.numbers(&rows, "rmse")?));
             }
             broken.push(breaks_at(&points));
             series.push(Series::line(&variant.name, points));
