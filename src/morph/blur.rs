@@ -138,33 +138,36 @@ type Lane = [f64; LANES];
 
 /// Blurs each column n times. The result is transposed: its rows are the columns.
 fn blur_columns(grey: &[f64], width: usize, height: usize, blur: &Blur, weights: &[f64]) -> Vec<f64> {
-    let places = places(height, blur.kernel / 2, blur.border);
+    let radius = blur.kernel / 2;
+    let places = places(height, radius, blur.border);
     let mut result = vec![0.0; grey.len()];
-    let strip = |(index, columns): (usize, &mut [f64]), buffers: &mut [Vec<Lane>; 2]| {
+    let strip = |(index, columns): (usize, &mut [f64]), [from, to]: &mut [Vec<Lane>; 2]| {
         let first = index * LANES;
         let lanes = columns.len() / height;
-        let [from, to] = buffers;
-        for (row, lane) in grey.chunks_exact(width).zip(from.iter_mut()) {
+        for (row, lane) in grey.chunks_exact(width).zip(from[radius..].iter_mut()) {
             lane[..lanes].copy_from_slice(&row[first..first + lanes]);
         }
         if weights.is_empty() {
             from.as_flattened_mut().iter_mut().for_each(|value| *value = rounded(*value, blur.kernel));
         }
         for _ in 0..blur.iterations {
+            for beyond in (0..radius).chain(radius + height..height + 2 * radius) {
+                let place = places[beyond];
+                from[beyond] = if place < height { from[radius + place] } else { [0.0; LANES] };
+            }
             vectorized(|| match weights {
-                [] => mean(from, to, &places, blur.kernel),
-                _ => weighted_mean(from, to, &places, weights),
+                [] => mean(from, &mut to[radius..], blur.kernel),
+                _ => weighted_mean(from, &mut to[radius..], weights),
             });
             std::mem::swap(from, to);
         }
         for (lane, column) in columns.chunks_exact_mut(height).enumerate() {
-            for (value, from) in column.iter_mut().zip(from.iter()) {
+            for (value, from) in column.iter_mut().zip(&from[radius..]) {
                 *value = from[lane];
             }
         }
     };
-    // One lane more than rows: the zeros beyond the border.
-    let buffers = || [vec![[0.0; LANES]; height + 1], vec![[0.0; LANES]; height + 1]];
+    let buffers = || [(); 2].map(|()| vec![[0.0; LANES]; height + 2 * radius]);
     let strips = result.par_chunks_mut(LANES * height).enumerate();
     strips.for_each_init(buffers, |buffers, chunk| strip(chunk, buffers));
     result
@@ -177,18 +180,17 @@ fn rounded(value: f64, k: usize) -> f64 {
     (value + spacing) - spacing
 }
 
-/// `to[i]` = mean of `from[places[i .. i + k]]`, all [`rounded`].
+/// `to[i]` = mean of `from[i .. i + k]`, all [`rounded`].
 #[inline(always)]
-fn mean(from: &[Lane], to: &mut [Lane], places: &[usize], k: usize) {
+fn mean(from: &[Lane], to: &mut [Lane], k: usize) {
     let inverse = 1.0 / k as f64;
     let mut sum = [0.0; LANES];
-    for &place in &places[..k - 1] {
+    for row in &from[..k - 1] {
         for l in 0..LANES {
-            sum[l] += from[place][l];
+            sum[l] += row[l];
         }
     }
-    for ((to, &comes), &goes) in to.iter_mut().zip(&places[k - 1..]).zip(places) {
-        let (comes, goes) = (&from[comes], &from[goes]);
+    for ((to, comes), goes) in to.iter_mut().zip(&from[k - 1..]).zip(from) {
         for l in 0..LANES {
             let all = sum[l] + comes[l];
             to[l] = rounded(all * inverse, k);
@@ -197,22 +199,19 @@ fn mean(from: &[Lane], to: &mut [Lane], places: &[usize], k: usize) {
     }
 }
 
-/// `to[i] = sum_j w_|j| from[places[i + r + j]]`, from the outermost pair to the middle.
+/// `to[i] = sum_j w_|j| from[i + r + j]`, from the middle outwards.
 #[inline(always)]
-fn weighted_mean(from: &[Lane], to: &mut [Lane], places: &[usize], weights: &[f64]) {
-    let k = 2 * weights.len() - 1;
-    for (to, window) in to.iter_mut().zip(places.windows(k)) {
-        let mut sum = [0.0; LANES];
-        for (j, weight) in weights.iter().rev().enumerate().take(k / 2) {
-            let (a, b) = (&from[window[j]], &from[window[k - 1 - j]]);
+fn weighted_mean(from: &[Lane], to: &mut [Lane], weights: &[f64]) {
+    let r = weights.len() - 1;
+    for (to, window) in to.iter_mut().zip(from.windows(2 * r + 1)) {
+        let (before, after) = window.split_at(r);
+        let mut sum = after[0].map(|middle| weights[0] * middle);
+        for ((a, b), weight) in before.iter().rev().zip(&after[1..]).zip(&weights[1..]) {
             for l in 0..LANES {
                 sum[l] += weight * (a[l] + b[l]);
             }
         }
-        let middle = &from[window[k / 2]];
-        for l in 0..LANES {
-            to[l] = sum[l] + weights[0] * middle[l];
-        }
+        *to = sum;
     }
 }
 

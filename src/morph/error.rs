@@ -1,5 +1,7 @@
 //! What makes a mask or a morph impossible.
 
+use rayon::prelude::*;
+
 /// A mask, or what it is to move, cannot be computed with.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MorphError {
@@ -194,7 +196,7 @@ pub enum MorphError {
 
 /// An error unless every position is finite.
 pub(super) fn check_positions(positions: &[crate::mesh::Vec3]) -> Result<(), MorphError> {
-    match positions.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
+    match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {
         Some(vertex) => Err(MorphError::NotFinite { vertex, position: positions[vertex].into() }),
         None => Ok(()),
     }

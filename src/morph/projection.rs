@@ -250,15 +250,20 @@ struct Spot {
     vertex: u32,
 }
 
-/// A corner of a triangle, or of what is left of one in front of the camera.
+/// A vertex after the divide, or where the edge of a triangle meets the plane that cuts off what is behind the camera.
 #[derive(Clone, Copy)]
 struct Corner {
-    /// On the picture, with depth: after the divide.
+    /// On the picture, with depth.
     picture: [f64; 3],
-    /// The fourth coordinate before it.
+    /// The fourth coordinate before the divide.
     w: f64,
-    /// In space.
-    point: Vec3,
+}
+
+impl Corner {
+    #[inline]
+    fn new(clip: Vector4<f64>) -> Self {
+        Self { picture: [clip.x / clip.w, clip.y / clip.w, clip.z / clip.w], w: clip.w }
+    }
 }
 
 impl Hidden<'_> {
@@ -270,88 +275,73 @@ impl Hidden<'_> {
         }
         let (positions, triangles) = (&self.mesh.positions, &self.mesh.triangles);
         let count = positions.len();
-        if let Some(triangle) = triangles.iter().position(|t| t.iter().any(|v| *v as usize >= count)) {
+        if let Some(triangle) = triangles.par_iter().position_first(|t| t.iter().any(|v| *v as usize >= count)) {
             let index = triangles[triangle].into_iter().max().unwrap_or_default();
             return Err(MorphError::IndexOutOfRange { triangle, index, count });
         }
-        let clip: Vec<[f64; 4]> =
-            positions.par_iter().with_min_len(GRAIN).map(|p| self.projector.clip(*p).into()).collect();
-        let spots = (0u32..).zip(&clip).zip(weights).filter(|(_, weight)| **weight > 0.0);
-        let spots = spots.map(|((vertex, c), _)| Spot { x: c[0] / c[3], y: c[1] / c[3], depth: c[2] / c[3], vertex });
-        let Some(grid) = Grid::new(spots.collect()) else { return Ok(Vec::new()) };
+        let inverse = self.projector.matrix.try_inverse();
+        let inverse = inverse.ok_or_else(|| MorphError::Matrix(self.projector.matrix.to_string()))?;
+        let corner = |p: &Vec3| Corner::new(self.projector.clip(*p));
+        let vertices: Vec<Corner> = positions.par_iter().with_min_len(GRAIN).map(corner).collect();
+        let Some(grid) = Grid::new(&vertices, weights) else { return Ok(Vec::new()) };
         let hidden: Vec<AtomicBool> = grid.spots.iter().map(|_| AtomicBool::new(false)).collect();
         // A triangle that reaches behind the camera is cut off a little in front of it.
-        let nearest = 1e-9 * clip.iter().map(|c| c[3].abs()).fold(0.0, f64::max);
+        let nearest = 1e-9 * vertices.iter().map(|c| c.w.abs()).fold(0.0, f64::max);
         triangles.par_iter().with_min_len(GRAIN).for_each(|triangle| {
-            let corners = triangle.map(|v| clip[v as usize]);
-            if corners.iter().all(|c| c[3] > nearest) {
-                // The common case: nothing to cut, and most triangles cover no spot.
-                let picture = corners.map(|c| [c[0] / c[3], c[1] / c[3], c[2] / c[3]]);
-                grid.for_each_in(&picture, |i, spot| {
-                    let corner = |a: usize| Corner {
-                        picture: picture[a],
-                        w: corners[a][3],
-                        point: positions[triangle[a] as usize],
-                    };
-                    self.test(triangle, &[corner(0), corner(1), corner(2)], spot, &hidden[i]);
+            let corners = triangle.map(|v| vertices[v as usize]);
+            let hide = |part: &[Corner; 3]| {
+                grid.for_each_in(part, |i, spot| {
+                    if !triangle.contains(&spot.vertex) && self.hides(part, spot, &inverse) {
+                        hidden[i].store(true, Ordering::Relaxed);
+                    }
                 });
-            } else {
-                for part in self.in_front(triangle, &corners, nearest) {
-                    grid.for_each_in(&part.map(|c| c.picture), |i, spot| self.test(triangle, &part, spot, &hidden[i]));
-                }
+            };
+            if corners.iter().all(|c| c.w > nearest) {
+                hide(&corners);
+            } else if corners.iter().any(|c| c.w > nearest) {
+                self.in_front(triangle, nearest).iter().for_each(hide);
             }
         });
         let hidden = grid.spots.iter().zip(&hidden).filter(|(_, hidden)| hidden.load(Ordering::Relaxed));
         Ok(hidden.map(|(spot, _)| spot.vertex).collect())
     }
 
-    /// Hides the spot if it lies inside the projection of the corners, behind them, and is none of the triangle's own.
+    /// Does the spot lie inside the projection of the corners, and behind them?
     #[inline]
-    fn test(&self, triangle: &[u32; 3], corners: &[Corner; 3], spot: &Spot, hidden: &AtomicBool) {
+    fn hides(&self, corners: &[Corner; 3], spot: &Spot, inverse: &Matrix4<f64>) -> bool {
         let [a, b, c] = corners.map(|corner| [corner.picture[0] - spot.x, corner.picture[1] - spot.y]);
         // Each is the exact negative of what the triangle on the other side of that edge gets, so there is no gap between them.
         let edges = [cross(b, c), cross(c, a), cross(a, b)];
-        if !(edges.iter().all(|e| *e >= 0.0) || edges.iter().all(|e| *e <= 0.0)) {
-            return;
-        }
         let area = edges[0] + edges[1] + edges[2];
-        if area == 0.0 || triangle.contains(&spot.vertex) {
-            return;
+        if area == 0.0 || !(edges.iter().all(|e| *e >= 0.0) || edges.iter().all(|e| *e <= 0.0)) {
+            return false;
         }
-        let depth: f64 = (0..3).map(|k| edges[k] / area * corners[k].picture[2]).sum();
-        if depth >= spot.depth {
-            return;
-        }
-        // Back to space: the weights of the corners before the divide.
-        let (mut point, mut sum) = (Vec3::zeros(), 0.0);
+        // Depth is linear on the picture, and so is 1 / w.
+        let (mut depth, mut reciprocal) = (0.0, 0.0);
         for (edge, corner) in edges.iter().zip(corners) {
-            let weight = edge / area / corner.w;
-            point += corner.point * weight;
-            sum += weight;
+            depth += edge / area * corner.picture[2];
+            reciprocal += edge / area / corner.w;
         }
-        let gap = (point / sum - self.mesh.positions[spot.vertex as usize]).norm();
-        if gap > self.tolerance {
-            hidden.store(true, Ordering::Relaxed);
+        if depth >= spot.depth {
+            return false;
         }
+        let before = inverse * (Vector4::new(spot.x, spot.y, depth, 1.0) / reciprocal);
+        let gap = before.xyz() / before.w - self.mesh.positions[spot.vertex as usize];
+        gap.norm() > self.tolerance
     }
 
-    /// The part of a triangle where the fourth coordinate is at least `nearest`, in triangles: none, one or two.
-    fn in_front(&self, triangle: &[u32; 3], clip: &[[f64; 4]; 3], nearest: f64) -> Vec<[Corner; 3]> {
-        let corner =
-            |c: [f64; 4], point: Vec3| Corner { picture: [c[0] / c[3], c[1] / c[3], c[2] / c[3]], w: c[3], point };
+    /// The part of a triangle where the fourth coordinate is at least `nearest`, in triangles.
+    fn in_front(&self, triangle: &[u32; 3], nearest: f64) -> Vec<[Corner; 3]> {
+        let clip = triangle.map(|v| self.projector.clip(self.mesh.positions[v as usize]));
         let mut polygon: Vec<Corner> = Vec::with_capacity(4);
-        for i in 0..3 {
-            let j = (i + 1) % 3;
-            let (p, q) = (clip[i], clip[j]);
-            let [from, to] = [i, j].map(|k| self.mesh.positions[triangle[k] as usize]);
-            if p[3] > nearest {
-                polygon.push(corner(p, from));
+        for (p, q) in [(clip[0], clip[1]), (clip[1], clip[2]), (clip[2], clip[0])] {
+            if p.w > nearest {
+                polygon.push(Corner::new(p));
             }
-            if (p[3] > nearest) != (q[3] > nearest) {
-                let t = (nearest - p[3]) / (q[3] - p[3]);
-                let mut cut: [f64; 4] = std::array::from_fn(|k| p[k] + t * (q[k] - p[k]));
-                cut[3] = nearest;
-                polygon.push(corner(cut, from + (to - from) * t));
+            if (p.w > nearest) != (q.w > nearest) {
+                let mut cut = p.lerp(&q, (nearest - p.w) / (q.w - p.w));
+                cut.w = nearest;
+                polygon.push(Corner::new(cut));
             }
         }
         (2..polygon.len()).map(|k| [polygon[0], polygon[k - 1], polygon[k]]).collect()
@@ -371,7 +361,7 @@ struct Grid {
     scale: [f64; 2],
     columns: usize,
     rows: usize,
-    /// Start of each cell in `spots`, and their number.
+    /// Start of each cell in `spots`, and their number at the end.
     starts: Vec<u32>,
     spots: Vec<Spot>,
 }
@@ -380,16 +370,21 @@ struct Grid {
 const SPOTS_PER_CELL: f64 = 2.0;
 
 impl Grid {
-    /// `None` without spots.
-    fn new(unsorted: Vec<Spot>) -> Option<Self> {
-        let first = unsorted.first()?;
-        let (mut low, mut high) = ([first.x, first.y], [first.x, first.y]);
-        for spot in &unsorted {
-            low = [low[0].min(spot.x), low[1].min(spot.y)];
-            high = [high[0].max(spot.x), high[1].max(spot.y)];
+    /// The vertices of positive weight, which all lie in front of the camera; `None` if there are none.
+    fn new(vertices: &[Corner], weights: &[f64]) -> Option<Self> {
+        const NOWHERE: (usize, [f64; 2], [f64; 2]) = (0, [f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        let join = |a: (usize, [f64; 2], [f64; 2]), b: (usize, [f64; 2], [f64; 2])| {
+            let (low, high) = ([0, 1].map(|k| a.1[k].min(b.1[k])), [0, 1].map(|k| a.2[k].max(b.2[k])));
+            (a.0 + b.0, low, high)
+        };
+        let asked = vertices.par_iter().with_min_len(GRAIN).zip(weights).filter(|(_, weight)| **weight > 0.0);
+        let boxes = asked.map(|(v, _)| (1, [v.picture[0], v.picture[1]], [v.picture[0], v.picture[1]]));
+        let (count, low, high) = boxes.reduce(|| NOWHERE, join);
+        if count == 0 {
+            return None;
         }
         let size = [high[0] - low[0], high[1] - low[1]].map(|s| s.max(f64::MIN_POSITIVE));
-        let cells = (unsorted.len() as f64 / SPOTS_PER_CELL).max(1.0);
+        let cells = (count as f64 / SPOTS_PER_CELL).max(1.0);
         // As square as the box allows, and never more than that many.
         let columns = ((cells * size[0] / size[1]).sqrt().clamp(1.0, cells)) as usize;
         let rows = ((cells / columns as f64).max(1.0)) as usize;
@@ -399,20 +394,27 @@ impl Grid {
             scale: [columns as f64 / size[0], rows as f64 / size[1]],
             columns,
             rows,
-            starts: vec![0; columns * rows + 1],
-            spots: unsorted.clone(),
+            starts: vec![0; columns * rows + 2],
+            spots: vec![Spot { x: 0.0, y: 0.0, depth: 0.0, vertex: 0 }; count],
         };
-        let cells: Vec<u32> = unsorted.iter().map(|s| (grid.row(s.y) * columns + grid.column(s.x)) as u32).collect();
-        for &cell in &cells {
-            grid.starts[cell as usize + 1] += 1;
+        let cell = |(v, weight): (&Corner, &f64)| {
+            if *weight > 0.0 { (grid.row(v.picture[1]) * columns + grid.column(v.picture[0])) as u32 } else { u32::MAX }
+        };
+        let cells: Vec<u32> = vertices.par_iter().with_min_len(GRAIN).zip(weights).map(cell).collect();
+        // Shifted by one cell, so that filling in moves each start to where it belongs.
+        for &cell in cells.iter().filter(|cell| **cell != u32::MAX) {
+            grid.starts[cell as usize + 2] += 1;
         }
-        for cell in 1..grid.starts.len() {
+        for cell in 2..grid.starts.len() {
             grid.starts[cell] += grid.starts[cell - 1];
         }
-        let mut free = grid.starts.clone();
-        for (spot, &cell) in unsorted.iter().zip(&cells) {
-            grid.spots[free[cell as usize] as usize] = *spot;
-            free[cell as usize] += 1;
+        for ((vertex, v), &cell) in (0u32..).zip(vertices).zip(&cells) {
+            if cell != u32::MAX {
+                let at = &mut grid.starts[cell as usize + 1];
+                let [x, y, depth] = v.picture;
+                grid.spots[*at as usize] = Spot { x, y, depth, vertex };
+                *at += 1;
+            }
         }
         Some(grid)
     }
@@ -430,8 +432,8 @@ impl Grid {
 
     /// Calls `visit` for every spot in a cell that the box round the triangle touches, and that lies in that box.
     #[inline]
-    fn for_each_in(&self, triangle: &[[f64; 3]; 3], mut visit: impl FnMut(usize, &Spot)) {
-        let [a, b, c] = triangle;
+    fn for_each_in(&self, triangle: &[Corner; 3], mut visit: impl FnMut(usize, &Spot)) {
+        let [a, b, c] = triangle.map(|corner| corner.picture);
         let low = [a[0].min(b[0]).min(c[0]), a[1].min(b[1]).min(c[1])];
         let high = [a[0].max(b[0]).max(c[0]), a[1].max(b[1]).max(c[1])];
         // Also false for NaN.
