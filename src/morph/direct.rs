@@ -1,6 +1,8 @@
 //! The paper's own morph: vertices under the mask move by its grey value times a displacement (Li et al. 2018, section 2).
 //!
-//!     V'(D) = V(D) + W D,    W_i = Gray(u_i, v_i)                                                               (5), (6)
+//! ```text
+//! V'(D) = V(D) + W D,    W_i = Gray(u_i, v_i)                                                                   (5), (6)
+//! ```
 
 use rayon::prelude::*;
 

@@ -1,7 +1,9 @@
 //! Which point of a grey texture belongs to a vertex (Li et al. 2018, section 1.1): seen by a camera, in the frame of landmarks,
 //! or by the mesh's own texture coordinates.
 //!
-//!     UV = M_lerp M_proj M_view M_model V                                                                      (1), (2)
+//! ```text
+//! UV = M_lerp M_proj M_view M_model V                                                                          (1), (2)
+//! ```
 //!
 //! The paper leaves out the perspective divide between `M_proj` and `M_lerp`; it is done here. Since `M_lerp` is affine and keeps
 //! the fourth coordinate, dividing after it is the same: one matrix, one division.
@@ -269,7 +271,7 @@ impl Corner {
 impl Hidden<'_> {
     /// Those vertices of positive weight that a triangle hides, in no order that matters.
     fn of(&self, weights: &[f64]) -> Result<Vec<u32>, MorphError> {
-        if !(self.tolerance >= 0.0) {
+        if self.tolerance.is_nan() || self.tolerance < 0.0 {
             let (what, value) = ("the tolerance of visibility", self.tolerance);
             return Err(MorphError::Option { what, value, expected: "millimetres, at least 0" });
         }

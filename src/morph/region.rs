@@ -240,7 +240,7 @@ fn cover(a: f64, b: f64, pixels: &mut [f64]) {
 impl Shape {
     fn check(&self) -> Result<(), MorphError> {
         let fail = |shape, what, value, expected| Err(MorphError::Shape { shape, what, value, expected });
-        let finite = |shape, what, values: &[f64]| match values.iter().find(|v| !(v.abs() <= LARGEST)) {
+        let finite = |shape, what, values: &[f64]| match values.iter().find(|v| !(-LARGEST..=LARGEST).contains(*v)) {
             Some(&value) => fail(shape, what, value, "a number from -1e9 to 1e9"),
             None => Ok(()),
         };
