@@ -210,6 +210,29 @@ fn visibility_is_that_of_rays() {
 }
 
 #[test]
+fn crowded_vertices_are_told_apart() {
+    // A fine sheet of a hundredth of the picture's width before another, in a coarse mesh: all in a few cells of any even grid.
+    let sheet = |step: f64, z: f64| {
+        (0..2500).map(move |i| Vec3::new(f64::from(i % 50), f64::from(i / 50), 0.0) * step + Vec3::z() * z)
+    };
+    let cells = (0..2401u32).map(|c| c / 49 * 50 + c % 49);
+    let faces = |first: u32| {
+        cells.clone().flat_map(move |a| [[a, a + 1, a + 51], [a, a + 51, a + 50]].map(|t| t.map(|v| v + first)))
+    };
+    let mesh = TriangleMesh {
+        positions: sheet(0.02, 0.0)
+            .chain(sheet(0.019, -2.0))
+            .chain([Vec3::repeat(-90.0), Vec3::new(90.0, 90.0, -90.0)])
+            .collect(),
+        triangles: faces(0).chain(faces(2500)).collect(),
+    };
+    let parallel = Projection::Orthographic { height: 250.0 };
+    let projector = Projector::look(Vec3::z() * 50.0, Vec3::zeros(), Vec3::y(), parallel, 1.0).unwrap();
+    let visible = projector.visible(&mesh, 0.001).unwrap();
+    assert_eq!(visible, (0..5002).map(|i| !(2500..5000).contains(&i)).collect::<Vec<_>>());
+}
+
+#[test]
 fn two_sheets_on_one_grid_leave_no_gap() {
     // Each vertex of the back sheet lies exactly behind one of the front sheet, on its edges and corners.
     let sheet = |z: f64| (0..81).map(move |i| Vec3::new(f64::from(i % 9), f64::from(i / 9), z));

@@ -355,7 +355,7 @@ fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// Spots sorted into the cells of a grid, row by row.
+/// Spots sorted into the cells of a grid, row by row, and by x in each row.
 struct Grid {
     low: [f64; 2],
     high: [f64; 2],
@@ -370,6 +370,8 @@ struct Grid {
 
 /// Spots to a cell, if they were spread evenly.
 const SPOTS_PER_CELL: f64 = 2.0;
+/// Spots above which a search is worth its while.
+const CROWD: usize = 16;
 
 impl Grid {
     /// The vertices of positive weight, which all lie in front of the camera; `None` if there are none.
@@ -418,7 +420,24 @@ impl Grid {
                 *at += 1;
             }
         }
+        grid.sort_rows();
         Some(grid)
+    }
+
+    /// Sorts the spots of each row by x: cells are in that order, so each by itself.
+    fn sort_rows(&mut self) {
+        let (mut rest, mut rows) = (&mut self.spots[..], Vec::with_capacity(self.rows));
+        for row in self.starts.windows(self.columns + 1).step_by(self.columns).take(self.rows) {
+            let (spots, after) = rest.split_at_mut((row[self.columns] - row[0]) as usize);
+            rest = after;
+            rows.push((row, spots));
+        }
+        rows.into_par_iter().for_each(|(starts, spots)| {
+            for cell in starts.windows(2) {
+                let cell = &mut spots[(cell[0] - starts[0]) as usize..(cell[1] - starts[0]) as usize];
+                cell.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
+            }
+        });
     }
 
     #[inline]
@@ -446,11 +465,17 @@ impl Grid {
         let nearest = a[2].min(b[2]).min(c[2]);
         for row in self.row(low[1])..=self.row(high[1]) {
             let cells = row * self.columns;
-            let range = self.starts[cells + left] as usize..self.starts[cells + right + 1] as usize;
-            for (i, spot) in self.spots[range.clone()].iter().enumerate() {
-                let inside = spot.x >= low[0] && spot.x <= high[0] && spot.y >= low[1] && spot.y <= high[1];
-                if inside && spot.depth > nearest {
-                    visit(range.start + i, spot);
+            let (mut first, end) = (self.starts[cells + left] as usize, self.starts[cells + right + 1] as usize);
+            // Where vertices crowd, a cell holds many more than a small triangle meets.
+            if end - first > CROWD {
+                first += self.spots[first..end].partition_point(|spot| spot.x < low[0]);
+            }
+            for (i, spot) in (first..).zip(&self.spots[first..end]) {
+                if spot.x > high[0] {
+                    break;
+                }
+                if spot.x >= low[0] && spot.y >= low[1] && spot.y <= high[1] && spot.depth > nearest {
+                    visit(i, spot);
                 }
             }
         }
