@@ -9,6 +9,7 @@
 //! - [`model`] and [`term`]: the models and terms of Klimov 2020, equations (2) to (9).
 //! - [`evaluation`] and [`render`]: errors and pictures.
 //! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
+//! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
 //! - [`cli`]: the `nonrigid` command.
 
 pub mod cli;
@@ -16,6 +17,7 @@ pub mod energy;
 pub mod evaluation;
 pub mod mesh;
 pub mod model;
+pub mod morph;
 pub mod nlls;
 pub mod registration;
 pub mod render;

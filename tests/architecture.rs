@@ -15,7 +15,8 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("evaluation", &["mesh"]),
     ("render", &["mesh"]),
     ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
-    ("cli", &["energy", "evaluation", "mesh", "model", "nlls", "registration", "render", "rig", "term"]),
+    ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
+    ("cli", &["energy", "evaluation", "mesh", "model", "morph", "nlls", "registration", "render", "rig", "term"]),
 ];
 
 /// Source text without comments.

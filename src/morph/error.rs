@@ -1,0 +1,203 @@
+//! What makes a mask or a morph impossible.
+
+use rayon::prelude::*;
+
+/// A mask, or what it is to move, cannot be computed with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MorphError {
+    /// A texture without pixels, or with more than can be addressed.
+    #[error("a texture of {width} x {height} pixels; both must be from 1 to {}", super::MAX_TEXTURE_SIDE)]
+    TextureSize {
+        /// Width, pixels.
+        width: usize,
+        /// Height, pixels.
+        height: usize,
+    },
+    /// Grey values that do not fill the texture.
+    #[error("{found} grey values for a texture of {width} x {height} pixels")]
+    TextureLength {
+        /// Number of values.
+        found: usize,
+        /// Width, pixels.
+        width: usize,
+        /// Height, pixels.
+        height: usize,
+    },
+    /// A grey value is NaN or outside 0..=1.
+    #[error("pixel {x}, {y} (from the top left) has the grey value {value}, expected 0 to 1")]
+    GreyValue {
+        /// Column.
+        x: usize,
+        /// Row, from the top.
+        y: usize,
+        /// The value.
+        value: f64,
+    },
+    /// A number of a shape is NaN, infinite or out of its range.
+    #[error("{shape}: {what} is {value}, expected {expected}")]
+    Shape {
+        /// Kind of the shape.
+        shape: &'static str,
+        /// Which number.
+        what: &'static str,
+        /// The number.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// A polygon without rings, or a ring that encloses nothing.
+    #[error("polygon: ring {ring} has {points} points, expected at least 3 that are not on one line")]
+    EmptyPolygon {
+        /// Index of the ring; 0 if there is none.
+        ring: usize,
+        /// Number of its points.
+        points: usize,
+    },
+    /// The box that a texture covers has no area or is not finite.
+    #[error(
+        "the texture covers {low:?} to {high:?}; expected corners within 1e9, the second above the first on both axes"
+    )]
+    Covered {
+        /// Lower corner.
+        low: [f64; 2],
+        /// Upper corner.
+        high: [f64; 2],
+    },
+    /// Sub-rows to a pixel out of range.
+    #[error("{found} sub-rows a pixel, expected 1 to 1024")]
+    SubRows {
+        /// What was asked for.
+        found: usize,
+    },
+    /// A kernel without a middle, or beyond the limit.
+    #[error("a blur kernel of {size} x {size} pixels; its side must be odd and at most {}", super::MAX_KERNEL)]
+    Kernel {
+        /// Side, pixels.
+        size: usize,
+    },
+    /// The width of a Gaussian is not a positive number.
+    #[error("the Gaussian's sigma is {sigma} pixels, expected a positive number")]
+    Sigma {
+        /// The width, pixels.
+        sigma: f64,
+    },
+    /// A matrix has an entry that is not finite, or cannot be inverted.
+    #[error("the projection's matrix is singular or not finite: {0}")]
+    Matrix(String),
+    /// A camera that looks nowhere.
+    #[error("the camera cannot be set up: {0}")]
+    Camera(&'static str),
+    /// A coordinate is NaN or infinite.
+    #[error("vertex {vertex} has coordinates {position:?}, expected finite ones")]
+    NotFinite {
+        /// Index of the vertex.
+        vertex: usize,
+        /// Its coordinates.
+        position: [f64; 3],
+    },
+    /// A face indexes past the vertices.
+    #[error("triangle {triangle} has vertex index {index}, expected one below {count}")]
+    IndexOutOfRange {
+        /// Index of the triangle.
+        triangle: usize,
+        /// The offending index.
+        index: u32,
+        /// Number of vertices.
+        count: usize,
+    },
+    /// A mesh without texture coordinates cannot take a mask in them.
+    #[error("the mesh has no texture coordinates, so a mask in UV space says nothing about its vertices")]
+    NoTextureCoordinates,
+    /// A texture coordinate that does not exist or is not finite.
+    #[error("corner {corner} has the texture coordinate {index} of {count}, expected the index of a finite one")]
+    TextureCoordinate {
+        /// Index of the polygon corner.
+        corner: usize,
+        /// Index of the coordinate.
+        index: u32,
+        /// Number of coordinates.
+        count: usize,
+    },
+    /// No landmark of that name.
+    #[error("there is no landmark {name:?}; known landmarks: {known}")]
+    UnknownLandmark {
+        /// The name.
+        name: String,
+        /// Those there are, or "none".
+        known: String,
+    },
+    /// Landmarks that span no frame.
+    #[error("the landmarks span no frame: {0}")]
+    Frame(&'static str),
+    /// Weights that do not belong to the vertices.
+    #[error("{found} weights for {vertices} vertices")]
+    WeightCount {
+        /// Number of weights.
+        found: usize,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A weight is NaN or outside 0..=1.
+    #[error("vertex {vertex} has the weight {value}, expected 0 to 1")]
+    WeightValue {
+        /// Index of the vertex.
+        vertex: usize,
+        /// The weight.
+        value: f64,
+    },
+    /// An option is NaN or out of its range.
+    #[error("{what} is {value}, expected {expected}")]
+    Option {
+        /// Which option.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// A displacement is NaN or infinite.
+    #[error("displacement {index} is {displacement:?}, expected finite millimetres")]
+    Displacement {
+        /// Which of the step's pairs.
+        index: usize,
+        /// Its vector.
+        displacement: [f64; 3],
+    },
+    /// A buffer of another size than the positions.
+    #[error("a buffer for {found} positions, expected {vertices}")]
+    BufferLength {
+        /// Its length.
+        found: usize,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A mirror plane without a direction.
+    #[error(
+        "the mirror plane has the point {point:?} and the normal {normal:?}, expected finite numbers and a normal other than 0"
+    )]
+    Mirror {
+        /// Point on it.
+        point: [f64; 3],
+        /// Its normal.
+        normal: [f64; 3],
+    },
+    /// No triangle to measure on.
+    #[error("the mesh has no surface: without triangles, painted weights have no mirror image")]
+    NoSurface,
+    /// A picture and a mask of different sizes.
+    #[error("a picture of {picture:?} pixels under a mask of {mask:?}; both must be of one size")]
+    OverlaySize {
+        /// Width and height of the picture.
+        picture: [usize; 2],
+        /// Width and height of the mask.
+        mask: [usize; 2],
+    },
+}
+
+/// An error unless every position is finite.
+pub(super) fn check_positions(positions: &[crate::mesh::Vec3]) -> Result<(), MorphError> {
+    match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {
+        Some(vertex) => Err(MorphError::NotFinite { vertex, position: positions[vertex].into() }),
+        None => Ok(()),
+    }
+}

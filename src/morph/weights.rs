@@ -1,0 +1,89 @@
+//! How far each vertex follows a mask: `W` of equation (5).
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::{MirrorPlane, MorphError, check_positions};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
+use crate::mesh::{MeshError, TriangleMesh};
+
+/// A weight from 0 to 1 for each vertex.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Weights(Vec<f64>);
+
+impl Weights {
+    /// Weights of as many vertices as there are values.
+    ///
+    /// # Errors
+    /// When a value is not from 0 to 1.
+    pub fn new(values: Vec<f64>) -> Result<Self, MorphError> {
+        match values.iter().position(|w| !(0.0..=1.0).contains(w)) {
+            Some(vertex) => Err(MorphError::WeightValue { vertex, value: values[vertex] }),
+            None => Ok(Self(values)),
+        }
+    }
+
+    /// Values that are known to be from 0 to 1.
+    pub(super) fn trusted(values: Vec<f64>) -> Self {
+        debug_assert!(values.iter().all(|w| (0.0..=1.0).contains(w)));
+        Self(values)
+    }
+
+    /// One weight per vertex.
+    #[must_use]
+    pub fn values(&self) -> &[f64] {
+        &self.0
+    }
+
+    /// As [`Self::values`], to keep.
+    #[must_use]
+    pub fn into_values(self) -> Vec<f64> {
+        self.0
+    }
+
+    /// Reads a one-dimensional NPY array of a weight for each of `vertices` vertices.
+    ///
+    /// # Errors
+    /// When the file cannot be read, has another shape, or a value is not from 0 to 1.
+    pub fn read_npy(path: &Path, vertices: usize) -> Result<Self, ReadError> {
+        Self::new(read_npy_vector(path, Some(vertices))?)
+            .map_err(|error| ReadError::malformed(path, Place::File, "weights from 0 to 1", error.to_string()))
+    }
+
+    /// Writes the weights as a one-dimensional NPY array of 64 bits a value.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write_npy(&self, path: &Path) -> Result<(), WriteError> {
+        write_npy(path, &[self.0.len()], &self.0)
+    }
+
+    /// The mirror image of weights that were painted on the mesh: each vertex takes the weight, linear on triangles, of the point of
+    /// the surface that is closest to the vertex's mirror image. Exact where the mesh is its own mirror image.
+    ///
+    /// A mask that was projected is better mirrored before, with [`Projector::mirrored`](super::Projector::mirrored).
+    ///
+    /// # Errors
+    /// When there is not one weight per vertex, the mesh has no triangles, or it is malformed.
+    pub fn mirrored(&self, mesh: &TriangleMesh, plane: &MirrorPlane) -> Result<Self, MorphError> {
+        if self.0.len() != mesh.positions.len() {
+            return Err(MorphError::WeightCount { found: self.0.len(), vertices: mesh.positions.len() });
+        }
+        check_positions(&mesh.positions)?;
+        let surface = ClosestPoint::new(mesh).map_err(|error| match error {
+            MeshError::IndexOutOfRange { triangle, index, count } => {
+                MorphError::IndexOutOfRange { triangle, index, count }
+            }
+            _ => MorphError::NoSurface,
+        })?;
+        let weight = |position| {
+            let closest = surface.query(&plane.point(position)).ok_or(MorphError::NoSurface)?;
+            let corners = mesh.triangles[closest.triangle as usize];
+            let sum: f64 = corners.iter().zip(closest.barycentric).map(|(&v, b)| b * self.0[v as usize]).sum();
+            Ok(sum.clamp(0.0, 1.0))
+        };
+        mesh.positions.par_iter().map(|p| weight(*p)).collect::<Result<_, _>>().map(Self)
+    }
+}
