@@ -11,28 +11,29 @@ use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::morph::*;
 use nonrigid::render::Projection;
 
-/// A bumpy closed head of about so many vertices.
+/// A bumpy closed head of about so many vertices, evenly spread: a cube blown up to an ellipsoid.
 fn head(vertices: usize) -> TriangleMesh {
-    let rows = (vertices as f64 / 2.0).sqrt() as usize;
-    let columns = 2 * rows;
-    let place = |row: usize, column: usize| {
-        let (polar, around) = (row as f64 / (rows - 1) as f64, column as f64 / columns as f64);
-        let (s, c) = (std::f64::consts::PI * (0.001 + 0.998 * polar)).sin_cos();
-        let (y, x) = (std::f64::consts::TAU * around).sin_cos();
-        let bumps = 1.0 + 0.03 * (40.0 * around).sin() * (25.0 * polar).sin();
-        Vec3::new(75.0 * s * x, 110.0 * c, 90.0 * s * y) * bumps
-    };
-    let at = |row: usize, column: usize| (row * columns + column % columns) as u32;
-    let cells = (0..rows - 1).flat_map(|row| (0..columns).map(move |column| (row, column)));
-    TriangleMesh {
-        positions: (0..rows * columns).map(|i| place(i / columns, i % columns)).collect(),
-        triangles: cells
-            .flat_map(|(r, c)| {
-                let (a, b, d, e) = (at(r, c), at(r, c + 1), at(r + 1, c + 1), at(r + 1, c));
-                [[a, b, d], [a, d, e]]
-            })
-            .collect(),
+    let side = (vertices as f64 / 6.0).sqrt() as usize;
+    let mut mesh = TriangleMesh::default();
+    for face in 0..6 {
+        let first = mesh.positions.len();
+        for (row, column) in (0..side * side).map(|i| (i / side, i % side)) {
+            // Equal angles, so that cells are of about one size.
+            let t = |k: usize| (std::f64::consts::FRAC_PI_4 * (2.0 * k as f64 / (side - 1) as f64 - 1.0)).tan();
+            let sign = if face < 3 { 1.0 } else { -1.0 };
+            let mut p = Vec3::repeat(sign);
+            (p[(face + 1) % 3], p[(face + 2) % 3]) = (sign * t(column), t(row));
+            let p = p.normalize();
+            let bumps = 1.0 + 0.02 * (20.0 * p.x).sin() * (25.0 * p.y).sin() * (15.0 * p.z).cos();
+            mesh.positions.push(p.component_mul(&Vec3::new(75.0, 110.0, 90.0)) * bumps);
+        }
+        for (row, column) in (0..(side - 1) * (side - 1)).map(|i| (i / (side - 1), i % (side - 1))) {
+            let corner = |r: usize, c: usize| (first + (row + r) * side + column + c) as u32;
+            let (a, b, c, d) = (corner(0, 0), corner(0, 1), corner(1, 1), corner(1, 0));
+            mesh.triangles.extend([[a, b, c], [a, c, d]]);
+        }
     }
+    mesh
 }
 
 fn disc(size: usize) -> Texture {

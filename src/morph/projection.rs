@@ -319,14 +319,11 @@ impl Hidden<'_> {
             return false;
         }
         // Depth is linear on the picture, and so is 1 / w.
-        let (mut depth, mut reciprocal) = (0.0, 0.0);
-        for (edge, corner) in edges.iter().zip(corners) {
-            depth += edge / area * corner.picture[2];
-            reciprocal += edge / area / corner.w;
-        }
+        let depth = (0..3).map(|k| edges[k] * corners[k].picture[2]).sum::<f64>() / area;
         if depth >= spot.depth {
             return false;
         }
+        let reciprocal = (0..3).map(|k| edges[k] / corners[k].w).sum::<f64>() / area;
         let before = inverse * (Vector4::new(spot.x, spot.y, depth, 1.0) / reciprocal);
         let gap = before.xyz() / before.w - self.mesh.positions[spot.vertex as usize];
         gap.norm() > self.tolerance
@@ -371,7 +368,7 @@ struct Grid {
 /// Spots to a cell, if they were spread evenly.
 const SPOTS_PER_CELL: f64 = 2.0;
 /// Spots above which a search is worth its while.
-const CROWD: usize = 16;
+const CROWD: usize = 32;
 
 impl Grid {
     /// The vertices of positive weight, which all lie in front of the camera; `None` if there are none.
@@ -465,16 +462,16 @@ impl Grid {
         let nearest = a[2].min(b[2]).min(c[2]);
         for row in self.row(low[1])..=self.row(high[1]) {
             let cells = row * self.columns;
-            let (mut first, end) = (self.starts[cells + left] as usize, self.starts[cells + right + 1] as usize);
+            let (mut first, mut end) = (self.starts[cells + left] as usize, self.starts[cells + right + 1] as usize);
             // Where vertices crowd, a cell holds many more than a small triangle meets.
             if end - first > CROWD {
+                end = first + self.spots[first..end].partition_point(|spot| spot.x <= high[0]);
                 first += self.spots[first..end].partition_point(|spot| spot.x < low[0]);
             }
             for (i, spot) in (first..).zip(&self.spots[first..end]) {
-                if spot.x > high[0] {
-                    break;
-                }
-                if spot.x >= low[0] && spot.y >= low[1] && spot.y <= high[1] && spot.depth > nearest {
+                // One branch: each by itself is a toss-up.
+                let beside = (spot.x < low[0]) | (spot.x > high[0]) | (spot.y < low[1]) | (spot.y > high[1]);
+                if !(beside | (spot.depth <= nearest)) {
                     visit(i, spot);
                 }
             }
