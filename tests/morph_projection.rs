@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix4, Rotation3};
-use nonrigid::mesh::{ObjMetadata, PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::mesh::{MeshError, ObjMetadata, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::morph::*;
 use nonrigid::render::{Camera, Projection};
 use rand::{Rng, SeedableRng};
@@ -412,7 +412,7 @@ fn wrong_steps_and_projections_are_named() {
     let wild = MorphStep { pairs: vec![pair(Vec3::x()), pair(Vec3::new(0.0, f64::NAN, 0.0))], ..MorphStep::default() };
     assert!(matches!(wild.apply(&positions), Err(MorphError::Displacement { index: 1, .. })));
     let nan = [Vec3::zeros(), Vec3::new(0.0, f64::NAN, 0.0), Vec3::zeros()];
-    assert!(matches!(step.apply(&nan), Err(MorphError::NotFinite { vertex: 1, .. })));
+    assert!(matches!(step.apply(&nan), Err(MorphError::Mesh(MeshError::NotFinite { vertex: 1, .. }))));
     for value in [f64::NAN, -1e-9, 1.1] {
         assert!(matches!(Weights::new(vec![0.0, value]), Err(MorphError::WeightValue { vertex: 1, .. })));
     }
@@ -423,9 +423,9 @@ fn wrong_steps_and_projections_are_named() {
     let texture = Texture::new(1, 1, vec![1.0]).unwrap();
     let project = |mesh: &TriangleMesh, visibility| front().weights(mesh, &texture, Sampling::Bilinear, visibility);
     let error = project(&mesh(&nan, vec![]), Visibility::Through).unwrap_err();
-    assert!(matches!(error, MorphError::NotFinite { vertex: 1, .. }));
+    assert!(matches!(error, MorphError::Mesh(MeshError::NotFinite { vertex: 1, .. })));
     let error = project(&mesh(&positions, vec![[0, 1, 2], [0, 1, 3]]), VISIBLE).unwrap_err();
-    assert_eq!(error, MorphError::IndexOutOfRange { triangle: 1, index: 3, count: 3 });
+    assert_eq!(error, MeshError::IndexOutOfRange { triangle: 1, index: 3, count: 3 }.into());
     for tolerance in [-1.0, f64::NAN] {
         assert!(project(&mesh(&positions, vec![]), Visibility::Visible { tolerance }).is_err());
         assert!(front().visible(&mesh(&positions, vec![]), tolerance).is_err());

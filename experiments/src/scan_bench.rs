@@ -85,6 +85,18 @@ impl BenchCase {
         self.neutral.as_deref().unwrap_or(&self.template.positions)
     }
 
+    /// What a fit is given, all landmarks included.
+    #[must_use]
+    pub fn input(&self) -> RegistrationInput<'_> {
+        RegistrationInput {
+            neutral: self.neutral.as_deref(),
+            shapes: &self.shapes,
+            scan_normals: self.scan.normals.as_deref(),
+            landmarks: &self.landmarks,
+            ..RegistrationInput::new(&self.template, &self.scan.mesh)
+        }
+    }
+
     /// Reads a case folder.
     pub fn read(folder: &Path, rig: &BenchRig) -> Result<Self> {
         let path = folder.join("case.json");
@@ -273,13 +285,7 @@ pub fn fit_case(
     landmarks: LandmarkUse,
 ) -> Result<(RegistrationResult, f64), RegistrationError> {
     let (landmarks, schedule) = landmarks.apply(case, schedule);
-    let input = RegistrationInput {
-        neutral: case.neutral.as_deref(),
-        shapes: &case.shapes,
-        scan_normals: case.scan.normals.as_deref(),
-        landmarks: &landmarks,
-        ..RegistrationInput::new(&case.template, &case.scan.mesh)
-    };
+    let input = RegistrationInput { landmarks: &landmarks, ..case.input() };
     let clock = Instant::now();
     let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
     Ok((result, clock.elapsed().as_secs_f64()))

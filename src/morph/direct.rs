@@ -85,7 +85,7 @@ impl MorphStep {
             }
             moved.iter().fold(true, |finite, p| finite & p.iter().all(|c| c.is_finite()))
         });
-        if finite.reduce(|| true, |a, b| a && b) { Ok(()) } else { check_positions(moved) }
+        if finite.reduce(|| true, |a, b| a && b) { Ok(()) } else { Ok(check_positions(moved)?) }
     }
 
     /// Which of `vertices` vertices the step moves: those that some mask lifts above the threshold. The others are what an energy

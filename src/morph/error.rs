@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::mesh::{MeshError, Vec3};
+
 /// A mask, or what it is to move, cannot be computed with.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MorphError {
@@ -87,19 +89,14 @@ pub enum MorphError {
     /// A camera that looks nowhere.
     #[error("the camera cannot be set up: {0}")]
     Camera(&'static str),
-    /// A coordinate is NaN or infinite.
-    #[error("vertex {vertex} has coordinates {position:?}, expected finite ones")]
-    NotFinite {
-        /// Index of the vertex.
-        vertex: usize,
-        /// Its coordinates.
-        position: [f64; 3],
-    },
-    /// A face indexes past the vertices.
-    #[error("triangle {triangle} has vertex index {index}, expected one below {count}")]
-    IndexOutOfRange {
-        /// Index of the triangle.
-        triangle: usize,
+    /// The mesh, or the positions.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// A corner of a polygon indexes past the vertices.
+    #[error("corner {corner} has vertex index {index}, expected one below {count}")]
+    CornerVertex {
+        /// Index of the polygon corner.
+        corner: usize,
         /// The offending index.
         index: u32,
         /// Number of vertices.
@@ -195,9 +192,9 @@ pub enum MorphError {
 }
 
 /// An error unless every position is finite.
-pub(super) fn check_positions(positions: &[crate::mesh::Vec3]) -> Result<(), MorphError> {
+pub(super) fn check_positions(positions: &[Vec3]) -> Result<(), MeshError> {
     match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {
-        Some(vertex) => Err(MorphError::NotFinite { vertex, position: positions[vertex].into() }),
+        Some(vertex) => Err(MeshError::NotFinite { vertex, position: positions[vertex].into() }),
         None => Ok(()),
     }
 }

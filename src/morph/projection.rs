@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{MirrorPlane, MorphError, Sampling, Texture, Weights, check_positions};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
 use crate::render;
 
 /// A map from space to texture coordinates and depth: `M` of equation (1) with the divide.
@@ -229,7 +229,7 @@ pub fn uv_weights(mesh: &PolygonMesh, texture: &Texture, sampling: Sampling) -> 
         let uv = uv.ok_or(MorphError::TextureCoordinate { corner, index, count: uvs.len() })?;
         let count = weights.len();
         let weight = weights.get_mut(vertex as usize);
-        let weight = weight.ok_or(MorphError::IndexOutOfRange { triangle: corner / 3, index: vertex, count })?;
+        let weight = weight.ok_or(MorphError::CornerVertex { corner, index: vertex, count })?;
         *weight = weight.max(texture.sample(*uv, sampling));
     }
     Ok(Weights::trusted(weights))
@@ -279,7 +279,7 @@ impl Hidden<'_> {
         let count = positions.len();
         if let Some(triangle) = triangles.par_iter().position_first(|t| t.iter().any(|v| *v as usize >= count)) {
             let index = triangles[triangle].into_iter().max().unwrap_or_default();
-            return Err(MorphError::IndexOutOfRange { triangle, index, count });
+            return Err(MeshError::IndexOutOfRange { triangle, index, count }.into());
         }
         let inverse = self.projector.matrix.try_inverse();
         let inverse = inverse.ok_or_else(|| MorphError::Matrix(self.projector.matrix.to_string()))?;

@@ -5,9 +5,9 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::{MirrorPlane, MorphError, check_positions};
+use crate::mesh::TriangleMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
-use crate::mesh::{MeshError, TriangleMesh};
 
 /// A weight from 0 to 1 for each vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,12 +72,7 @@ impl Weights {
             return Err(MorphError::WeightCount { found: self.0.len(), vertices: mesh.positions.len() });
         }
         check_positions(&mesh.positions)?;
-        let surface = ClosestPoint::new(mesh).map_err(|error| match error {
-            MeshError::IndexOutOfRange { triangle, index, count } => {
-                MorphError::IndexOutOfRange { triangle, index, count }
-            }
-            _ => MorphError::NoSurface,
-        })?;
+        let surface = ClosestPoint::new(mesh)?;
         let weight = |position| {
             let closest = surface.query(&plane.point(position)).ok_or(MorphError::NoSurface)?;
             let corners = mesh.triangles[closest.triangle as usize];

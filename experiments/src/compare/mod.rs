@@ -79,7 +79,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn variants(&self) -> Result<Vec<Variant>> {
-        let mut variants = self.models.0.iter().map(|m| Variant::of_model(*m)).collect::<Result<Vec<_>, _>>()?;
+        let mut variants = Variant::models(&self.models.0)?;
         if self.kernels {
             variants.extend(Variant::kernels()?);
         }

@@ -31,12 +31,12 @@ impl Variant {
         Ok(Self { group: "model".to_owned(), name, model, schedule, landmarks: LandmarkUse::All })
     }
 
-    /// Every model with its default schedule.
+    /// Models with their default schedules.
     ///
     /// # Errors
     /// As [`of_model`](Self::of_model).
-    pub fn models() -> Result<Vec<Self>, ScheduleError> {
-        ModelKind::ALL.into_iter().map(Self::of_model).collect()
+    pub fn models(models: &[ModelKind]) -> Result<Vec<Self>, ScheduleError> {
+        models.iter().copied().map(Self::of_model).collect()
     }
 
     /// The hybrid with each robust [`Kernel`] in place of its schedule's at every level, at that one's scale. The point-to-point

@@ -66,10 +66,6 @@ pub struct Pick {
 pub enum Take {
     /// Their mean.
     Mean,
-    /// The least.
-    Least,
-    /// The greatest.
-    Greatest,
     /// Standard deviation over mean.
     Variation,
     /// The first, in the order of the rows.
@@ -247,8 +243,6 @@ impl Take {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         match self {
             Self::Mean => mean,
-            Self::Least => values.iter().copied().fold(f64::INFINITY, f64::min),
-            Self::Greatest => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             Self::Variation => {
                 let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
                 (square / (values.len() - 1).max(1) as f64).sqrt() / mean

@@ -60,8 +60,7 @@ impl Data {
     /// # Errors
     /// When something cannot be read, or there is neither.
     pub fn of_user(rig: &Path, scans: &Path, folder: &Path, effort: &Effort, seed: u64) -> Result<Self> {
-        let real =
-            [scans.to_owned(), scans.join("scans")].into_iter().find(|f| SCANS.iter().any(|s| f.join(s.1).exists()));
+        let real = real_scans_in(scans);
         let mut data = match (case_folders(scans), &real) {
             (Err(_), Some(_)) => Self::generate(folder, effort, seed)?,
             _ => Self::read(rig, scans)?,

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use indicatif::ProgressBar;
 use nonrigid::cli::Failure;
-use nonrigid::registration::{ModelKind, RegistrationResult, TermFactory, TermKind};
+use nonrigid::registration::{RegistrationResult, TermFactory, TermKind};
 use nonrigid::render::{RgbImage, draw_text, save_png};
 use rayon::prelude::*;
 
@@ -109,14 +109,6 @@ impl Setting<'_> {
         // One job a task: they take unequally long.
         jobs.par_iter().with_max_len(1).map(one).collect()
     }
-}
-
-/// Models with their default schedules.
-///
-/// # Errors
-/// When a default schedule cannot be read.
-pub fn models(models: &[ModelKind]) -> Result<Vec<Variant>> {
-    models.iter().map(|m| Ok(Variant::of_model(*m)?)).collect()
 }
 
 /// Registers a case with a variant.

@@ -10,9 +10,7 @@ use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Linearisation, NodeGraph, Stiffness, hybrid};
 use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, Options, Silent, Workspace};
-use nonrigid::registration::{
-    ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, StepRecord, register,
-};
+use nonrigid::registration::{ModelFactory as _, ModelKind, RegistrationObserver, StepRecord, register};
 use nonrigid::term::PointToPlane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -177,17 +175,11 @@ fn register_scan(run: &RegistrationRun) -> Result<Value> {
     let case = first_standard_case(run.template, run.triangles, run.seed).map_err(Failure::computation)?;
     let generate = clock.elapsed().as_secs_f64();
     reset_peak();
-    let input = RegistrationInput {
-        neutral: case.neutral.as_deref(),
-        shapes: &case.shapes,
-        landmarks: &case.landmarks,
-        ..RegistrationInput::new(&case.template, &case.scan.mesh)
-    };
     let schedule = ModelKind::Hybrid.schedule()?;
     let (mut stages, mut steps) = (<[Vec<f64>; 4]>::default(), 0);
     for _ in 0..run.repeats {
         let mut watch = Watch::new();
-        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut watch)?;
+        let result = register(&case.input(), &ModelKind::Hybrid, &schedule, &mut watch)?;
         let end = Instant::now();
         let whole = (end - watch.begin).as_secs_f64();
         let setup = (watch.started - watch.begin).as_secs_f64();

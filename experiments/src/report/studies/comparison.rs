@@ -1,10 +1,11 @@
 //! The comparison table: every model, kernel and data term on the same scans.
 
 use anyhow::{Result, anyhow};
+use nonrigid::registration::ModelKind;
 
 use crate::compare::{CompareRow, Variant, measure, summarize};
 use crate::plots::{Bar, GroupedBars};
-use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, models, spread};
+use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, spread};
 use crate::report::table::{Table, number};
 use crate::scan_bench::BenchRow;
 
@@ -16,16 +17,16 @@ pub const STUDY: Study = Study {
             steps, and, each variant in a process of its own, seconds and greatest memory.",
     tables: &["comparison", "comparison.timing"],
     seconds: |effort| {
-        let slow = effort.models.iter().filter(|m| m.to_string() == "affine").count() as f64;
+        let affine = if effort.models.contains(&ModelKind::Affine) { 9.0 } else { 0.0 };
         let fast = effort.models.len() as f64 + if effort.kernels_and_terms { 16.0 } else { 0.0 };
-        effort.vertices as f64 / 5000.0 * effort.cases.len() as f64 * (1.0 * fast + 9.0 * slow)
+        effort.vertices as f64 / 5000.0 * effort.cases.len() as f64 * (fast + affine)
     },
     run,
 };
 
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let data = setting.data;
-    let mut variants = models(&setting.effort.models)?;
+    let mut variants = Variant::models(&setting.effort.models)?;
     if setting.effort.kernels_and_terms {
         variants.extend(Variant::kernels()?);
         variants.extend(Variant::terms()?);

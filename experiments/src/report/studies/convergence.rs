@@ -5,10 +5,11 @@ use std::ops::ControlFlow;
 use anyhow::Result;
 use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::Vec3;
-use nonrigid::registration::{ModelKind, RegistrationInput, RegistrationObserver, StepRecord, register};
+use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
 
+use crate::compare::Variant;
 use crate::plots::{Axis, Grid, Mark, Plot, Point, Series};
-use crate::report::study::{Section, Setting, Study, models};
+use crate::report::study::{Section, Setting, Study};
 use crate::report::table::{Table, number};
 use crate::scan_bench::BenchCase;
 
@@ -50,17 +51,10 @@ impl RegistrationObserver for Watch<'_> {
 
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let case = setting.data.extreme();
-    let variants = models(&MODELS)?;
+    let variants = Variant::models(&MODELS)?;
     let outcomes = setting.run_all(&variants, |variant| -> Result<Vec<(StepRecord, f64)>> {
-        let input = RegistrationInput {
-            neutral: case.neutral.as_deref(),
-            shapes: &case.shapes,
-            scan_normals: case.scan.normals.as_deref(),
-            landmarks: &case.landmarks,
-            ..RegistrationInput::new(&case.template, &case.scan.mesh)
-        };
         let mut watch = Watch { case, triangles: case.template.triangulate().triangles, steps: Vec::new() };
-        register(&input, &variant.model, &variant.schedule, &mut watch)?;
+        register(&case.input(), &variant.model, &variant.schedule, &mut watch)?;
         Ok(watch.steps)
     });
 

@@ -7,11 +7,13 @@ use nonrigid::cli::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourScale, Frame, RgbImage, Scene, Sheet, Style, View, render};
 
+use crate::compare::Variant;
 use crate::report::data::upright;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, models, register_variant,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, register_variant,
 };
 use crate::report::table::{Table, number};
 use crate::scan_bench::{BenchCase, BenchRow};
@@ -24,8 +26,8 @@ pub const STUDY: Study = Study {
             along the surface (slide); over all observed vertices, and over those of mouth and eyes alone.",
     tables: &["extreme"],
     seconds: |effort| {
-        let slow = effort.models.iter().filter(|m| m.to_string() == "affine").count() as f64;
-        effort.vertices as f64 / 5000.0 * (0.9 * effort.models.len() as f64 + 12.0 * slow)
+        let affine = if effort.models.contains(&ModelKind::Affine) { 12.0 } else { 0.0 };
+        effort.vertices as f64 / 5000.0 * (0.9 * effort.models.len() as f64 + affine)
     },
     run,
 };
@@ -43,7 +45,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let folder = setting.out.join("extreme");
     fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
     let regions = [MOUTH, EYES].map(|of| region(setting, case, of));
-    let variants = models(&setting.effort.models)?;
+    let variants = Variant::models(&setting.effort.models)?;
     let outcomes = setting.run_all(&variants, |variant| register_variant(variant, case));
 
     let columns = [&["model"][..], &ERROR_COLUMNS, &["mouth_rmse", "eyes_rmse", "error"]].concat();

@@ -6,7 +6,7 @@ use crate::compare::Variant;
 use crate::generated::Studio;
 use crate::plots::{Axis, Grid, Plot, Series};
 use crate::report::study::{
-    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, models, register_variant,
+    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
 };
 use crate::report::table::Table;
 use crate::scan_bench::LandmarkUse;
@@ -51,7 +51,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             jobs.extend(variants.iter().map(|v| Job { study, size, case, variant: v.clone() }));
         }
     };
-    let models = align(models(&MODELS)?);
+    let models = align(Variant::models(&MODELS)?);
     effort.resolutions.iter().for_each(|vertices| add("template", *vertices, &models));
     let distances = align(plane_and_point()?);
     SCAN_TRIANGLES.iter().for_each(|triangles| add("scan", *triangles, &distances));

@@ -2,12 +2,14 @@
 
 use anyhow::Result;
 use nonrigid::mesh::Vec3;
+use nonrigid::registration::ModelKind;
 
+use crate::compare::Variant;
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, Plot, Point, Series};
 use crate::random_pose::random_pose;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, models, register_variant,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
 };
 use crate::report::table::{Table, number};
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse};
@@ -22,9 +24,9 @@ pub const STUDY: Study = Study {
             over several people.",
     tables: &["sweeps", "breaks"],
     seconds: |effort| {
-        let runs = SWEEPS.len() * effort.sweep_values * effort.sweep_scans * effort.sweep_models.len();
-        let vertices = effort.sweep_vertices as f64 / 2000.0;
-        runs as f64 * 0.3 * vertices + if effort.name == "full" { runs as f64 * 0.5 * vertices } else { 0.0 }
+        let scans = SWEEPS.len() * effort.sweep_values * effort.sweep_scans;
+        let affine = if effort.sweep_models.contains(&ModelKind::Affine) { 5.0 } else { 0.0 };
+        scans as f64 * effort.sweep_vertices as f64 / 2000.0 * (0.3 * effort.sweep_models.len() as f64 + affine)
     },
     run,
 };
@@ -115,7 +117,7 @@ const TOP: f64 = 8.0;
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let effort = setting.effort;
     let studio = Studio::new(effort.sweep_vertices)?;
-    let mut variants = models(&effort.sweep_models)?;
+    let mut variants = Variant::models(&effort.sweep_models)?;
     variants.iter_mut().for_each(|v| v.landmarks = LandmarkUse::Align);
     let last = (effort.sweep_values - 1).max(1) as f64;
     let values = |s: &Sweep| -> Vec<f64> {
