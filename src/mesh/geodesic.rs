@@ -208,6 +208,21 @@ pub struct Sampling {
 /// When there is not one count for each component, or `components` belongs to another graph.
 #[must_use]
 pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, counts: &[usize]) -> Sampling {
+    farthest_point_sampling_from(graph, components, counts, &[])
+}
+
+/// [`farthest_point_sampling`] where there are nodes already, at the vertices `seeds`: they are neither counted nor listed, and in
+/// their components the first node is the vertex farthest from them.
+///
+/// # Panics
+/// As [`farthest_point_sampling`], or when a seed is not a vertex.
+#[must_use]
+pub fn farthest_point_sampling_from(
+    graph: &WeightedGraph,
+    components: &Components,
+    counts: &[usize],
+    seeds: &[u32],
+) -> Sampling {
     assert_eq!(counts.len(), components.count(), "one count per component");
     let mut sampling = Sampling { distances: vec![f64::INFINITY; graph.vertex_count()], ..Sampling::default() };
     let mut queue = Queue::new();
@@ -217,20 +232,32 @@ pub fn farthest_point_sampling(graph: &WeightedGraph, components: &Components, c
         let vertices = components.vertices(c);
         vertices.iter().enumerate().for_each(|(k, &v)| place[v as usize] = k as u32);
         let mut farthest = Farthest::new(vertices.len());
-        let mut next = vertices[0];
-        for _ in 0..count {
-            if sampling.distances[next as usize] > 0.0 {
-                sampling.distances[next as usize] = 0.0;
-                queue.push(Reverse(key(0.0, next, 0)));
+        let mut new: Vec<u32> =
+            seeds.iter().copied().filter(|s| components.labels()[*s as usize] == c as u32).collect();
+        let (mut next, mut found) = (vertices[0], 0);
+        loop {
+            if new.is_empty() {
+                if found == count {
+                    break;
+                }
+                found += 1;
+                sampling.nodes.push(next);
+                sampling.components.push(c as u32);
+                new.push(next);
             }
+            for &v in new.iter().filter(|v| sampling.distances[**v as usize] > 0.0) {
+                queue.push(Reverse(key(0.0, v, 0)));
+            }
+            new.iter().for_each(|v| sampling.distances[*v as usize] = 0.0);
+            new.clear();
             let lower = |v: u32, distance: f64| farthest.lower(place[v as usize] as usize, distance);
             drain(graph, f64::INFINITY, &mut sampling.distances, &mut queue, lower);
-            sampling.nodes.push(next);
-            sampling.components.push(c as u32);
             let radius = farthest.greatest();
             // Rounding must not decide between vertices that are equally far, as on a symmetric mesh.
             next = vertices[farthest.first_of_at_least(radius * (1.0 - TIE))];
-            sampling.radii.push(radius);
+            if found > 0 {
+                sampling.radii.push(radius);
+            }
             if radius == 0.0 {
                 break;
             }

@@ -13,3 +13,10 @@ pub fn blendshape(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Ble
     let graph = NodeGraph::single(super::centroid(&rest), rest.len());
     NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
 }
+
+/// The blendshape model without its rigid motion.
+#[must_use]
+pub fn blendshape_in_place(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Blendshape {
+    let graph = NodeGraph::single(super::centroid(&rest), rest.len()).all_fixed();
+    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
+}

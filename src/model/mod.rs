@@ -23,7 +23,7 @@ pub use affine::Affine;
 pub use arap::{Arap, ArapOptions, ArapSolver};
 pub use assembly::{Linearisation, NodeAssembly, Stiffness};
 pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
-pub use blendshape::{Blendshape, blendshape};
+pub use blendshape::{Blendshape, blendshape, blendshape_in_place};
 pub use edge_weights::EdgeWeights;
 pub use free::{Free, FreeOptions, Smoothness};
 pub use graph::{Graph, graph, graph_of};

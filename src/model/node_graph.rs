@@ -2,7 +2,10 @@
 
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::{ClosestVertex, ClosestVertices};
-use crate::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
+use crate::mesh::geodesic::{
+    WeightedGraph, farthest_point_sampling, farthest_point_sampling_from, nearest_sources, share_nodes,
+};
+use crate::mesh::normals::face_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
 /// Nodes `x_j`, influences `omega_ij` and directed edges of an embedded deformation graph.
@@ -12,7 +15,12 @@ pub struct NodeGraph {
     starts: Vec<u32>,
     influences: Vec<(u32, f64)>,
     edges: Vec<(u32, u32)>,
+    /// How many of the last nodes stay where they are.
+    fixed: usize,
 }
+
+/// Influences of a vertex that [`NodeGraph::on_region`] takes: Sumner's.
+const REGION_INFLUENCES: usize = 4;
 
 impl NodeGraph {
     /// About `nodes` farthest-point nodes on the surface of `mesh`, `influences` (`K`) to a vertex, distances along edges.
@@ -40,6 +48,50 @@ impl NodeGraph {
             }
         });
         Ok(Self::from_influences(positions, lists).with_neighbours_together())
+    }
+
+    /// A graph for the vertices of `mesh` that are not held: about `nodes` farthest-point nodes among them and, along the rim that
+    /// held vertices make, twice as densely, [fixed](Self::free_nodes) ones. So the region's motion fades out towards its rim, and
+    /// held vertices have fixed nodes only. Influences and edges as in [`along_surface`](Self::along_surface), `K = 4`.
+    ///
+    /// # Errors
+    /// When a position is not finite.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    pub fn on_region(mesh: &TriangleMesh, held: &[bool], nodes: usize) -> Result<Self, MeshError> {
+        assert_eq!(held.len(), mesh.positions.len(), "one mark per vertex");
+        let edges = EdgeGraph::of(mesh);
+        let components = edges.components();
+        let graph = WeightedGraph::euclidean(&edges, &mesh.positions)?;
+        let of_component = |c: usize| components.vertices(c).iter().filter(|v| !held[**v as usize]).count();
+        let counts = share_nodes(&(0..components.count()).map(of_component).collect::<Vec<_>>(), nodes);
+
+        let mut region = mesh.triangles.clone();
+        region.retain(|t| t.iter().any(|v| !held[*v as usize]));
+        let area: f64 = face_areas(&mesh.positions, &region).iter().sum();
+        let apart = 0.5 * (area / nodes.max(1) as f64).sqrt();
+        let at_rim = |v: &u32| held[*v as usize] && edges.neighbours(*v as usize).iter().any(|w| !held[*w as usize]);
+        let rim: Vec<u32> = (0..held.len() as u32).filter(at_rim).collect();
+        let rim = scattered(&mesh.positions, &rim, apart);
+
+        let sampled = farthest_point_sampling_from(&graph, &components, &counts, &rim).nodes;
+        let mut at: Vec<u32> = sampled.into_iter().filter(|v| !held[*v as usize]).collect();
+        let free = at.len();
+        at.extend(rim);
+        let nearest = nearest_sources(&graph, &at, REGION_INFLUENCES + 1);
+        let positions: Vec<Vec3> = at.iter().map(|&v| mesh.positions[v as usize]).collect();
+        let through_space = ClosestVertices::new(&positions)?;
+        let influences = |i: usize| {
+            let reached = nearest.of(i).filter(|n| !held[i] || n.0 as usize >= free).collect::<Vec<_>>();
+            match through_space.query(&mesh.positions[i]) {
+                Some(node) if reached.is_empty() => vec![(node.vertex, 1.0)],
+                _ => influence_weights(&reached, REGION_INFLUENCES),
+            }
+        };
+        let lists = (0..held.len()).map(influences);
+        let fixed = positions.len() - free;
+        Ok(Self { fixed, ..Self::from_influences(positions, lists) }.with_neighbours_together())
     }
 
     /// [`along_surface`](Self::along_surface) with influences by distance through space.
@@ -70,7 +122,14 @@ impl NodeGraph {
             starts: (0..=vertex_count as u32).collect(),
             influences: vec![(0, 1.0); vertex_count],
             edges: Vec::new(),
+            fixed: 0,
         }
+    }
+
+    /// The same graph with all of its nodes fixed: only shapes move anything.
+    #[must_use]
+    pub fn all_fixed(self) -> Self {
+        Self { fixed: self.nodes.len(), ..self }
     }
 
     /// A graph from per-vertex lists of (node, weight); edges join, in both directions, all nodes that share a vertex.
@@ -79,7 +138,7 @@ impl NodeGraph {
     /// If an influence names a node that does not exist.
     #[must_use]
     pub fn from_influences(nodes: Vec<Vec3>, per_vertex: impl IntoIterator<Item = Vec<(u32, f64)>>) -> Self {
-        let mut graph = Self { nodes, starts: vec![0], influences: Vec::new(), edges: Vec::new() };
+        let mut graph = Self { nodes, starts: vec![0], influences: Vec::new(), edges: Vec::new(), fixed: 0 };
         let mut edges = Vec::new();
         for mut list in per_vertex {
             list.retain(|i| i.1 > 0.0);
@@ -109,11 +168,14 @@ impl NodeGraph {
     }
 
     /// The same graph with its nodes numbered anew, halves of space one after the other, so that nodes with neighbouring numbers
-    /// are neighbours in space: what an iteration reads for one node is then still in the processor's cache for the next.
+    /// are neighbours in space: what an iteration reads for one node is then still in the processor's cache for the next. Fixed nodes
+    /// stay the last.
     #[must_use]
     pub fn with_neighbours_together(self) -> Self {
         let mut order: Vec<u32> = (0..self.nodes.len() as u32).collect();
-        bisect(&self.nodes, &mut order);
+        let (free, fixed) = order.split_at_mut(self.free_nodes());
+        bisect(&self.nodes, free);
+        bisect(&self.nodes, fixed);
         let mut number = vec![0; order.len()];
         for (new, &old) in order.iter().enumerate() {
             number[old as usize] = new as u32;
@@ -121,7 +183,14 @@ impl NodeGraph {
         let renumbered = |i: usize| self.influences(i).iter().map(|&(j, omega)| (number[j as usize], omega)).collect();
         let nodes = order.iter().map(|&j| self.nodes[j as usize]).collect();
         let edges = self.edges.iter().map(|&(i, j)| (number[i as usize], number[j as usize])).collect();
-        Self::from_influences(nodes, (0..self.vertex_count()).map(renumbered)).with_edges(edges)
+        let graph = Self::from_influences(nodes, (0..self.vertex_count()).map(renumbered)).with_edges(edges);
+        Self { fixed: self.fixed, ..graph }
+    }
+
+    /// How many nodes can move: the first ones. The others are fixed; they have no parameters, and their motion is the identity.
+    #[must_use]
+    pub fn free_nodes(&self) -> usize {
+        self.nodes.len() - self.fixed
     }
 
     /// Node positions `x_j` in the rest shape.
@@ -160,6 +229,18 @@ impl NodeGraph {
     pub fn vertex_count(&self) -> usize {
         self.starts.len() - 1
     }
+}
+
+/// Those of `candidates`, in order, that lie at least `apart` from all before them.
+fn scattered(positions: &[Vec3], candidates: &[u32], apart: f64) -> Vec<u32> {
+    let mut kept: Vec<u32> = Vec::new();
+    for &v in candidates {
+        let far = |k: &u32| (positions[*k as usize] - positions[v as usize]).norm() >= apart;
+        if kept.iter().all(far) {
+            kept.push(v);
+        }
+    }
+    kept
 }
 
 /// Orders points by halving them along the longest side of their box, over and over.

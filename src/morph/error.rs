@@ -89,6 +89,55 @@ pub enum MorphError {
     /// A camera that looks nowhere.
     #[error("the camera cannot be set up: {0}")]
     Camera(&'static str),
+    /// No mask lifts a vertex above the threshold, or all that it lifts are protected.
+    #[error("nothing is left to move: no vertex has a weight above the threshold")]
+    NothingMoves,
+    /// A model that does not minimise anything, and a step that asks for it.
+    #[error("the direct model has no energy: goals, pins and free masks need another model")]
+    NoEnergy,
+    /// Blendshapes that a model needs and that are missing, or another mesh's.
+    #[error("model {model} needs blendshapes of {vertices} vertices, found {found}")]
+    Shapes {
+        /// The model.
+        model: &'static str,
+        /// Vertices of the shapes; 0 without shapes.
+        found: usize,
+        /// Vertices of the mesh.
+        vertices: usize,
+    },
+    /// A pin or a goal that no vertex could follow.
+    #[error("{0:?} is to move, but lies where every vertex is held: outside the masks, or protected")]
+    PointHeld(String),
+    /// A point that is not one of the mesh.
+    #[error("{name:?}: {error}")]
+    Point {
+        /// Name of the point.
+        name: String,
+        /// What is wrong with it.
+        error: String,
+    },
+    /// A target that is not finite.
+    #[error("{name:?} has the target {target:?}, expected finite coordinates")]
+    Target {
+        /// Name of the point.
+        name: String,
+        /// The target.
+        target: [f64; 3],
+    },
+    /// A point pinned to two places.
+    #[error("{0:?} is pinned to two places")]
+    PinnedTwice(String),
+    /// What the model can do does not reach a pin.
+    #[error("pin {name:?} is out of the model's reach: {distance:.3e} mm are left")]
+    PinOutOfReach {
+        /// The pin farthest off.
+        name: String,
+        /// Its distance, millimetres.
+        distance: f64,
+    },
+    /// The minimiser gave up.
+    #[error("the energy could not be minimised: {0}")]
+    Minimizer(String),
     /// The mesh, or the positions.
     #[error(transparent)]
     Mesh(#[from] MeshError),

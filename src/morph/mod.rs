@@ -30,6 +30,7 @@
 
 mod blur;
 mod direct;
+mod energy;
 mod error;
 mod frame;
 mod projection;
@@ -39,6 +40,7 @@ mod weights;
 
 pub use blur::{Blur, BlurKind, Border, MAX_KERNEL};
 pub use direct::{DEFAULT_THRESHOLD, MaskedDisplacement, MorphStep};
+pub use energy::{Constraints, EnergyOptions, EnergyReport, MorphEnergy, MorphModel, PIN_TOLERANCE, PlacedPoint};
 pub use error::MorphError;
 pub use frame::{FrameScale, FrameSpec, LandmarkFrame, MirrorPlane};
 pub use projection::{Projector, Visibility, uv_weights};

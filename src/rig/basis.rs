@@ -52,6 +52,20 @@ impl ShapeBasis {
         self
     }
 
+    /// The same shapes on some of the vertices, each displacement times the vertex' `weight`.
+    ///
+    /// # Panics
+    /// When there is no such vertex.
+    #[must_use]
+    pub fn masked(&self, vertices: &[u32], weight: impl Fn(u32) -> f64) -> Self {
+        let mut slab = Vec::with_capacity(3 * vertices.len() * self.len());
+        for &v in vertices {
+            let w = weight(v);
+            slab.extend(self.vertex(v as usize).iter().map(|d| (w * f64::from(*d)) as f32));
+        }
+        Self { slab: Arc::new(slab), ..self.clone() }
+    }
+
     /// Number of shapes.
     #[must_use]
     pub fn len(&self) -> usize {

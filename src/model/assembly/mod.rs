@@ -163,17 +163,13 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
     /// The blendshape weights `w` in `x`.
     #[must_use]
     pub fn weights<'a>(&self, x: &'a [f64]) -> &'a [f64] {
-        &x[self.node_count() * T::Parameters::AMBIENT..]
+        weights_in::<T, W>(x, &self.graph)
     }
 
     /// `b_i(w)`, eq. (4), at `x`: the shape before the graph moves it.
     pub fn blended(&mut self, x: &[f64]) -> &[Vec3] {
         self.place(x);
         &self.placed.blend
-    }
-
-    fn node_count(&self) -> usize {
-        self.graph.nodes().len()
     }
 
     fn place(&mut self, x: &[f64]) {
@@ -185,8 +181,8 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         self.placed.x.clear();
         self.placed.x.extend_from_slice(x);
         self.placed.maps.clear();
-        self.placed.maps.extend((0..self.node_count()).map(|j| T::map(&x[node_range::<T, W>(j)])));
-        let (rest, shapes, w) = (&self.rest, &self.shapes, &x[self.graph.nodes().len() * T::Parameters::AMBIENT..]);
+        self.placed.maps.extend((0..self.graph.nodes().len()).map(|j| T::map(node_point::<T, W>(x, &self.graph, j))));
+        let (rest, shapes, w) = (&self.rest, &self.shapes, weights_in::<T, W>(x, &self.graph));
         self.placed.blend.resize(rest.len(), Vec3::zeros());
         self.placed.blend.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             vectorized(
@@ -207,10 +203,9 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
         if !self.seeded.is_empty() {
             return;
         }
-        self.seeded.extend((0..self.node_count()).map(|j| {
-            let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
-            moved_map::<T, W, _>(x, j, &tangent)
-        }));
+        let tangent: [DualSVec64<W>; W] = std::array::from_fn(|t| DualSVec64::from_re(0.0).derivative(t));
+        let graph = &self.graph;
+        self.seeded.extend((0..graph.nodes().len()).map(|j| moved_map::<T, W, _>(x, graph, j, &tangent)));
         self.map_jacobians.set(&self.seeded);
     }
 }
@@ -298,11 +293,31 @@ fn node_range<T: NodeTransform<W>, const W: usize>(j: usize) -> std::ops::Range<
     j * T::Parameters::AMBIENT..(j + 1) * T::Parameters::AMBIENT
 }
 
-/// The map of node `j` at `x`, moved by `tangent`.
+/// The blendshape weights in `x`.
+fn weights_in<'a, T: NodeTransform<W>, const W: usize>(x: &'a [f64], graph: &NodeGraph) -> &'a [f64] {
+    &x[graph.free_nodes() * T::Parameters::AMBIENT..]
+}
+
+/// Node `j` at `x`.
 #[inline(always)]
-fn moved_map<T: NodeTransform<W>, const W: usize, D: Scalar>(x: &[f64], j: usize, tangent: &[D]) -> AffineMap<D> {
+fn node_point<'a, T: NodeTransform<W>, const W: usize>(x: &'a [f64], graph: &NodeGraph, j: usize) -> &'a [f64] {
+    if j < graph.free_nodes() { &x[node_range::<T, W>(j)] } else { T::IDENTITY }
+}
+
+/// The map of node `j` at `x`, moved by `tangent` unless it is fixed.
+#[inline(always)]
+fn moved_map<T: NodeTransform<W>, const W: usize, D: Scalar>(
+    x: &[f64],
+    graph: &NodeGraph,
+    j: usize,
+    tangent: &[D],
+) -> AffineMap<D> {
     let mut point = <T::Parameters as Manifold>::Point::<D>::filled(D::from(0.0));
-    T::Parameters::plus(&x[node_range::<T, W>(j)], tangent, point.as_mut());
+    if j < graph.free_nodes() {
+        T::Parameters::plus(&x[node_range::<T, W>(j)], tangent, point.as_mut());
+    } else {
+        point.as_mut().iter_mut().zip(T::IDENTITY).for_each(|(p, i)| *p = D::from(*i));
+    }
     T::map(point.as_ref())
 }
 
@@ -321,12 +336,12 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     }
 
     fn parameter_len(&self) -> usize {
-        self.node_count() * T::Parameters::AMBIENT + self.shapes.len()
+        self.graph.free_nodes() * T::Parameters::AMBIENT + self.shapes.len()
     }
 
     fn rest_parameters(&self) -> Vec<f64> {
         let mut x = vec![0.0; self.parameter_len()];
-        for j in 0..self.node_count() {
+        for j in 0..self.graph.free_nodes() {
             x[node_range::<T, W>(j)].copy_from_slice(T::IDENTITY);
         }
         x
@@ -340,15 +355,16 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
         let mut pairs: Vec<(usize, usize)> = self.graph.edges().iter().map(|e| (e.0 as usize, e.1 as usize)).collect();
         self.chunks = chunks_of(samples, &self.graph, &mut pairs);
+        pairs.retain(|pair| pair.0.max(pair.1) < self.graph.free_nodes());
         pairs.sort_unstable();
         pairs.dedup();
-        let structure = BlockStructure::new(&vec![W; self.node_count()], pairs, self.shapes.len())
+        let structure = BlockStructure::new(&vec![W; self.graph.free_nodes()], pairs, self.shapes.len())
             .expect("proven: all pairs are nodes of the graph");
         let position = |row: u32, col: u32| {
             let k = structure.row(row as usize).binary_search(&(col as usize)).expect("proven: the pair was added");
             (k * W * W) as u32
         };
-        self.node_samples = samples_of_nodes(&self.chunks, self.graph.nodes().len(), position);
+        self.node_samples = samples_of_nodes(&self.chunks, self.graph.free_nodes(), position);
         self.regulariser.attach(&self.graph, position);
         structure
     }
@@ -437,7 +453,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for NodeAssembly<T, W
     }
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        let n = self.node_count();
+        let n = self.graph.free_nodes();
         for j in 0..n {
             let range = node_range::<T, W>(j);
             T::Parameters::plus(&x[range.clone()], &step[j * W..(j + 1) * W], &mut out[range.clone()]);

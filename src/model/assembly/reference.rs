@@ -4,9 +4,8 @@
 use num_dual::DualSVec64;
 
 use super::samples::{Blended, SampleChunk, SampleJacobian, pitch, shape_pitch};
-use super::{AffineMap, NodeTransform, derivatives, moved_map, node_range};
+use super::{AffineMap, NodeTransform, derivatives, moved_map, node_point, weights_in};
 use crate::energy::Quadric;
-use crate::nlls::Manifold;
 use crate::nlls::dense_kernels::vectorized;
 
 /// Duals at a time, as a Ceres user's stride would be.
@@ -39,7 +38,7 @@ fn strided<T: NodeTransform<W>, const W: usize>(
     Blended { graph, shapes, vertices }: Blended<'_>,
 ) {
     let nb = shapes.len();
-    let w = &x[graph.nodes().len() * T::Parameters::AMBIENT..];
+    let w = weights_in::<T, W>(x, graph);
     let rows = quadric.rows();
     let of_nodes = sample.y.len() / rows.len() / pitch::<W>() * W;
     for first in (0..of_nodes + nb).step_by(STRIDE) {
@@ -65,9 +64,9 @@ fn strided<T: NodeTransform<W>, const W: usize>(
                 let q: [Dual; 3] = std::array::from_fn(|a| b[a] - x_j[a]);
                 let moved = if own.start < first + STRIDE && own.end > first {
                     let seeds: [Dual; W] = std::array::from_fn(|t| seed(own.start + t, 0.0));
-                    moved_map::<T, W, _>(x, j as usize, &seeds).apply(q)
+                    moved_map::<T, W, _>(x, graph, j as usize, &seeds).apply(q)
                 } else {
-                    let AffineMap { linear, translation } = T::map::<f64>(&x[node_range::<T, W>(j as usize)]);
+                    let AffineMap { linear, translation } = T::map::<f64>(node_point::<T, W>(x, graph, j as usize));
                     std::array::from_fn(|a| {
                         q[0] * linear[a][0] + q[1] * linear[a][1] + q[2] * linear[a][2] + translation[a]
                     })

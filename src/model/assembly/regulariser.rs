@@ -45,9 +45,10 @@ impl<const W: usize> GraphRegulariser<W> {
 
     /// `position(j, k)`, `j >= k`, is where block (`j`, `k`) starts in block row `j`.
     pub fn attach(&mut self, graph: &NodeGraph, position: impl Fn(u32, u32) -> u32) {
-        self.node_edges = graph.nodes().iter().map(|_| Vec::new()).collect();
+        self.node_edges = (0..graph.free_nodes()).map(|_| Vec::new()).collect();
         for (e, &(i, j)) in graph.edges().iter().enumerate() {
-            for (at, other, is_source) in [(i, j, true), (j, i, false)] {
+            let ends = [(i, j, true), (j, i, false)].into_iter();
+            for (at, other, is_source) in ends.filter(|end| (end.0 as usize) < graph.free_nodes()) {
                 let block = (other < at).then(|| position(at, other));
                 self.node_edges[at as usize].push(NodeEdge { edge: e as u32, is_source, other, block });
             }

@@ -128,18 +128,18 @@ fn by_strongest_node(samples: &Samples, graph: &NodeGraph) -> Vec<u32> {
     order
 }
 
-/// What each node has to add up. `position(j, k)`, `j > k`, is where block (`j`, `k`) starts in block row `j`.
+/// What each of the `free` first nodes has to add up. `position(j, k)`, `j > k`, is where block (`j`, `k`) starts in block row `j`.
 pub(super) fn samples_of_nodes<const W: usize>(
     chunks: &[SampleChunk<W>],
-    node_count: usize,
+    free: usize,
     position: impl Fn(u32, u32) -> u32,
 ) -> Vec<NodeSamples> {
-    let mut samples: Vec<Vec<NodeSample>> = vec![Vec::new(); node_count];
-    let mut pairs: Vec<Vec<(u32, SlotPair)>> = (0..node_count).map(|_| Vec::new()).collect();
+    let mut samples: Vec<Vec<NodeSample>> = vec![Vec::new(); free];
+    let mut pairs: Vec<Vec<(u32, SlotPair)>> = (0..free).map(|_| Vec::new()).collect();
     for (c, chunk) in chunks.iter().enumerate() {
         for (s, sample) in chunk.samples.iter().enumerate() {
             let nodes = &chunk.nodes[sample.slots.start as usize..sample.slots.end as usize];
-            for (p, &j) in nodes.iter().enumerate() {
+            for (p, &j) in nodes.iter().enumerate().take_while(|node| (*node.1 as usize) < free) {
                 let own = NodeSample { chunk: c as u32, sample: s as u32, slot: p as u32 };
                 samples[j as usize].push(own);
                 let others = nodes[..p].iter().enumerate();

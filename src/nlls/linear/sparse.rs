@@ -9,6 +9,9 @@ use crate::nlls::{BlockStructure, NormalEquations};
 /// `P (H + diag(damping)) P' = L L'`: minimum-degree ordering of the blocks and symbolic analysis once, numeric factorisation
 /// into preallocated buffers at every solve.
 ///
+/// Equations with the matrix and damping of the last ones, bit for bit, are solved with its factor: where residuals are linear,
+/// or a model keeps its Hessian as the local/global steps of as-rigid-as-possible surfaces do, one factorisation serves all steps.
+///
 /// A border is treated as one more block that meets all others. That is right for a handful of global parameters; for wide
 /// borders use [`BorderedCholesky`](super::BorderedCholesky).
 #[derive(Debug)]
@@ -19,6 +22,8 @@ pub struct SparseCholesky {
     pub(super) factor: SupernodalFactor,
     permuted: Vec<f64>,
     weak: usize,
+    /// What the factor is of: blocks, then damping. Empty when there is none.
+    factored: Vec<f64>,
 }
 
 impl SparseCholesky {
@@ -28,7 +33,25 @@ impl SparseCholesky {
         let flattened = (structure.border() > 0).then(|| NormalEquations::new(Arc::new(flatten(structure))));
         let factor = SupernodalFactor::analyse(flattened.as_ref().map_or(structure, NormalEquations::structure));
         let permuted = vec![0.0; structure.dimension()];
-        Self { structure: structure.clone(), flattened, factor, permuted, weak: 0 }
+        let values = flattened.as_ref().map_or(structure.value_count(), |f| f.structure().value_count());
+        let factored = Vec::with_capacity(values + structure.dimension());
+        Self { structure: structure.clone(), flattened, factor, permuted, weak: 0, factored }
+    }
+
+    /// Factorises, unless the factor is of the same matrix.
+    fn factorize(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<(), LinearError> {
+        let equations_of_blocks = self.flattened.as_ref().unwrap_or(equations);
+        let blocks = &equations_of_blocks.blocks;
+        let length = blocks.len() + damping.len();
+        let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+        if self.factored.len() == length && self.factored.iter().zip(blocks.iter().chain(damping)).all(same) {
+            return Ok(());
+        }
+        self.factored.clear();
+        self.weak =
+            self.factor.factorize(equations_of_blocks, damping).map_err(|i| breakdown(equations, damping, i))?;
+        self.factored.extend(blocks.iter().chain(damping));
+        Ok(())
     }
 }
 
@@ -40,10 +63,7 @@ impl LinearSolver for SparseCholesky {
         if let Some(flattened) = &mut self.flattened {
             fill_flattened(equations, flattened);
         }
-        self.weak = self
-            .factor
-            .factorize(self.flattened.as_ref().unwrap_or(equations), damping)
-            .map_err(|i| breakdown(equations, damping, i))?;
+        self.factorize(equations, damping)?;
         for (&p, g) in self.factor.position().iter().zip(&equations.gradient) {
             self.permuted[p] = -g;
         }
