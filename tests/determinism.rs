@@ -96,7 +96,7 @@ fn compare(least: usize, work: impl Fn() -> Prints + Sync) {
 }
 
 /// So many models there are at least.
-const MODELS: usize = 19;
+const MODELS: usize = 22;
 
 #[test]
 fn equations_have_the_same_bits_at_any_number_of_threads() {

@@ -65,20 +65,22 @@ pub fn normal(jacobian: &DMatrix<f64>, residuals: impl Iterator<Item = (f64, f64
 /// Eqs. (4) to (8) of Klimov 2020 and `E_rot` of Sumner et al. 2007.
 impl<T: NodeTransform<W>, const W: usize> Formula for NodeAssembly<T, W> {
     fn tangent(&self) -> usize {
-        self.graph().nodes().len() * W + self.shapes().len()
+        self.graph().free_nodes() * W + self.shapes().len()
     }
 
     fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>) {
         let (graph, shapes, ambient) = (self.graph(), self.shapes(), T::Parameters::AMBIENT);
-        let nodes = graph.nodes();
-        let maps: Vec<_> = (0..nodes.len())
+        let (nodes, free) = (graph.nodes(), graph.free_nodes());
+        let mut maps: Vec<_> = (0..free)
             .map(|j| {
                 let mut point = <T::Parameters as Manifold>::Point::<D>::filled(D::from(0.0));
                 T::Parameters::plus(&x[j * ambient..(j + 1) * ambient], &step[j * W..(j + 1) * W], point.as_mut());
                 T::map(point.as_ref())
             })
             .collect();
-        let w: Vec<D> = (0..shapes.len()).map(|k| step[nodes.len() * W + k] + x[nodes.len() * ambient + k]).collect();
+        let identity: Vec<D> = T::IDENTITY.iter().map(|e| D::from(*e)).collect();
+        maps.resize(nodes.len(), T::map(&identity));
+        let w: Vec<D> = (0..shapes.len()).map(|k| step[free * W + k] + x[free * ambient + k]).collect();
         let place = |(i, n): (usize, &Vec3)| {
             let mut b: [D; 3] = std::array::from_fn(|a| D::from(n[a]));
             for a in 0..3 {

@@ -7,7 +7,9 @@ use nonrigid::model::{
     Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Linearisation,
     NodeAssembly, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, Smoothness, Stiffness,
 };
-use nonrigid::model::{affine_hybrid, blendshape, graph, hybrid, hybrid_of, rigid, similarity, sumner};
+use nonrigid::model::{
+    affine_hybrid, blendshape, blendshape_in_place, graph, hybrid, hybrid_of, rigid, similarity, sumner,
+};
 use nonrigid::nlls::{Euclidean, Kernel, RobustKernel, Scalar};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
@@ -141,6 +143,8 @@ impl Zoo {
     pub fn assembled(&self) -> Vec<Specimen> {
         let (rest, nodes, basis) = (&self.mesh.positions, &self.nodes, &self.basis);
         let single = NodeGraph::single(Vec3::new(3.0, -2.0, 1.0), rest.len());
+        let held: Vec<bool> = (0..rest.len()).map(|i| 3 * i > 2 * rest.len()).collect();
+        let region = NodeGraph::on_region(&self.mesh, &held, nodes.nodes().len()).expect("a finite mesh");
         vec![
             Specimen::assembled("hybrid", || hybrid(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)),
             Specimen::assembled("hybrid by quaternions", || {
@@ -157,6 +161,11 @@ impl Zoo {
                 affine_hybrid(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
             }),
             Specimen::assembled("sumner", || sumner(rest.clone(), nodes.clone(), 0.7, 0.4)),
+            Specimen::assembled("hybrid in a region", || {
+                hybrid(rest.clone(), region.clone(), basis.clone(), self.stiffness)
+            }),
+            Specimen::assembled("sumner in a region", || sumner(rest.clone(), region.clone(), 0.7, 0.4)),
+            Specimen::assembled("blendshape in place", || blendshape_in_place(rest.clone(), basis.clone(), 0.3)),
             Specimen::assembled("sumner, one node", || sumner(rest.clone(), single.clone(), 0.7, 0.4)),
         ]
     }
