@@ -335,7 +335,22 @@ fn recipes_may_hold_regions_and_blurs() {
     let region = circle(1.0, 2.0, 3.0).subtract(polygon(&[&[[0., 0.], [1., 0.], [0., 1.]]]));
     let text = serde_json::to_string(&region).unwrap();
     assert_eq!(serde_json::from_str::<Region>(&text).unwrap(), region);
-    assert!(serde_json::from_str::<Region>("{\"shape\": {\"circle\": {\"centre\": [1, 2], \"radios\": 3}}}").is_err());
+    let three = r#"{"union": [{"circle": {"centre": [1, 2], "radius": 3}}, {"circle": {"centre": [9, 2], "radius": 3}},
+                   {"ellipse": {"centre": [4, 8], "radii": [2, 1]}}]}"#;
+    let three: Region = serde_json::from_str(three).unwrap();
+    assert_eq!(three.bounds(), [[-2.0, -1.0], [12.0, 10.0]]);
+    assert!(matches!(three, Region::Union(..)));
+    for (wrong, said) in [
+        (r#"{"circle": {"centre": [1, 2], "radios": 3}}"#, "radios"),
+        (r#"{"circel": {"centre": [1, 2], "radius": 3}}"#, "unknown variant `circel`"),
+        (r#"{"union": []}"#, "'union' of no regions"),
+        (r#"{"union": [], "subtract": []}"#, "both 'union' and 'subtract'"),
+        ("{}", "without a shape"),
+        ("3", "expected a shape"),
+    ] {
+        let error = serde_json::from_str::<Region>(wrong).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    }
     assert_eq!(
         serde_json::from_str::<Blur>("{\"iterations\": 40}").unwrap(),
         Blur { iterations: 40, ..Blur::default() }

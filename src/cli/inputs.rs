@@ -120,3 +120,16 @@ pub fn read_positions(path: &Path) -> Result<Vec<Vec3>, Failure> {
     }
     Ok(io::read_polygon_mesh(path).map_err(Failure::loading)?.positions)
 }
+
+/// Two numbers between which a weight may lie.
+pub fn bounds(text: &str) -> Result<[f64; 2], String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some([a.trim().parse().ok()?, b.trim().parse().ok()?]));
+    let Some([lower, upper]) = pair else {
+        return Err("give two numbers with a comma between them, such as 0,1".to_owned());
+    };
+    // Written so that NaN fails.
+    if lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY {
+        return Ok([lower, upper]);
+    }
+    Err(format!("no weight lies between {lower} and {upper}"))
+}

@@ -3,6 +3,7 @@
 mod eval;
 mod failure;
 mod inputs;
+mod morph;
 mod output;
 mod register;
 mod rig;
@@ -16,7 +17,7 @@ use clap::{Parser, Subcommand};
 pub use failure::{Failure, Stage};
 pub use output::{answer, say, say_to};
 
-/// Deform meshes by nonlinear least squares: wrap a template onto a scan, and judge the result.
+/// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
 #[command(name = "nonrigid", version, about, max_term_width = 110, after_help = EXIT_CODES)]
 struct Cli {
@@ -32,6 +33,8 @@ enum Command {
     Register(Box<register::Arguments>),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
+    /// Change a face by masks: presets in millimetres, or a recipe.
+    Morph(Box<morph::Arguments>),
     /// Look into a blendshape rig, or make one from meshes.
     #[command(subcommand)]
     Rig(rig::Command),
@@ -47,6 +50,7 @@ pub fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Morph(arguments) => morph::run(&arguments),
         Command::Rig(command) => rig::run(&command),
     };
     match outcome {

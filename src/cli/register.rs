@@ -9,7 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::inputs::{MaskArguments, RigArguments};
+use super::inputs::{MaskArguments, RigArguments, bounds};
 use super::{Failure, Stage, check_output, on_threads, say, warn};
 use crate::mesh::io::{self, write_atomically};
 use crate::registration::{
@@ -169,19 +169,6 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
     schedule.bounds.identity = a.identity_bounds.or(schedule.bounds.identity);
     Ok(schedule)
-}
-
-/// Two numbers between which a weight may lie.
-fn bounds(text: &str) -> Result<[f64; 2], String> {
-    let pair = text.split_once(',').and_then(|(a, b)| Some([a.trim().parse().ok()?, b.trim().parse().ok()?]));
-    let Some([lower, upper]) = pair else {
-        return Err("give two numbers with a comma between them, such as 0,1".to_owned());
-    };
-    // Written so that NaN fails.
-    if lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY {
-        return Ok([lower, upper]);
-    }
-    Err(format!("no weight lies between {lower} and {upper}"))
 }
 
 /// Outputs that could not be written are refused before the work is done.

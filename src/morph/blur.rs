@@ -77,6 +77,20 @@ impl Blur {
         0.3 * ((kernel as f64 - 1.0) * 0.5 - 1.0) + 0.8
     }
 
+    /// Standard deviation of what all its iterations together spread a point to, pixels; of the median, which does not spread, the
+    /// kernel's own.
+    #[must_use]
+    pub fn deviation(&self) -> f64 {
+        let k = self.kernel as f64;
+        let mean = ((k * k - 1.0) / 12.0).sqrt();
+        let times = (self.iterations as f64).sqrt();
+        match self.kind {
+            BlurKind::Mean => mean * times,
+            BlurKind::Gaussian { sigma } => sigma.unwrap_or_else(|| Self::sigma_of(self.kernel)) * times,
+            BlurKind::Median => mean,
+        }
+    }
+
     /// The texture blurred: [`Self::iterations`] times, 0 to 1 again.
     ///
     /// # Errors

@@ -89,6 +89,20 @@ pub enum MorphError {
     /// A camera that looks nowhere.
     #[error("the camera cannot be set up: {0}")]
     Camera(&'static str),
+    /// Something is given in the frame of landmarks, and there is none.
+    #[error("this needs the frame of landmarks: give the recipe a frame")]
+    NoFrame,
+    /// A picture in the frame of landmarks that does not say what it covers.
+    #[error(
+        "a picture in the frame of landmarks must say what it covers: view = {{ frame = {{ covers = [[x, y], [x, y]] }} }}"
+    )]
+    NoCover,
+    /// A part that the rig or mesh does not have.
+    #[error("{0}")]
+    Parts(String),
+    /// The result cannot be judged.
+    #[error("{0}")]
+    Evaluation(String),
     /// No mask lifts a vertex above the threshold, or all that it lifts are protected.
     #[error("nothing is left to move: no vertex has a weight above the threshold")]
     NothingMoves,

@@ -108,6 +108,29 @@ impl LandmarkFrame {
         (self.axes[0] * x + self.axes[1] * y + self.axes[2] * z) * self.unit
     }
 
+    /// A vector given along the frame's axes, millimetres of the mesh.
+    #[must_use]
+    pub fn direction(&self, [x, y, z]: [f64; 3]) -> Vec3 {
+        self.axes[0] * x + self.axes[1] * y + self.axes[2] * z
+    }
+
+    /// The same frame about another origin, millimetres of the mesh.
+    #[must_use]
+    pub fn at(&self, origin: Vec3) -> Self {
+        Self { origin, ..*self }
+    }
+
+    /// The frame turned by degrees: `yaw` about y, so that z, towards the viewer, turns to x, then `pitch` about the new x, so that z
+    /// turns to y. A face is seen from its left at a yaw of 90, from above at a pitch of 90.
+    #[must_use]
+    pub fn turned(&self, yaw: f64, pitch: f64) -> Self {
+        let [x, y, z] = self.axes;
+        let (s, c) = yaw.to_radians().sin_cos();
+        let (x, z) = (x * c - z * s, z * c + x * s);
+        let (s, c) = pitch.to_radians().sin_cos();
+        Self { axes: [x, y * c - z * s, z * c + y * s], ..*self }
+    }
+
     /// The plane x = 0.
     #[must_use]
     pub fn mirror_plane(&self) -> MirrorPlane {

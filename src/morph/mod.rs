@@ -33,8 +33,12 @@ mod direct;
 mod energy;
 mod error;
 mod frame;
+mod presets;
 mod projection;
+mod recipe;
 mod region;
+mod region_format;
+mod replay;
 mod texture;
 mod weights;
 
@@ -43,8 +47,11 @@ pub use direct::{DEFAULT_THRESHOLD, MaskedDisplacement, MorphStep};
 pub use energy::{Constraints, EnergyOptions, EnergyReport, MorphEnergy, MorphModel, PIN_TOLERANCE, PlacedPoint};
 pub use error::MorphError;
 pub use frame::{FrameScale, FrameSpec, LandmarkFrame, MirrorPlane};
+pub use presets::{preset, preset_names, preset_text};
 pub use projection::{Projector, Visibility, uv_weights};
+pub use recipe::{MaskSpec, PointSpec, Recipe, RecipeError, RecipeStep, ViewSpec};
 pub use region::{Coordinates, DEFAULT_SUB_ROWS, Region, Shape};
+pub use replay::{DrawnMask, ReplayOptions, StepOutcome, StepReport, Subject, replay};
 pub use texture::{GreyWeights, MAX_TEXTURE_SIDE, Sampling, Texture};
 pub use weights::Weights;
 

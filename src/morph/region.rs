@@ -53,17 +53,21 @@ pub enum Shape {
 }
 
 /// A shape, or a combination of regions.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+///
+/// In files a shape stands by itself, `{ circle = { centre = [0, 0], radius = 9 } }`, and combinations are lists, taken together from
+/// the first to the last: `{ subtract = [A, B, C] }`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Region {
-    /// One shape.
-    Shape(Shape),
     /// In either.
     Union(Box<Region>, Box<Region>),
     /// In the first and not in the second.
     Subtract(Box<Region>, Box<Region>),
     /// In both.
     Intersect(Box<Region>, Box<Region>),
+    /// One shape.
+    #[serde(untagged)]
+    Shape(Shape),
 }
 
 impl From<Shape> for Region {
@@ -115,6 +119,21 @@ impl Region {
     #[must_use]
     pub fn intersect(self, other: impl Into<Self>) -> Self {
         Self::Intersect(Box::new(self), Box::new(other.into()))
+    }
+
+    /// Corners, low and high, of a box that the region lies in.
+    #[must_use]
+    pub fn bounds(&self) -> [[f64; 2]; 2] {
+        let join = |a: &Self, b: &Self, low: fn(f64, f64) -> f64, high: fn(f64, f64) -> f64| {
+            let (a, b) = (a.bounds(), b.bounds());
+            [[0, 1].map(|k| low(a[0][k], b[0][k])), [0, 1].map(|k| high(a[1][k], b[1][k]))]
+        };
+        match self {
+            Self::Shape(shape) => shape.bounds(),
+            Self::Union(a, b) => join(a, b, f64::min, f64::max),
+            Self::Subtract(a, _) => a.bounds(),
+            Self::Intersect(a, b) => join(a, b, f64::max, f64::min),
+        }
     }
 
     /// The texture of this region: for each pixel, the share of it that the region covers.
@@ -282,6 +301,23 @@ impl Shape {
                     }
                 }
                 Ok(())
+            }
+        }
+    }
+
+    fn bounds(&self) -> [[f64; 2]; 2] {
+        let about = |c: &[f64; 2], r: f64| [[c[0] - r, c[1] - r], [c[0] + r, c[1] + r]];
+        match self {
+            Self::Circle { centre, radius } => about(centre, *radius),
+            Self::Ellipse { centre, radii, .. } => about(centre, radii[0].max(radii[1])),
+            Self::Sector { centre, outer, .. } => about(centre, *outer),
+            Self::Polygon { rings } => {
+                let extreme =
+                    |k: usize, take: fn(f64, f64) -> f64, start| rings.iter().flatten().map(|p| p[k]).fold(start, take);
+                [
+                    [0, 1].map(|k| extreme(k, f64::min, f64::INFINITY)),
+                    [0, 1].map(|k| extreme(k, f64::max, f64::NEG_INFINITY)),
+                ]
             }
         }
     }

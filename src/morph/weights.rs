@@ -43,6 +43,16 @@ impl Weights {
         self.0
     }
 
+    /// The weights times one less what is `protected`, a number from 0 to 1 for each vertex.
+    pub(super) fn without(&self, protected: &[f64]) -> Self {
+        Self(self.0.iter().zip(protected).map(|(w, p)| w * (1.0 - p)).collect())
+    }
+
+    /// The larger of two weights at each vertex.
+    pub(super) fn or(&self, other: &Self) -> Self {
+        Self(self.0.iter().zip(&other.0).map(|(a, b)| a.max(*b)).collect())
+    }
+
     /// Reads a one-dimensional NPY array of a weight for each of `vertices` vertices.
     ///
     /// # Errors

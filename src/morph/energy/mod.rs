@@ -81,6 +81,18 @@ impl MorphModel {
     }
 }
 
+impl std::str::FromStr for MorphModel {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let known = || Self::ALL.map(Self::name).join(", ");
+        Self::ALL
+            .into_iter()
+            .find(|m| m.name() == name)
+            .ok_or_else(|| format!("unknown model '{name}'; there are {}", known()))
+    }
+}
+
 /// Stiffness and accuracy of an energy.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

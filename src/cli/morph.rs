@@ -1,0 +1,208 @@
+//! `nonrigid morph`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{ArgGroup, Args};
+
+use super::inputs::{RigArguments, bounds};
+use super::{Failure, Stage, check_output, check_output_folder, on_threads, say, warn};
+use crate::mesh::PolygonMesh;
+use crate::mesh::io;
+use crate::mesh::io::TemplatePoint;
+use crate::morph::{
+    MorphModel, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset, preset_names, preset_text, replay,
+};
+use crate::rig::Regions;
+
+/// Arguments of `nonrigid morph`.
+#[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("what").required(true).multiple(false),
+    after_help = "A recipe is a TOML file of steps; --print shows that of a preset, to start one's own from. Presets and recipes in\n\
+    landmark coordinates run on any mesh with the same landmarks, such as a scan that a template was wrapped onto.\n\n\
+    Examples:\n  nonrigid morph --list\n  \
+    nonrigid morph --mesh face.obj --landmarks landmarks.json --preset nose-bridge=2.5 --preset chin-forward=2 \\\n      \
+    --out morphed.obj --report report\n  \
+    nonrigid morph --mesh face.obj --landmarks landmarks.json --recipe recipe.toml --model arap --out morphed.obj"
+)]
+pub struct Arguments {
+    /// Mesh (.obj or .ply), millimetres; the result keeps its vertex order, polygons, UVs, groups and materials
+    #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
+    mesh: Option<PathBuf>,
+    /// Recipe (.toml)
+    #[arg(long, value_name = "FILE", group = "what")]
+    recipe: Option<PathBuf>,
+    /// Preset and how many millimetres [default: its own]; may be given several times, they are done in order
+    #[arg(long, value_name = "NAME[=MM]", group = "what")]
+    preset: Vec<String>,
+    /// List the presets
+    #[arg(long, group = "what")]
+    list: bool,
+    /// Print a preset's recipe
+    #[arg(long, value_name = "PRESET", group = "what")]
+    print: Option<String>,
+    /// Landmarks of the mesh (.json): [vertex, ...], or name -> vertex, [triangle, u, v] or [x, y, z]; presets need the 68 of
+    /// Multi-PIE, by number [default: the rig's]
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
+    #[command(flatten)]
+    rig: RigArguments,
+    /// Bounds of blendshape weights, such as 0,1
+    #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
+    weight_bounds: Option<[f64; 2]>,
+    /// In place of the recipe's amount: what its displacements are multiplied by
+    #[arg(long, value_name = "X", allow_hyphen_values = true, requires = "recipe")]
+    amount: Option<f64>,
+    /// Only the first N steps of the recipe
+    #[arg(long, value_name = "N", requires = "recipe")]
+    until: Option<usize>,
+    /// In place of every step's model: direct, free, arap, graph, blendshape or hybrid
+    #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>)]
+    model: Option<MorphModel>,
+    /// Threads [default: all cores]; the result does not depend on them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Result (.obj or .ply)
+    #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
+    out: Option<PathBuf>,
+    /// Folder for every mask: its texture (.png), where it has one, and its weights (.npy); made if it is not there
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.list {
+        return list();
+    }
+    if let Some(name) = &arguments.print {
+        return say(preset_text(name).ok_or_else(|| unknown_preset(name))?.trim_end());
+    }
+    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+}
+
+fn list() -> Result<(), Failure> {
+    for name in preset_names() {
+        let recipe = known_preset(name)?;
+        let [low, high] = recipe.range.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+        say(format_args!("{name:<18} {:>4} mm ({low} to {high})  {}", recipe.amount, recipe.about))?;
+    }
+    Ok(())
+}
+
+fn run_here(a: &Arguments) -> Result<(), Failure> {
+    let (Some(mesh), Some(out)) = (&a.mesh, &a.out) else {
+        return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
+    };
+    check_output(out, &["obj", "ply"])?;
+    a.masks.as_deref().map_or(Ok(()), check_output_folder)?;
+    let jobs = jobs(a)?;
+    let mut mesh = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;
+    let (mut shapes, regions) = a.rig.read()?;
+    if let Some(bounds) = a.weight_bounds {
+        shapes = shapes.with_bounds(|_| bounds);
+    }
+    let regions = regions.unwrap_or_else(|| Regions::of_groups(&mesh));
+    let landmarks = landmarks(a, &mesh)?;
+    let mut outcomes = Vec::new();
+    for (recipe, amount) in &jobs {
+        let subject = Subject { mesh: &mesh, landmarks: &landmarks, regions: &regions, shapes: &shapes };
+        let options = ReplayOptions { amount: *amount, until: a.until, model: a.model };
+        outcomes.extend(replay(recipe, &subject, &options).map_err(failure)?);
+        if let Some(last) = outcomes.last() {
+            mesh.positions.clone_from(&last.positions);
+        }
+    }
+    if let Some(folder) = &a.masks {
+        write_masks(folder, &outcomes)?;
+    }
+    io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
+    outcomes.iter().enumerate().try_for_each(|(k, outcome)| say(line(k + 1, outcome)))
+}
+
+/// What is to be done, and by how much.
+fn jobs(a: &Arguments) -> Result<Vec<(Recipe, Option<f64>)>, Failure> {
+    if let Some(path) = &a.recipe {
+        let recipe = Recipe::read(path).map_err(failure)?;
+        if a.until.is_some_and(|until| until == 0 || until > recipe.step.len()) {
+            let message = format!("--until: {} has {} steps", path.display(), recipe.step.len());
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+        return Ok(vec![(recipe, a.amount)]);
+    }
+    a.preset.iter().map(|text| requested_preset(text)).collect()
+}
+
+/// `NAME` or `NAME=MM`.
+fn requested_preset(text: &str) -> Result<(Recipe, Option<f64>), Failure> {
+    let (name, amount) = text.split_once('=').map_or((text, None), |(name, amount)| (name, Some(amount)));
+    let recipe = known_preset(name)?;
+    let Some(amount) = amount else { return Ok((recipe, None)) };
+    let Some(amount) = amount.parse::<f64>().ok().filter(|a| a.is_finite()) else {
+        let message = format!("--preset {name}: expected millimetres, found {amount:?}");
+        return Err(Failure::new(Stage::Arguments, message));
+    };
+    if let Some([low, high]) = recipe.range.filter(|[low, high]| !(*low..=*high).contains(&amount)) {
+        warn(format!("preset {name} is made for {low} to {high} mm, not {amount}: look at the folds"));
+    }
+    Ok((recipe, Some(amount)))
+}
+
+fn known_preset(name: &str) -> Result<Recipe, Failure> {
+    preset(name).ok_or_else(|| unknown_preset(name))?.map_err(failure)
+}
+
+fn unknown_preset(name: &str) -> Failure {
+    let message = format!("unknown preset '{name}'; there are {}", preset_names().join(", "));
+    Failure::new(Stage::Arguments, message)
+}
+
+/// What a recipe says wrongly, or names in vain, was loaded; what it asks for in vain is a matter of the computation.
+fn failure(error: RecipeError) -> Failure {
+    match error {
+        RecipeError::Impossible { .. } => Failure::computation(error),
+        _ => Failure::loading(error),
+    }
+}
+
+fn landmarks(a: &Arguments, mesh: &PolygonMesh) -> Result<Vec<(String, TemplatePoint)>, Failure> {
+    let of_rig = || Some(a.rig.rig.as_ref()?.join(RIG_LANDMARKS)).filter(|path| path.exists());
+    let path = a.landmarks.clone().or_else(of_rig);
+    path.map_or_else(|| Ok(Vec::new()), |path| io::read_template_landmarks(&path, mesh).map_err(Failure::loading))
+}
+
+/// A rig's 68 landmarks.
+const RIG_LANDMARKS: &str = "landmarks_multipie68.json";
+
+fn write_masks(folder: &Path, outcomes: &[StepOutcome]) -> Result<(), Failure> {
+    if !folder.is_dir() {
+        std::fs::create_dir(folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+    }
+    for (k, outcome) in outcomes.iter().enumerate() {
+        for (m, mask) in outcome.masks.iter().enumerate() {
+            let file = |extension: &str| folder.join(format!("step{}-mask{}.{extension}", k + 1, m + 1));
+            if let Some(texture) = &mask.texture {
+                texture.write_png(&file("png")).map_err(Failure::writing)?;
+            }
+            mask.weights.write_npy(&file("npy")).map_err(Failure::writing)?;
+        }
+    }
+    Ok(())
+}
+
+fn line(number: usize, outcome: &StepOutcome) -> String {
+    let r = &outcome.report;
+    let steps = r.energy.as_ref().map_or_else(String::new, |e| format!(" in {} steps", e.iterations));
+    format!(
+        "{number}. {} ({}{steps}): {} vertices, at most {:.2} mm of {:.2} asked, {:.3} mm across an edge, {} folded, edges {:.2} to {:.2}",
+        if r.step.is_empty() { "step" } else { &r.step },
+        r.model.name(),
+        r.moving,
+        r.reached,
+        r.asked,
+        r.largest_jump,
+        r.folded,
+        r.stretch.min,
+        r.stretch.max,
+    )
+}

@@ -1,0 +1,365 @@
+//! Recipes at work: masks from what a recipe says, one step after the other.
+
+use serde::Serialize;
+use toml::Spanned;
+
+use super::{
+    Constraints, Coordinates, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec, MaskedDisplacement, MorphEnergy,
+    MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector, Recipe, RecipeError, RecipeStep, Texture,
+    ViewSpec, Weights, uv_weights,
+};
+use crate::evaluation::{EdgeStretch, flipped_triangles};
+use crate::mesh::adjacency::EdgeGraph;
+use crate::mesh::io::TemplatePoint;
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::render::Projection;
+use crate::rig::{Regions, ShapeBasis};
+
+/// What a recipe is done to.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The mesh, millimetres.
+    pub mesh: &'a PolygonMesh,
+    /// Names and places of landmarks; masks drawn in the frame of landmarks need those that the frame names.
+    pub landmarks: &'a [(String, TemplatePoint)],
+    /// Parts by name.
+    pub regions: &'a Regions,
+    /// For models that use them; bounds hold.
+    pub shapes: &'a ShapeBasis,
+}
+
+/// How much of a recipe, and how strongly.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ReplayOptions {
+    /// In place of the recipe's amount.
+    pub amount: Option<f64>,
+    /// Only so many of the steps.
+    pub until: Option<usize>,
+    /// In place of every step's model.
+    pub model: Option<MorphModel>,
+}
+
+/// A mask as it met the mesh.
+#[derive(Debug, Clone)]
+pub struct DrawnMask {
+    /// Its name in the recipe.
+    pub name: String,
+    /// Blurred; `None` if the recipe gives weights or parts.
+    pub texture: Option<Texture>,
+    /// Of every vertex, what is protected taken out; with its mirror image, the larger of the two.
+    pub weights: Weights,
+}
+
+/// What a step did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StepReport {
+    /// Its name in the recipe.
+    pub step: String,
+    /// The model.
+    pub model: MorphModel,
+    /// Vertices that could move.
+    pub moving: usize,
+    /// Longest displacement that a mask asks for, millimetres.
+    pub asked: f64,
+    /// Longest displacement of a vertex, millimetres.
+    pub reached: f64,
+    /// Largest difference of the displacements of an edge's ends, millimetres: how smooth the morph is.
+    pub largest_jump: f64,
+    /// Triangles whose normal turned by more than 90 degrees.
+    pub folded: usize,
+    /// How much the edges were stretched.
+    pub stretch: EdgeStretch,
+    /// Of models with an energy.
+    pub energy: Option<EnergyReport>,
+}
+
+/// A step's outcome.
+#[derive(Debug, Clone)]
+pub struct StepOutcome {
+    /// Its masks.
+    pub masks: Vec<DrawnMask>,
+    /// All positions after the step.
+    pub positions: Vec<Vec3>,
+    /// What it did.
+    pub report: StepReport,
+}
+
+impl StepOutcome {
+    /// The largest weight of each vertex over all masks: `G` of an overlay.
+    #[must_use]
+    pub fn coverage(&self) -> Vec<f64> {
+        let vertices = self.positions.len();
+        let of = |v: usize| self.masks.iter().map(|mask| mask.weights.values()[v]).fold(0.0, f64::max);
+        (0..vertices).map(of).collect()
+    }
+}
+
+/// Follows a recipe.
+///
+/// # Errors
+/// When something that it names is missing or malformed, or a step is impossible on this mesh; the message names the line.
+pub fn replay(
+    recipe: &Recipe,
+    subject: &Subject<'_>,
+    options: &ReplayOptions,
+) -> Result<Vec<StepOutcome>, RecipeError> {
+    let mut positions = subject.mesh.positions.clone();
+    let amount = options.amount.unwrap_or(recipe.amount);
+    let mut outcomes = Vec::new();
+    for step in recipe.step.iter().take(options.until.unwrap_or(usize::MAX)) {
+        let mesh = subject.mesh.with_positions(positions);
+        let stage = Stage { recipe, subject, amount, triangles: mesh.triangulate(), mesh: &mesh, step };
+        let outcome = stage.run(options.model.unwrap_or(step.get_ref().model))?;
+        positions = outcome.positions.clone();
+        outcomes.push(outcome);
+    }
+    Ok(outcomes)
+}
+
+/// A step on the mesh as the one before has left it.
+struct Stage<'a> {
+    recipe: &'a Recipe,
+    subject: &'a Subject<'a>,
+    amount: f64,
+    mesh: &'a PolygonMesh,
+    triangles: TriangleMesh,
+    step: &'a Spanned<RecipeStep>,
+}
+
+impl Stage<'_> {
+    fn run(&self, model: MorphModel) -> Result<StepOutcome, RecipeError> {
+        let step = self.step.get_ref();
+        let at_step = |error: MorphError| self.recipe.impossible(self.step, error);
+        let frame = step.frame.as_ref().or(self.recipe.frame.as_ref());
+        let frame = frame.map(|spec| self.frame(spec)).transpose().map_err(at_step)?;
+        let mut protected = vec![0.0; self.mesh.positions.len()];
+        for spec in &step.protect {
+            for weights in self.draw(spec, frame.as_ref())?.1 {
+                protected.iter_mut().zip(weights.values()).for_each(|(p, w): (&mut f64, _)| *p = p.max(*w));
+            }
+        }
+        let mut morph = MorphStep { threshold: step.threshold, ..MorphStep::default() };
+        let mut constraints = Constraints::default();
+        let mut masks = Vec::new();
+        for spec in &step.mask {
+            let mask = spec.get_ref();
+            let (texture, drawn) = self.draw(spec, frame.as_ref())?;
+            let drawn: Vec<Weights> = drawn.iter().map(|weights| weights.without(&protected)).collect();
+            let displacement = mask.displacement.map(|d| self.vector(d, frame.as_ref()));
+            for (k, weights) in drawn.iter().enumerate() {
+                let weights = weights.clone();
+                match displacement {
+                    None => constraints.free.push(weights),
+                    Some(displacement) => {
+                        let mirror = frame.filter(|_| k == 1).map(|f| f.mirror_plane());
+                        let displacement = mirror.map_or(displacement, |plane| plane.vector(displacement));
+                        morph.pairs.push(MaskedDisplacement { weights, displacement });
+                    }
+                }
+            }
+            let weights = drawn.into_iter().reduce(|a, b| a.or(&b)).expect("proven: a mask is drawn at least once");
+            masks.push(DrawnMask { name: mask.name.clone(), texture, weights });
+        }
+        constraints.pins = step.pin.iter().map(|pin| self.point(pin, frame.as_ref())).collect::<Result<_, _>>()?;
+        let goal = |goal| Ok((self.point(goal, frame.as_ref())?, goal.get_ref().weight));
+        constraints.goals = step.goal.iter().map(goal).collect::<Result<_, RecipeError>>()?;
+
+        let (positions, energy) = if model == MorphModel::Direct {
+            if constraints != Constraints::default() {
+                return Err(at_step(MorphError::NoEnergy));
+            }
+            if !morph.moves(self.mesh.positions.len()).map_err(at_step)?.contains(&true) {
+                return Err(at_step(MorphError::NothingMoves));
+            }
+            (morph.apply(&self.mesh.positions).map_err(at_step)?, None)
+        } else {
+            let Self { triangles, subject, .. } = self;
+            let energy = MorphEnergy::new(triangles, &morph, &constraints, model, subject.shapes, &step.energy);
+            let (positions, report) = energy.and_then(|mut energy| energy.solve()).map_err(at_step)?;
+            (positions, Some(report))
+        };
+        let report = self.report(model, &morph, &constraints, &positions, energy).map_err(at_step)?;
+        Ok(StepOutcome { masks, positions, report })
+    }
+
+    fn report(
+        &self,
+        model: MorphModel,
+        morph: &MorphStep,
+        constraints: &Constraints,
+        positions: &[Vec3],
+        energy: Option<EnergyReport>,
+    ) -> Result<StepReport, MorphError> {
+        let rest = &self.mesh.positions;
+        let moved = |v: u32| positions[v as usize] - rest[v as usize];
+        let edges = EdgeGraph::from_polygons(self.mesh);
+        let jumps = edges.edges().iter().map(|e| (moved(e[0]) - moved(e[1])).norm());
+        let free = |v: usize| constraints.free.iter().any(|w| w.values()[v] > morph.threshold);
+        let moves = morph.moves(rest.len())?;
+        let stretch = EdgeStretch::new(self.mesh, positions).map_err(|e| MorphError::Evaluation(e.to_string()))?;
+        let folded = flipped_triangles(rest, positions, &self.triangles.triangles);
+        Ok(StepReport {
+            step: self.step.get_ref().name.clone(),
+            model,
+            moving: (0..rest.len()).filter(|v| moves[*v] || free(*v)).count(),
+            asked: morph.pairs.iter().map(|pair| pair.displacement.norm()).fold(0.0, f64::max),
+            reached: (0..rest.len() as u32).map(|v| moved(v).norm()).fold(0.0, f64::max),
+            largest_jump: jumps.fold(0.0, f64::max),
+            folded: folded.map_err(|e| MorphError::Evaluation(e.to_string()))?,
+            stretch,
+            energy,
+        })
+    }
+
+    fn frame(&self, spec: &FrameSpec) -> Result<LandmarkFrame, MorphError> {
+        let places: Vec<(String, Vec3)> = self.places().collect();
+        LandmarkFrame::new(spec, &places)
+    }
+
+    /// Every landmark where it is now.
+    fn places(&self) -> impl Iterator<Item = (String, Vec3)> + '_ {
+        let positions = &self.mesh.positions;
+        self.subject.landmarks.iter().map(|(name, point)| (name.clone(), point.position(positions)))
+    }
+
+    fn landmark(&self, name: &str) -> Result<TemplatePoint, MorphError> {
+        let found = self.subject.landmarks.iter().find(|(known, _)| known == name);
+        found.map(|(_, point)| *point).ok_or_else(|| {
+            let known: Vec<&str> = self.subject.landmarks.iter().map(|(name, _)| name.as_str()).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            MorphError::UnknownLandmark { name: name.to_owned(), known }
+        })
+    }
+
+    /// A vector given in the frame, or in the mesh's axes where there is none, times the amount.
+    fn vector(&self, d: [f64; 3], frame: Option<&LandmarkFrame>) -> Vec3 {
+        frame.map_or_else(|| Vec3::from(d), |frame| frame.direction(d)) * self.amount
+    }
+
+    fn point(&self, spec: &Spanned<PointSpec>, frame: Option<&LandmarkFrame>) -> Result<PlacedPoint, RecipeError> {
+        let p = spec.get_ref();
+        let vertices = self.mesh.positions.len();
+        let (name, point) = match (&p.landmark, p.vertex) {
+            (Some(name), _) => {
+                (name.clone(), self.landmark(name).map_err(|error| self.recipe.impossible(spec, error))?)
+            }
+            (None, vertex) => {
+                let vertex = vertex.unwrap_or(u32::MAX);
+                if vertex as usize >= vertices {
+                    let error = format!("there are {vertices} vertices");
+                    let error = MorphError::Point { name: format!("vertex {vertex}"), error };
+                    return Err(self.recipe.impossible(spec, error));
+                }
+                (format!("vertex {vertex}"), TemplatePoint::Vertex(vertex))
+            }
+        };
+        let from = point.position(&self.mesh.positions);
+        let by = || from + self.vector(p.by.unwrap_or_default(), frame);
+        Ok(PlacedPoint { name, point, target: p.to.map_or_else(by, Vec3::from) })
+    }
+
+    /// The texture of a mask, if it has one, and its weights, then those of its mirror image, if it has one.
+    fn draw(
+        &self,
+        spec: &Spanned<MaskSpec>,
+        frame: Option<&LandmarkFrame>,
+    ) -> Result<(Option<Texture>, Vec<Weights>), RecipeError> {
+        let mask = spec.get_ref();
+        let fail = |error: MorphError| self.recipe.impossible(spec, error);
+        let plane = || frame.map(LandmarkFrame::mirror_plane).ok_or_else(|| fail(MorphError::NoFrame));
+        let given = if let Some(path) = &mask.weights {
+            Some(Weights::read_npy(&self.recipe.file(path), self.mesh.positions.len())?)
+        } else if !mask.parts.is_empty() {
+            let weights = self.subject.regions.mask(&mask.parts).map_err(|e| fail(MorphError::Parts(e.to_string())))?;
+            Some(Weights::new(weights).map_err(fail)?)
+        } else {
+            None
+        };
+        if let Some(weights) = given {
+            let mirrored = mask.mirror.then(plane).transpose()?;
+            let mirrored = mirrored.map(|plane| weights.mirrored(&self.triangles, &plane)).transpose().map_err(fail)?;
+            return Ok((None, [weights].into_iter().chain(mirrored).collect()));
+        }
+        let picture =
+            mask.png.as_ref().map(|path| Texture::read_png(&self.recipe.file(path), mask.grey)).transpose()?;
+        let Drawing { texture, projector } = self.drawing(mask, picture, frame).map_err(fail)?;
+        let texture = mask.blur.apply(&texture).map_err(fail)?;
+        let weights = match projector {
+            None => {
+                let weights = uv_weights(self.mesh, &texture, mask.sampling).map_err(fail)?;
+                let mirrored = mask.mirror.then(plane).transpose()?;
+                let mirrored = mirrored.map(|plane| weights.mirrored(&self.triangles, &plane)).transpose();
+                [weights].into_iter().chain(mirrored.map_err(fail)?).collect()
+            }
+            Some(projector) => {
+                let mirrored = mask.mirror.then(plane).transpose()?.map(|plane| projector.mirrored(&plane));
+                let projectors = [projector].into_iter().chain(mirrored);
+                let weights = |p: Projector| p.weights(&self.triangles, &texture, mask.sampling, mask.visibility);
+                projectors.map(weights).collect::<Result<_, _>>().map_err(fail)?
+            }
+        };
+        Ok((Some(texture), weights))
+    }
+
+    /// The texture before it is blurred, and how it meets the mesh.
+    fn drawing(
+        &self,
+        mask: &MaskSpec,
+        picture: Option<Texture>,
+        frame: Option<&LandmarkFrame>,
+    ) -> Result<Drawing, MorphError> {
+        let drawn = |[width, height]: [usize; 2], coordinates| match (picture.clone(), &mask.region) {
+            (Some(picture), _) => Ok(picture),
+            (None, Some(region)) => region.rasterize(width, height, coordinates),
+            (None, None) => Err(MorphError::NothingMoves),
+        };
+        match &mask.view {
+            ViewSpec::Uv { size } => Ok(Drawing { texture: drawn(*size, Coordinates::Unit)?, projector: None }),
+            ViewSpec::Camera { eye, target, up, vertical_fov, height, size } => {
+                let texture = drawn(*size, Coordinates::Pixels)?;
+                let projection = match height {
+                    Some(height) => Projection::Orthographic { height: *height },
+                    None => Projection::Perspective { vertical_fov: vertical_fov.unwrap_or(30.0) },
+                };
+                let aspect = texture.width() as f64 / texture.height() as f64;
+                let [eye, target, up] = [eye, target, up].map(|p| Vec3::from(*p));
+                Ok(Drawing { texture, projector: Some(Projector::look(eye, target, up, projection, aspect)?) })
+            }
+            ViewSpec::Frame { yaw, pitch, pixels_per_mm, covers } => {
+                if !(*pixels_per_mm > 0.0 && pixels_per_mm.is_finite()) {
+                    let what = "the number of pixels to a millimetre";
+                    return Err(MorphError::Option { what, value: *pixels_per_mm, expected: "above 0" });
+                }
+                let frame = frame.ok_or(MorphError::NoFrame)?.turned(*yaw, *pitch);
+                let frame = if mask.at.is_empty() { frame } else { frame.at(self.mean(&mask.at)?) };
+                let [low, high] = match (covers, &mask.region) {
+                    (Some(covers), _) => *covers,
+                    (None, Some(region)) => {
+                        let margin = MARGIN * mask.blur.deviation() / pixels_per_mm + 2.0 / pixels_per_mm;
+                        let [low, high] = region.bounds();
+                        [low.map(|c| c - margin), high.map(|c| c + margin)]
+                    }
+                    (None, None) => return Err(MorphError::NoCover),
+                };
+                let side = |k: usize| ((high[k] - low[k]) * pixels_per_mm).ceil().max(1.0) as usize;
+                let texture = drawn([side(0), side(1)], Coordinates::Box { low, high })?;
+                Ok(Drawing { texture, projector: Some(frame.projector(low, high)?) })
+            }
+        }
+    }
+
+    fn mean(&self, names: &[String]) -> Result<Vec3, MorphError> {
+        let place = |name: &String| Ok(self.landmark(name)?.position(&self.mesh.positions));
+        let places = names.iter().map(place).collect::<Result<Vec<_>, MorphError>>()?;
+        Ok(places.iter().sum::<Vec3>() / places.len() as f64)
+    }
+}
+
+/// Standard deviations of a blur beyond which nothing of a region is left: exp(-8) is below any threshold of interest.
+const MARGIN: f64 = 4.0;
+
+/// A texture, and its projector unless it lies in texture coordinates.
+struct Drawing {
+    texture: Texture,
+    projector: Option<Projector>,
+}
