@@ -3,6 +3,7 @@
 mod eval;
 mod failure;
 mod inputs;
+mod measure;
 mod output;
 mod register;
 mod rig;
@@ -32,6 +33,8 @@ enum Command {
     Register(Box<register::Arguments>),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
+    /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
+    Measure(measure::Arguments),
     /// Look into a blendshape rig, or make one from meshes.
     #[command(subcommand)]
     Rig(rig::Command),
@@ -47,6 +50,7 @@ pub fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Measure(arguments) => measure::run(&arguments),
         Command::Rig(command) => rig::run(&command),
     };
     match outcome {
