@@ -10,15 +10,18 @@
 //! - [`evaluation`] and [`render`]: errors and pictures.
 //! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
 //! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
+//! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
 //! - [`cli`]: the `nonrigid` command.
 
 pub mod cli;
 pub mod energy;
 pub mod evaluation;
+pub mod measurement;
 pub mod mesh;
 pub mod model;
 pub mod morph;
 pub mod nlls;
+pub mod page;
 pub mod registration;
 pub mod render;
 pub mod rig;

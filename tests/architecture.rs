@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[(&str, &[&str])] = &[
     ("nlls", &[]),
     ("mesh", &[]),
+    ("page", &[]),
     ("rig", &["mesh"]),
     ("energy", &["mesh", "nlls"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
@@ -16,7 +17,23 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("render", &["mesh"]),
     ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
-    ("cli", &["energy", "evaluation", "mesh", "model", "morph", "nlls", "registration", "render", "rig", "term"]),
+    ("measurement", &["evaluation", "mesh", "page", "render"]),
+    (
+        "cli",
+        &[
+            "energy",
+            "evaluation",
+            "measurement",
+            "mesh",
+            "model",
+            "morph",
+            "nlls",
+            "registration",
+            "render",
+            "rig",
+            "term",
+        ],
+    ),
 ];
 
 /// Source text without comments.

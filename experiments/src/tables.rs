@@ -8,6 +8,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::nlls::{Convergence, StopReason};
+pub use nonrigid::page::csv_text;
 use serde_json::Value;
 
 use crate::scan_bench::{BenchRow, summarize};
@@ -52,12 +53,6 @@ pub fn write_csv(path: &Path, header: &str, lines: impl IntoIterator<Item = Stri
         lines.into_iter().try_for_each(|line| writeln!(file, "{line}"))
     });
     Ok(written.map_err(Failure::writing)?)
-}
-
-/// Text as one field of a CSV line.
-#[must_use]
-pub fn csv_text(text: &str) -> String {
-    if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }
 
 /// Writes JSON with a line break at the end.

@@ -90,7 +90,7 @@ fn combined(a: Option<Vec<f64>>, b: Option<Vec<f64>>, with: impl Fn(f64, f64) ->
 }
 
 /// Numbers from 0 to 1, one per vertex.
-fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
+pub fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
     let mask = io::read_npy_vector(path, Some(vertices)).map_err(Failure::loading)?;
     match mask.iter().position(|m| !(0.0..=1.0).contains(m)) {
         None => Ok(mask),

@@ -3,16 +3,21 @@
 mod eval;
 mod failure;
 mod inputs;
+mod measure;
 mod morph;
 mod output;
 mod register;
 mod rig;
 mod rig_pca;
 
+use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use serde::Serialize;
+
+use crate::mesh::io::write_atomically;
 
 pub use failure::{Failure, Stage};
 pub use output::{answer, say, say_to};
@@ -35,6 +40,8 @@ enum Command {
     Eval(eval::Arguments),
     /// Change a face by masks: presets in millimetres, or a recipe.
     Morph(Box<morph::Arguments>),
+    /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
+    Measure(measure::Arguments),
     /// Look into a blendshape rig, or make one from meshes.
     #[command(subcommand)]
     Rig(rig::Command),
@@ -51,6 +58,7 @@ pub fn main() -> ExitCode {
         Command::Register(arguments) => register::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
+        Command::Measure(arguments) => measure::run(&arguments),
         Command::Rig(command) => rig::run(&command),
     };
     match outcome {
@@ -102,4 +110,10 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
 /// Prints a warning.
 fn warn(message: impl std::fmt::Display) {
     eprintln!("warning: {message}");
+}
+
+/// Writes a value as JSON.
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
+    write_atomically(path, |out| writeln!(out, "{text}")).map_err(Failure::writing)
 }

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args};
 
 use super::inputs::{RigArguments, bounds};
-use super::{Failure, Stage, check_output, check_output_folder, on_threads, say, warn};
+use super::measure::{self, named_regions};
+use super::{Failure, Stage, check_output, check_output_folder, on_threads, say, warn, write_json};
+use crate::measurement::{Landmarks, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io;
-use crate::mesh::io::TemplatePoint;
+use crate::mesh::io::{self, TemplatePoint};
 use crate::morph::{
-    MorphModel, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset, preset_names, preset_text, replay,
+    MorphError, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset,
+    preset_names, preset_text, replay,
 };
 use crate::rig::Regions;
 
@@ -68,6 +70,10 @@ pub struct Arguments {
     /// Folder for every mask: its texture (.png), where it has one, and its weights (.npy); made if it is not there
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
+    /// Folder for a page (index.html) with front, side and three-quarter pictures before and after, masks, displacements and
+    /// measurements, the same as files, and morph.json with what each step did; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -95,9 +101,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
     check_output(out, &["obj", "ply"])?;
-    a.masks.as_deref().map_or(Ok(()), check_output_folder)?;
+    [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
-    let mut mesh = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;
+    let before = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;
+    let mut mesh = before.clone();
     let (mut shapes, regions) = a.rig.read()?;
     if let Some(bounds) = a.weight_bounds {
         shapes = shapes.with_bounds(|_| bounds);
@@ -113,11 +120,37 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             mesh.positions.clone_from(&last.positions);
         }
     }
+    let lines: Vec<String> = outcomes.iter().enumerate().map(|(k, outcome)| line(k + 1, outcome)).collect();
     if let Some(folder) = &a.masks {
         write_masks(folder, &outcomes)?;
     }
+    if let Some(folder) = &a.report {
+        write_report(folder, (&before, &mesh), &landmarks, &regions, &outcomes, &lines)?;
+    }
     io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
-    outcomes.iter().enumerate().try_for_each(|(k, outcome)| say(line(k + 1, outcome)))
+    lines.iter().try_for_each(say)
+}
+
+fn write_report(
+    folder: &Path,
+    (before, after): (&PolygonMesh, &PolygonMesh),
+    landmarks: &[(String, TemplatePoint)],
+    regions: &Regions,
+    outcomes: &[StepOutcome],
+    lines: &[String],
+) -> Result<(), Failure> {
+    let mut known = Landmarks::default();
+    known.add(landmarks).map_err(measure::failure)?;
+    let regions = named_regions(regions);
+    let subject = Measured { mesh: before, after: Some(&after.positions), landmarks: &known, regions: &regions };
+    let coverage = outcomes.iter().map(StepOutcome::coverage);
+    let mask = coverage.reduce(|a, b| a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect());
+    let about: Vec<(String, String)> = lines.iter().map(|line| ("step".to_owned(), line.clone())).collect();
+    let page =
+        report::Report { about: &about, mask: mask.as_deref(), ..report::Report::new("A face, morphed", subject) };
+    report::write(folder, &page).map_err(measure::failure)?;
+    let steps: Vec<_> = outcomes.iter().map(|outcome| &outcome.report).collect();
+    write_json(&folder.join("morph.json"), &steps)
 }
 
 /// What is to be done, and by how much.
@@ -160,6 +193,11 @@ fn unknown_preset(name: &str) -> Failure {
 /// What a recipe says wrongly, or names in vain, was loaded; what it asks for in vain is a matter of the computation.
 fn failure(error: RecipeError) -> Failure {
     match error {
+        RecipeError::Impossible { error: MorphError::UnknownLandmark { ref known, .. }, .. }
+            if known == NO_LANDMARKS =>
+        {
+            Failure::new(Stage::Arguments, format!("{error}; give --landmarks"))
+        }
         RecipeError::Impossible { .. } => Failure::computation(error),
         _ => Failure::loading(error),
     }

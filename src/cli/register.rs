@@ -1,6 +1,6 @@
 //! `nonrigid register`.
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -10,8 +10,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::inputs::{MaskArguments, RigArguments, bounds};
-use super::{Failure, Stage, check_output, on_threads, say, warn};
-use crate::mesh::io::{self, write_atomically};
+use super::{Failure, Stage, check_output, on_threads, say, warn, write_json};
+use crate::mesh::io;
 use crate::registration::{
     InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
     Schedule, StepRecord, WITHIN_MM, register,
@@ -252,11 +252,6 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;
     }
     say(format_args!("wrote {}", a.out.display()))
-}
-
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
-    write_atomically(path, |out| writeln!(out, "{text}")).map_err(Failure::writing)
 }
 
 fn file_name(path: &Path) -> String {

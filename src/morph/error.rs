@@ -254,6 +254,17 @@ pub enum MorphError {
     },
 }
 
+/// What stands for the known landmarks in [`MorphError::UnknownLandmark`] where there are none.
+pub const NO_LANDMARKS: &str = "none";
+
+impl MorphError {
+    pub(super) fn unknown_landmark<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Self {
+        let known = known.collect::<Vec<_>>().join(", ");
+        let known = if known.is_empty() { NO_LANDMARKS.to_owned() } else { known };
+        Self::UnknownLandmark { name: name.to_owned(), known }
+    }
+}
+
 /// An error unless every position is finite.
 pub(super) fn check_positions(positions: &[Vec3]) -> Result<(), MeshError> {
     match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {

@@ -51,11 +51,7 @@ impl LandmarkFrame {
         let find = |name: &String| match landmarks.iter().find(|(known, _)| known == name) {
             Some((_, place)) if place.iter().all(|c| c.is_finite()) => Ok(*place),
             Some(_) => Err(MorphError::Frame("a landmark's coordinates are not finite")),
-            None => {
-                let known = landmarks.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
-                let known = if known.is_empty() { "none".to_owned() } else { known };
-                Err(MorphError::UnknownLandmark { name: name.clone(), known })
-            }
+            None => Err(MorphError::unknown_landmark(name, landmarks.iter().map(|(name, _)| name.as_str()))),
         };
         let between = |[from, to]: &[String; 2]| -> Result<Vec3, MorphError> { Ok(find(to)? - find(from)?) };
         let places = spec.origin.iter().map(find).collect::<Result<Vec<_>, _>>()?;

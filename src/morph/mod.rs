@@ -45,7 +45,7 @@ mod weights;
 pub use blur::{Blur, BlurKind, Border, MAX_KERNEL};
 pub use direct::{DEFAULT_THRESHOLD, MaskedDisplacement, MorphStep};
 pub use energy::{Constraints, EnergyOptions, EnergyReport, MorphEnergy, MorphModel, PIN_TOLERANCE, PlacedPoint};
-pub use error::MorphError;
+pub use error::{MorphError, NO_LANDMARKS};
 pub use frame::{FrameScale, FrameSpec, LandmarkFrame, MirrorPlane};
 pub use presets::{preset, preset_names, preset_text};
 pub use projection::{Projector, Visibility, uv_weights};

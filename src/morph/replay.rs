@@ -224,11 +224,8 @@ impl Stage<'_> {
 
     fn landmark(&self, name: &str) -> Result<TemplatePoint, MorphError> {
         let found = self.subject.landmarks.iter().find(|(known, _)| known == name);
-        found.map(|(_, point)| *point).ok_or_else(|| {
-            let known: Vec<&str> = self.subject.landmarks.iter().map(|(name, _)| name.as_str()).collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            MorphError::UnknownLandmark { name: name.to_owned(), known }
-        })
+        let known = self.subject.landmarks.iter().map(|(name, _)| name.as_str());
+        found.map(|(_, point)| *point).ok_or_else(|| MorphError::unknown_landmark(name, known))
     }
 
     /// A vector given in the frame, or in the mesh's axes where there is none, times the amount.

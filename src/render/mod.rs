@@ -33,7 +33,7 @@ pub use image::RgbImage;
 
 pub use camera::{Camera, Frame, Projection, View};
 pub use colour::{ColourMap, ColourScale, Rgb8};
-pub use png::{PictureError, save_png};
+pub use png::{PictureError, encode_png, save_png};
 pub use raster::{RenderOptions, render, render_with};
 pub use scene::{Scene, Style};
 pub use sheet::{Sheet, error_sheet, registration_sheet};

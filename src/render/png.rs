@@ -50,13 +50,22 @@ pub fn save_png(image: &RgbImage, path: impl AsRef<Path>) -> Result<(), PictureE
     written
 }
 
+/// `image` as the bytes of a PNG file.
+///
+/// # Errors
+/// When the image has no pixels.
+pub fn encode_png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let (width, height) = image.dimensions();
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes).write_image(image.as_raw(), width, height, ExtendedColorType::Rgb8)?;
+    Ok(bytes)
+}
+
 fn write(image: &RgbImage, path: &Path, temporary: &Path) -> Result<(), PictureError> {
     let refused = |source| PictureError::Write { path: path.into(), source };
     let (width, height) = image.dimensions();
-    let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(image.as_raw(), width, height, ExtendedColorType::Rgb8)
-        .map_err(|source| PictureError::Encode { path: path.into(), width, height, source })?;
+    let bytes =
+        encode_png(image).map_err(|source| PictureError::Encode { path: path.into(), width, height, source })?;
     let mut file = BufWriter::new(File::create(temporary).map_err(refused)?);
     file.write_all(&bytes).and_then(|()| file.flush()).map_err(refused)?;
     drop(file);

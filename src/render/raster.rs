@@ -84,8 +84,12 @@ struct PreparedSurface<'a> {
 
 enum Look<'a> {
     Plain { front: Linear, back: Linear, opacity: f32 },
+    Overlay { weights: &'a [f64], colour: Linear },
     Values { values: &'a [f64], scale: &'a ColourScale, palette: Vec<Linear> },
 }
+
+/// Outside and inside of clay.
+const CLAY: [Rgb8; 2] = [[226, 205, 188], [128, 138, 152]];
 
 struct PreparedWires<'a> {
     layer: &'a Wires,
@@ -178,9 +182,10 @@ impl<'a> Look<'a> {
     fn of(style: &'a Style) -> Self {
         let plain = |front, back, opacity| Look::Plain { front: to_linear(front), back: to_linear(back), opacity };
         match style {
-            Style::Clay => plain([226, 205, 188], [128, 138, 152], 1.0),
+            Style::Clay => plain(CLAY[0], CLAY[1], 1.0),
             Style::Solid(colour) => plain(*colour, *colour, 1.0),
             Style::Translucent(colour, opacity) => plain(*colour, *colour, opacity.clamp(0.0, 1.0) as f32),
+            Style::Overlay(weights, colour) => Look::Overlay { weights, colour: to_linear(*colour) },
             Style::Values(values, scale) => {
                 let palette = (0..=PALETTE).map(|i| to_linear(scale.map.at(i as f64 / PALETTE as f64))).collect();
                 Look::Values { values, scale, palette }
@@ -414,14 +419,20 @@ impl<'p, 'a> Band<'p, 'a> {
         // On the screen, y points down: a triangle that faces the viewer has negative area.
         let inside = area > 0.0;
         let light = p.lights.intensity(if inside { -normal } else { normal });
+        let interpolated = |values: &[f64], missing: f64| -> f64 {
+            triangle.iter().zip(w).map(|(v, w)| values.get(*v).copied().unwrap_or(missing) * w).sum()
+        };
         match &surface.look {
             Look::Plain { front, back, .. } => {
                 let colour = if inside { back } else { front };
                 colour.map(|c| c * light.0 + light.1)
             }
+            Look::Overlay { weights, colour } => {
+                let clay = to_linear(CLAY[usize::from(inside)]).map(|c| c * light.0 + light.1);
+                mix(clay, *colour, interpolated(weights, 0.0).max(0.0).min(1.0) as f32)
+            }
             Look::Values { values, scale, palette } => {
-                let value: f64 =
-                    triangle.iter().zip(w).map(|(v, w)| values.get(*v).copied().unwrap_or(f64::NAN) * w).sum();
+                let value = interpolated(values, f64::NAN);
                 let position = scale.position(value);
                 let colour = if position.is_nan() {
                     to_linear(NO_VALUE)
@@ -565,6 +576,21 @@ mod tests {
         let [r, g, b] = draw(vec![f64::NAN; 4]).get_pixel(50, 50).0;
         assert!(r == g && g == b);
         assert_eq!(draw(vec![]), draw(vec![f64::NAN; 4]));
+    }
+
+    #[test]
+    fn an_overlay_is_clay_where_its_weight_is_0_and_its_colour_where_it_is_1() {
+        let mesh = square(0.0, 1.0).triangulate();
+        let draw = |style| render(&Scene::new().mesh(&mesh, style), &camera(), SIZE);
+        let clay = draw(Style::Clay);
+        assert_eq!(draw(Style::Overlay(vec![0.0; 4], [255, 0, 0])), clay);
+        assert_eq!(draw(Style::Overlay(vec![f64::NAN; 3], [255, 0, 0])), clay);
+        assert_eq!(draw(Style::Overlay(vec![1.0; 4], [255, 0, 0])).get_pixel(50, 50).0, [255, 0, 0]);
+        // Equation (4) in light: the stored colour c is about c^2.2.
+        let half = draw(Style::Overlay(vec![0.5; 4], [255, 0, 0])).get_pixel(50, 50).0;
+        let light = |c: u8| f64::from(c).powf(2.2);
+        let expected = [0, 1, 2].map(|k| 0.5 * (light(clay.get_pixel(50, 50).0[k]) + light([255, 0, 0][k])));
+        assert!((0..3).all(|k| (light(half[k]) / expected[k] - 1.0).abs() < 0.03), "{half:?}");
     }
 
     #[test]

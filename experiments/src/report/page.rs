@@ -4,14 +4,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
+use nonrigid::page::{self, escaped};
 
 use super::claims::{Judged, Verdict};
 use super::study::{Block, Section, Study};
-use super::table::Table;
 
 /// Where a study stands.
 pub enum State {
@@ -36,16 +34,9 @@ pub struct Page<'a> {
 }
 
 const STYLE: &str = "\
-body{font:16px/1.5 system-ui,sans-serif;color:#20242c;max-width:1180px;margin:0 auto;padding:24px}\
-h1{font-size:30px;margin:0 0 4px}h2{font-size:23px;margin:48px 0 8px;border-top:1px solid #d0d3d8;padding-top:24px}\
-p.about{color:#555b66;max-width:900px}figure{margin:18px 0}figure img,figure svg{max-width:100%;height:auto;display:block}\
-figcaption,caption{color:#555b66;font-size:14px;text-align:left;padding:6px 0;max-width:900px;caption-side:bottom}\
-table{border-collapse:collapse;font-size:14px;margin:18px 0}div.wide{overflow-x:auto}\
-th,td{padding:4px 10px;text-align:right;border-bottom:1px solid #e6e8ec;vertical-align:top}\
-th{background:#f4f5f7;white-space:nowrap}td:first-child,th:first-child,table.text td,table.text th{text-align:left}\
 table.text td{min-width:90px}table.text td:first-child{min-width:260px}\
 .holds{color:#006a4e;font-weight:600}.fails{color:#a8321e;font-weight:600}\
-.waiting{color:#777}.failed{color:#a8321e;white-space:pre-wrap}nav a{margin-right:14px}code{background:#f4f5f7;padding:1px 4px}";
+.waiting{color:#777}.failed{color:#a8321e;white-space:pre-wrap}nav a{margin-right:14px}";
 
 /// Writes `index.html` into a folder, with the pictures that lie there inside.
 ///
@@ -64,9 +55,7 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
     write!(
         out,
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>nonrigid: Klimov 2020, measured</title><style>{STYLE}</style></head><body>\n\
-         <h1>A hybrid deformation model, measured</h1>\n\
+        "<h1>A hybrid deformation model, measured</h1>\n\
          <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020: its \
          figures and its claims, on data whose truth is known. {}</p>\n\
          <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, {open} are not \
@@ -97,10 +86,9 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     write_claims(&mut out, page.verdicts)?;
     out.push_str(
         "<p class=\"about\">Every number is in a CSV and a JSON file beside this page; <code>manifest.json</code> has version, \
-         command, configuration, seed and hashes of the inputs, <code>machine.json</code> processor, threads and times.</p>\n\
-         </body></html>\n",
+         command, configuration, seed and hashes of the inputs, <code>machine.json</code> processor, threads and times.</p>\n",
     );
-    Ok(out)
+    Ok(page::document("nonrigid: Klimov 2020, measured", STYLE, &out))
 }
 
 fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
@@ -108,33 +96,20 @@ fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
         Block::Figure { file, caption } => {
             let path = folder.join(file);
             let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
-            out.push_str("<figure>");
             if file.ends_with(".svg") {
-                out.push_str(&String::from_utf8_lossy(&bytes));
+                let drawing = String::from_utf8_lossy(&bytes);
+                writeln!(out, "<figure>{drawing}<figcaption>{}</figcaption></figure>", escaped(caption))?;
             } else {
-                let data = STANDARD.encode(bytes);
-                write!(out, "<img alt=\"{}\" src=\"data:image/png;base64,{data}\">", escaped(caption))?;
+                out.push_str(&page::picture(&bytes, caption));
             }
-            writeln!(out, "<figcaption>{}</figcaption></figure>", escaped(caption))?;
         }
         Block::Table { table, caption, file } => {
-            write_table(out, table, &format!("{} All digits: <code>{}</code>.", escaped(caption), escaped(file)))?;
+            let caption = format!("{} All digits: <code>{}</code>.", escaped(caption), escaped(file));
+            let header: Vec<String> = table.header.iter().map(|name| name.replace('_', " ")).collect();
+            let rows = table.rows.iter().map(|row| row.iter().map(|cell| short(cell)).collect());
+            out.push_str(&page::table(&caption, &header, rows));
         }
     }
-    Ok(())
-}
-
-fn write_table(out: &mut String, table: &Table, caption: &str) -> Result<()> {
-    write!(out, "<div class=\"wide\"><table><caption>{caption}</caption><tr>")?;
-    for name in &table.header {
-        write!(out, "<th>{}</th>", escaped(&name.replace('_', " ")))?;
-    }
-    out.push_str("</tr>\n");
-    for row in &table.rows {
-        let cells: String = row.iter().map(|cell| format!("<td>{}</td>", escaped(&short(cell)))).collect();
-        writeln!(out, "<tr>{cells}</tr>")?;
-    }
-    out.push_str("</table></div>\n");
     Ok(())
 }
 
@@ -161,11 +136,6 @@ fn write_claims(out: &mut String, verdicts: &[Judged]) -> Result<()> {
     Ok(())
 }
 
-/// Text as HTML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 /// A cell as people read it: three significant digits where there are more.
 fn short(cell: &str) -> String {
     match cell.parse::<f64>() {
@@ -183,9 +153,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_are_short_and_text_is_escaped() {
+    fn cells_are_short() {
         let cells = ["1.234567", "0.012345", "1234.500000", "400", "a < b", "1.2345e-5"].map(short);
         assert_eq!(cells, ["1.23", "0.0123", "1234", "400", "a < b", "1.2e-5"]);
-        assert_eq!(escaped("<b> & \"c\""), "&lt;b&gt; &amp; &quot;c&quot;");
     }
 }

@@ -1,0 +1,278 @@
+//! Measurements of a face: distances, angles and ratios between named landmarks, symmetry, areas and volumes by region; of one
+//! shape, or of two with the same vertices, before and after.
+//!
+//! [`Subject::measure`] gives the numbers ([`Measurements`]), which serialise to JSON, print as tables and write as CSV;
+//! [`report::write`] puts them into a folder with pictures and a page. What is measured is one table, [`DEFINITIONS`], over the
+//! landmarks of another, [`LANDMARKS`]. A measurement whose landmarks are not given has no value, and says which.
+//!
+//! Everything moves with the mesh: turned and shifted, it measures the same. Lengths are millimetres.
+//!
+//! ```
+//! use nonrigid::measurement::{Landmarks, Subject};
+//! use nonrigid::mesh::{TriangleMesh, Vec3, io::TemplatePoint};
+//!
+//! let positions = vec![Vec3::new(-30., 0., 0.), Vec3::new(30., 0., 0.), Vec3::new(0., -80., 20.)];
+//! let mesh = TriangleMesh { positions, triangles: vec![[0, 2, 1]] }.into();
+//! let mut landmarks = Landmarks::default();
+//! landmarks.add(&["exocanthion_right", "exocanthion_left", "menton"].map(|name| name.to_owned()).into_iter()
+//!     .zip((0..).map(TemplatePoint::Vertex)).collect::<Vec<_>>())?;
+//! let measured = Subject { landmarks: &landmarks, ..Subject::new(&mesh) }.measure()?;
+//! assert_eq!(measured.value("biocular_width"), Some(60.0));
+//! assert_eq!(measured.value("face_height"), None);
+//! # Ok::<(), nonrigid::measurement::MeasurementError>(())
+//! ```
+
+mod change;
+mod definitions;
+mod error;
+mod landmarks;
+mod mirror_plane;
+mod output;
+pub mod report;
+mod symmetry;
+
+use serde::Serialize;
+
+pub use change::{Change, swept_volume};
+pub use definitions::{Axis, DEFINITIONS, Definition, FacialFrame, Formula, Missing, TypicalRange};
+pub use error::MeasurementError;
+pub use landmarks::{LANDMARKS, LandmarkDefinition, Landmarks};
+pub use mirror_plane::MirrorPlane;
+pub use output::glossary;
+pub use symmetry::{Asymmetry, Symmetry, SymmetryOptions};
+
+use change::Changes;
+use definitions::evaluate;
+use landmarks::Placed;
+
+use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
+
+/// What is to be measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The face, before if there is an after.
+    pub mesh: &'a PolygonMesh,
+    /// The same vertices after.
+    pub after: Option<&'a [Vec3]>,
+    /// Where the landmarks are. Without any, only the surface is measured.
+    pub landmarks: &'a Landmarks,
+    /// Parts of the face, besides the whole.
+    pub regions: &'a [NamedRegion<'a>],
+}
+
+/// A named set of vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NamedRegion<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its vertices, each once.
+    pub vertices: &'a [u32],
+}
+
+static NO_LANDMARKS: Landmarks = Landmarks::none();
+
+impl<'a> Subject<'a> {
+    /// One shape, without landmarks or regions.
+    #[must_use]
+    pub fn new(mesh: &'a PolygonMesh) -> Self {
+        Self { mesh, after: None, landmarks: &NO_LANDMARKS, regions: &[] }
+    }
+
+    /// Measures everything.
+    ///
+    /// # Errors
+    /// When a mesh is malformed, not finite or without a surface, the numbers of vertices differ, landmarks or regions have vertices
+    /// past the end, or landmarks are given and no measurement has all of its own.
+    pub fn measure(&self) -> Result<Measurements, MeasurementError> {
+        self.check()?;
+        let triangles = self.mesh.triangulate().triangles;
+        let before = Face::new("the mesh", &self.mesh.positions, &triangles, self.landmarks, None)?;
+        let start = before.symmetry.plane;
+        let after = self.after.map(|p| Face::new("the mesh after", p, &triangles, self.landmarks, Some(start)));
+        let after = after.transpose()?;
+        let changes = self.after.map(|after| Changes::new(&self.mesh.positions, after, &triangles));
+
+        let values = DEFINITIONS.iter().enumerate().map(|(k, definition)| {
+            let (value, after) = (&before.values[k], after.as_ref().and_then(|a| a.values[k].as_ref().ok()));
+            Measurement {
+                definition: *definition,
+                before: value.as_ref().ok().copied(),
+                after: after.copied(),
+                missing: value.as_ref().err().cloned(),
+            }
+        });
+        let values: Vec<Measurement> = if self.landmarks.is_empty() { Vec::new() } else { values.collect() };
+        if !values.is_empty() && values.iter().all(|v| v.before.is_none()) {
+            let given = self.landmarks.names().collect::<Vec<_>>().join(", ");
+            return Err(MeasurementError::NothingMeasured { given });
+        }
+        let region = |name: &str, vertices: &[usize]| {
+            let state = |face: &Face| RegionState {
+                area: vertices.iter().map(|v| face.symmetry.areas[*v]).sum(),
+                asymmetry: face.symmetry.of(vertices.iter().copied()),
+            };
+            RegionMeasurement {
+                name: name.to_owned(),
+                vertices: vertices.len(),
+                before: state(&before),
+                after: after.as_ref().map(state),
+                change: changes.as_ref().map(|c| c.of(vertices.iter().copied())),
+            }
+        };
+        let whole: Vec<usize> = (0..self.mesh.positions.len()).collect();
+        let parts =
+            self.regions.iter().map(|r| region(r.name, &r.vertices.iter().map(|v| *v as usize).collect::<Vec<_>>()));
+        let regions = std::iter::once(region(WHOLE, &whole)).chain(parts).collect();
+        Ok(Measurements {
+            version: env!("CARGO_PKG_VERSION"),
+            landmarks: self.landmarks.names().collect(),
+            values,
+            regions,
+            before: before.into_state(),
+            after: after.map(Face::into_state),
+        })
+    }
+
+    fn check(&self) -> Result<(), MeasurementError> {
+        let vertices = self.mesh.positions.len();
+        if let Some(after) = self.after
+            && after.len() != vertices
+        {
+            return Err(MeasurementError::VertexCount {
+                what: "the mesh after",
+                found: after.len(),
+                expected: vertices,
+            });
+        }
+        for (what, positions) in [("the mesh", Some(&self.mesh.positions[..])), ("the mesh after", self.after)] {
+            let odd = positions.unwrap_or(&[]).iter().enumerate().find(|(_, p)| !p.iter().all(|c| c.is_finite()));
+            if let Some((vertex, position)) = odd {
+                let source = MeshError::NotFinite { vertex, position: (*position).into() };
+                return Err(MeasurementError::Mesh { what, source });
+            }
+        }
+        for region in self.regions {
+            if let Some(&vertex) = region.vertices.iter().find(|v| **v as usize >= vertices) {
+                let what = format!("region {:?}", region.name);
+                return Err(MeasurementError::NoSuchVertex { what, vertex, vertices });
+            }
+        }
+        if let Some(&vertex) = self.mesh.corners.iter().find(|v| **v as usize >= vertices) {
+            return Err(MeasurementError::NoSuchVertex { what: "a polygon".to_owned(), vertex, vertices });
+        }
+        Ok(())
+    }
+}
+
+/// Name of the whole surface among the regions.
+pub const WHOLE: &str = "whole";
+
+/// One of the two shapes.
+struct Face {
+    placed: Placed,
+    frame: Option<FacialFrame>,
+    values: Vec<Result<f64, Missing>>,
+    symmetry: Symmetry,
+}
+
+impl Face {
+    fn new(
+        what: &'static str,
+        positions: &[Vec3],
+        triangles: &[[u32; 3]],
+        landmarks: &Landmarks,
+        start: Option<MirrorPlane>,
+    ) -> Result<Self, MeasurementError> {
+        let placed = landmarks.placed(positions)?;
+        let frame = FacialFrame::of(&placed);
+        let mesh = TriangleMesh { positions: positions.to_vec(), triangles: triangles.to_vec() };
+        let start = start.or(frame.map(|f| f.plane));
+        let symmetry = Symmetry::find(&mesh, start, &SymmetryOptions::default(), what)?;
+        let values = evaluate(&placed, frame.as_ref());
+        Ok(Self { placed, frame, values, symmetry })
+    }
+
+    fn into_state(self) -> FaceState {
+        let landmarks = LANDMARKS.iter().zip(self.placed).filter_map(|(l, p)| Some((l.name, p?))).collect();
+        FaceState { frame: self.frame, symmetry: self.symmetry, landmarks }
+    }
+}
+
+/// Everything that was measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurements {
+    /// Version of this library.
+    pub version: &'static str,
+    /// Landmarks that were given.
+    pub landmarks: Vec<&'static str>,
+    /// In the order of [`DEFINITIONS`]; empty without landmarks.
+    pub values: Vec<Measurement>,
+    /// The whole surface, then each region.
+    pub regions: Vec<RegionMeasurement>,
+    /// The first shape.
+    pub before: FaceState,
+    /// The second.
+    pub after: Option<FaceState>,
+}
+
+/// One measurement.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    /// What it is.
+    pub definition: Definition,
+    /// Its value, in the unit of its formula.
+    pub before: Option<f64>,
+    /// The same after.
+    pub after: Option<f64>,
+    /// Why there is none.
+    pub missing: Option<Missing>,
+}
+
+/// What was measured of a region.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RegionMeasurement {
+    /// Its name.
+    pub name: String,
+    /// Number of its vertices.
+    pub vertices: usize,
+    /// Of the first shape.
+    pub before: RegionState,
+    /// Of the second.
+    pub after: Option<RegionState>,
+    /// From one to the other.
+    pub change: Option<Change>,
+}
+
+/// A region of one shape.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RegionState {
+    /// Its area, square millimetres.
+    pub area: f64,
+    /// How far it is from the mirror image of the other side.
+    pub asymmetry: Asymmetry,
+}
+
+/// Axes and symmetry of one shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaceState {
+    /// Axes from the landmarks, if they fix them.
+    pub frame: Option<FacialFrame>,
+    /// Symmetry of the surface.
+    pub symmetry: Symmetry,
+    /// Where the landmarks are.
+    pub landmarks: Vec<(&'static str, Vec3)>,
+}
+
+impl Measurements {
+    /// The value of a measurement before, if it has one.
+    #[must_use]
+    pub fn value(&self, name: &str) -> Option<f64> {
+        self.measurement(name)?.before
+    }
+
+    /// A measurement by its name.
+    #[must_use]
+    pub fn measurement(&self, name: &str) -> Option<&Measurement> {
+        self.values.iter().find(|m| m.definition.name == name)
+    }
+}
