@@ -100,11 +100,14 @@ fn check_presets(face: &Face) {
         for amount in [range[0], recipe.amount, range[1]] {
             let outcome = face.replay(&recipe, ReplayOptions { amount: Some(amount), ..ReplayOptions::default() });
             let report = &outcome.unwrap()[0].report;
-            assert_eq!(report.folded, 0, "{name} {amount}");
+            assert_eq!(report.change.folded, 0, "{name} {amount}");
             let asked = amount.abs();
             approx::assert_relative_eq!(report.asked, asked, max_relative = 0.01);
-            assert!(report.reached > 0.9 * asked && report.reached < 1.01 * asked, "{name} {amount}: {report:?}");
-            assert!(report.stretch.min > 0.3 && report.stretch.max < 2.0, "{name} {amount}: {report:?}");
+            assert!(
+                report.change.reached > 0.9 * asked && report.change.reached < 1.01 * asked,
+                "{name} {amount}: {report:?}"
+            );
+            assert!(report.change.stretch.min > 0.3 && report.change.stretch.max < 2.0, "{name} {amount}: {report:?}");
         }
     }
 }

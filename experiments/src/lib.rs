@@ -17,6 +17,7 @@ pub mod scan_bench_command;
 pub mod schedule_search;
 pub mod solver_case;
 pub mod start_bench;
+pub mod surgery;
 pub mod tables;
 
 /// The file of this program, whose processes measure what needs one of its own.

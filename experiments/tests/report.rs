@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use experiments::report::claims::{self, Bound, CLAIMS, Judged, Measured, Pick, Verdict};
+use experiments::report::claims::{self, Bound, Claim, Judged, Measured, PAPERS, Pick, Verdict};
 use experiments::report::effort::Effort;
 use experiments::report::table::{Table, number};
 use experiments::report::{Options, run};
@@ -45,6 +45,10 @@ fn tiny() -> Effort {
         solver_nodes: vec![50, 100],
         solver_repeats: 1,
     }
+}
+
+fn claims_of_all() -> impl Iterator<Item = &'static Claim> {
+    PAPERS.iter().flat_map(|paper| paper.claims)
 }
 
 fn program() -> &'static Path {
@@ -88,9 +92,20 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
     let folder = tempfile::tempdir().unwrap();
     let (verdicts, log) = report(folder.path(), 2, &[]);
     let page = fs::read_to_string(folder.path().join("index.html")).unwrap();
-    for study in
-        ["inputs", "extreme", "shapes", "convergence", "comparison", "sweeps", "resolution", "ablations", "solver"]
-    {
+    for study in [
+        "inputs",
+        "extreme",
+        "shapes",
+        "convergence",
+        "comparison",
+        "sweeps",
+        "resolution",
+        "ablations",
+        "solver",
+        "masks",
+        "presets",
+        "mask-models",
+    ] {
         assert!(page.contains(&format!("<h2 id=\"{study}\">")), "{study}");
     }
     // One page with everything in it.
@@ -108,11 +123,13 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
     let open: Vec<&str> =
         verdicts.iter().filter(|j| j.verdict == Verdict::NotMeasured).map(|j| j.claim.quote).collect();
     assert_eq!(open.len(), 2, "{open:#?}");
-    assert!(fs::read_to_string(folder.path().join("claims.csv")).unwrap().lines().count() == CLAIMS.len() + 1);
+    assert!(
+        fs::read_to_string(folder.path().join("claims.csv")).unwrap().lines().count() == claims_of_all().count() + 1
+    );
 
     // Verdicts rest on this run's tables alone.
     let tables: Vec<&str> =
-        CLAIMS.iter().flat_map(|c| c.rules).flat_map(|r| [Some(r.value), r.over]).flatten().map(|p| p.csv).collect();
+        claims_of_all().flat_map(|c| c.rules).flat_map(|r| [Some(r.value), r.over]).flatten().map(|p| p.csv).collect();
     let measured = Measured { folder: folder.path(), tables: &tables };
     let none = claims::judge_all(Measured { tables: &[], ..measured }).unwrap();
     assert!(none.iter().all(|j| j.verdict == Verdict::NotMeasured));
@@ -127,7 +144,7 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
                     _ => 1e-6,
                 };
                 scale(&file, &rule.value, wanted);
-                let after = claims::judge(judged.claim, measured).unwrap();
+                let after = claims::judge(judged.paper, judged.claim, measured).unwrap();
                 assert_eq!(
                     !after.numbers[k].ends_with("(missed)"),
                     holds,
@@ -139,7 +156,7 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
                 fs::write(&file, &before).unwrap();
             }
         }
-        let again = claims::judge(judged.claim, measured).unwrap();
+        let again = claims::judge(judged.paper, judged.claim, measured).unwrap();
         assert_eq!((again.verdict, &again.numbers), (judged.verdict, &judged.numbers));
     }
 }

@@ -236,11 +236,11 @@ fn line(number: usize, outcome: &StepOutcome) -> String {
         if r.step.is_empty() { "step" } else { &r.step },
         r.model.name(),
         r.moving,
-        r.reached,
+        r.change.reached,
         r.asked,
-        r.largest_jump,
-        r.folded,
-        r.stretch.min,
-        r.stretch.max,
+        r.change.largest_jump,
+        r.change.folded,
+        r.change.stretch.min,
+        r.change.stretch.max,
     )
 }

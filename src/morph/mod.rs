@@ -29,6 +29,7 @@
 //! ```
 
 mod blur;
+mod change;
 mod direct;
 mod energy;
 mod error;
@@ -43,6 +44,7 @@ mod texture;
 mod weights;
 
 pub use blur::{Blur, BlurKind, Border, MAX_KERNEL};
+pub use change::MorphChange;
 pub use direct::{DEFAULT_THRESHOLD, MaskedDisplacement, MorphStep};
 pub use energy::{Constraints, EnergyOptions, EnergyReport, MorphEnergy, MorphModel, PIN_TOLERANCE, PlacedPoint};
 pub use error::{MorphError, NO_LANDMARKS};

@@ -113,6 +113,16 @@ impl Projector {
         Self::new(&Matrix4::identity(), &view, &clip)
     }
 
+    /// The projector of a picture's camera: a mask drawn on the picture, `size` pixels wide and high, falls where it is seen.
+    ///
+    /// # Errors
+    /// As [`Self::look`].
+    pub fn of_camera(camera: &render::Camera, size: [u32; 2]) -> Result<Self, MorphError> {
+        let [_, up, back] = camera.axes();
+        let aspect = f64::from(size[0]) / f64::from(size[1]);
+        Self::look(camera.eye(), camera.eye() - back, up, camera.projection(), aspect)
+    }
+
     /// The parallel projection along -z of a frame, given by its unit axes and origin, onto the box from `low` to `high` in its x
     /// and y: the texture that [`Coordinates::Box`](super::Coordinates::Box) of the same corners covers.
     ///

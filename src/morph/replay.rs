@@ -4,12 +4,10 @@ use serde::Serialize;
 use toml::Spanned;
 
 use super::{
-    Constraints, Coordinates, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec, MaskedDisplacement, MorphEnergy,
-    MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector, Recipe, RecipeError, RecipeStep, Texture,
-    ViewSpec, Weights, uv_weights,
+    Constraints, Coordinates, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec, MaskedDisplacement, MorphChange,
+    MorphEnergy, MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector, Recipe, RecipeError, RecipeStep,
+    Texture, ViewSpec, Weights, uv_weights,
 };
-use crate::evaluation::{EdgeStretch, flipped_triangles};
-use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::TemplatePoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::render::Projection;
@@ -61,14 +59,9 @@ pub struct StepReport {
     pub moving: usize,
     /// Longest displacement that a mask asks for, millimetres.
     pub asked: f64,
-    /// Longest displacement of a vertex, millimetres.
-    pub reached: f64,
-    /// Largest difference of the displacements of an edge's ends, millimetres: how smooth the morph is.
-    pub largest_jump: f64,
-    /// Triangles whose normal turned by more than 90 degrees.
-    pub folded: usize,
-    /// How much the edges were stretched.
-    pub stretch: EdgeStretch,
+    /// What it did to the mesh.
+    #[serde(flatten)]
+    pub change: MorphChange,
     /// Of models with an energy.
     pub energy: Option<EnergyReport>,
 }
@@ -190,23 +183,15 @@ impl Stage<'_> {
         positions: &[Vec3],
         energy: Option<EnergyReport>,
     ) -> Result<StepReport, MorphError> {
-        let rest = &self.mesh.positions;
-        let moved = |v: u32| positions[v as usize] - rest[v as usize];
-        let edges = EdgeGraph::from_polygons(self.mesh);
-        let jumps = edges.edges().iter().map(|e| (moved(e[0]) - moved(e[1])).norm());
+        let vertices = self.mesh.positions.len();
         let free = |v: usize| constraints.free.iter().any(|w| w.values()[v] > morph.threshold);
-        let moves = morph.moves(rest.len())?;
-        let stretch = EdgeStretch::new(self.mesh, positions).map_err(|e| MorphError::Evaluation(e.to_string()))?;
-        let folded = flipped_triangles(rest, positions, &self.triangles.triangles);
+        let moves = morph.moves(vertices)?;
         Ok(StepReport {
             step: self.step.get_ref().name.clone(),
             model,
-            moving: (0..rest.len()).filter(|v| moves[*v] || free(*v)).count(),
+            moving: (0..vertices).filter(|v| moves[*v] || free(*v)).count(),
             asked: morph.pairs.iter().map(|pair| pair.displacement.norm()).fold(0.0, f64::max),
-            reached: (0..rest.len() as u32).map(|v| moved(v).norm()).fold(0.0, f64::max),
-            largest_jump: jumps.fold(0.0, f64::max),
-            folded: folded.map_err(|e| MorphError::Evaluation(e.to_string()))?,
-            stretch,
+            change: MorphChange::of(self.mesh, positions)?,
             energy,
         })
     }

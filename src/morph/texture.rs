@@ -4,7 +4,7 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageFormat, RgbImage};
+use image::{ExtendedColorType, ImageEncoder, ImageFormat, Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
 
 use super::MorphError;
@@ -183,6 +183,14 @@ impl Texture {
                 (a + t * (b - a)).clamp(0.0, 1.0)
             }
         }
+    }
+
+    /// The texture as a picture, rounded to 8 bits.
+    #[must_use]
+    pub fn picture(&self) -> RgbImage {
+        RgbImage::from_fn(self.width as u32, self.height as u32, |x, y| {
+            Rgb([(255.0 * self.grey[y as usize * self.width + x as usize]).round() as u8; 3])
+        })
     }
 
     /// The mask laid over a picture in a colour, equation (4): `C_r = C_d (1 - G) + C_s G` on the picture's stored values, as the

@@ -175,6 +175,18 @@ impl Camera {
         self.eye
     }
 
+    /// Unit vectors to the right, upwards and towards the viewer.
+    #[must_use]
+    pub fn axes(&self) -> [Vec3; 3] {
+        [self.right, self.up, self.back]
+    }
+
+    /// How depth maps to size.
+    #[must_use]
+    pub fn projection(&self) -> Projection {
+        self.projection
+    }
+
     /// A direction given in camera axes (right, up, towards the viewer), in scene axes.
     pub(super) fn to_world(self, v: Vec3) -> Vec3 {
         self.right * v.x + self.up * v.y + self.back * v.z

@@ -1,4 +1,4 @@
-//! What the paper claims, sentence by sentence, and whether the tables bear it out.
+//! What the papers claim, sentence by sentence, and whether the tables bear it out.
 //!
 //! Each claim has rules: a number taken from a table that a study wrote, alone or over another, and a bound. A claim holds
 //! when all of its rules do. The numbers are read from the CSV files, so whoever doubts a verdict can look at the rows.
@@ -9,11 +9,23 @@ use anyhow::{Context, Result, bail};
 
 use super::table::{Table, number};
 
-mod list;
+mod klimov;
+mod li;
 
-pub use list::CLAIMS;
+/// A paper, and every claim of it that can be measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Paper {
+    /// Author and year.
+    pub name: &'static str,
+    /// The claims, in its order.
+    pub claims: &'static [Claim],
+}
 
-/// A sentence of the paper.
+/// Both papers.
+pub const PAPERS: [Paper; 2] =
+    [Paper { name: "Klimov 2020", claims: klimov::KLIMOV }, Paper { name: "Li 2018", claims: li::LI }];
+
+/// A sentence of a paper.
 #[derive(Debug, Clone, Copy)]
 pub struct Claim {
     /// The sentence, in English.
@@ -100,6 +112,8 @@ impl Verdict {
 /// A claim with its numbers.
 #[derive(Debug, Clone)]
 pub struct Judged {
+    /// Name of the paper.
+    pub paper: &'static str,
     /// The claim.
     pub claim: &'static Claim,
     /// How it came out.
@@ -124,18 +138,20 @@ pub struct Measured<'a> {
 /// # Errors
 /// When a table is there but is not one, or lacks a column.
 pub fn judge_all(by: Measured<'_>) -> Result<Vec<Judged>> {
-    CLAIMS.iter().map(|claim| judge(claim, by).with_context(|| format!("claim {:?}", claim.quote))).collect()
+    let claims = PAPERS.iter().flat_map(|paper| paper.claims.iter().map(|claim| (paper.name, claim)));
+    claims.map(|(paper, claim)| judge(paper, claim, by).with_context(|| format!("claim {:?}", claim.quote))).collect()
 }
 
 /// Judges one claim.
 ///
 /// # Errors
 /// When a table is there but is not one, or lacks a column.
-pub fn judge(claim: &'static Claim, by: Measured<'_>) -> Result<Judged> {
+pub fn judge(paper: &'static str, claim: &'static Claim, by: Measured<'_>) -> Result<Judged> {
     let (mut numbers, mut places, mut verdict) = (Vec::new(), Vec::new(), Verdict::Holds);
     for rule in claim.rules {
         let Some(measured) = rule.measure(by)? else {
-            return Ok(Judged { claim, verdict: Verdict::NotMeasured, numbers: Vec::new(), places: Vec::new() });
+            let (verdict, numbers, places) = (Verdict::NotMeasured, Vec::new(), Vec::new());
+            return Ok(Judged { paper, claim, verdict, numbers, places });
         };
         if !rule.is.admits(measured.number) {
             verdict = Verdict::Fails;
@@ -148,16 +164,16 @@ pub fn judge(claim: &'static Claim, by: Measured<'_>) -> Result<Judged> {
         numbers.push(format!("{} {sign} {bound}{missed}", three_digits(measured.number)));
         places.push(measured.place);
     }
-    Ok(Judged { claim, verdict, numbers, places })
+    Ok(Judged { paper, claim, verdict, numbers, places })
 }
 
 /// The verdicts as a table.
 #[must_use]
 pub fn table(judged: &[Judged]) -> Table {
-    let mut table = Table::new(&["claim", "section", "rule", "verdict", "numbers", "rows", "remark"]);
+    let mut table = Table::new(&["paper", "claim", "section", "rule", "verdict", "numbers", "rows", "remark"]);
     for j in judged {
         let Claim { quote, section, rule, remark, .. } = j.claim;
-        let texts = [quote, section, rule, j.verdict.name()].map(str::to_owned);
+        let texts = [j.paper, quote, section, rule, j.verdict.name()].map(str::to_owned);
         let mut row = texts.to_vec();
         row.extend([j.numbers.join("; "), j.places.join("; "), (*remark).to_owned()]);
         table.push(row);

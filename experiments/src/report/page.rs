@@ -8,7 +8,7 @@ use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::page::{self, escaped};
 
-use super::claims::{Judged, Verdict};
+use super::claims::{Judged, PAPERS, Verdict};
 use super::study::{Block, Section, Study};
 
 /// Where a study stands.
@@ -55,9 +55,10 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
     write!(
         out,
-        "<h1>A hybrid deformation model, measured</h1>\n\
-         <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020: its \
-         figures and its claims, on data whose truth is known. {}</p>\n\
+        "<h1>Two papers, measured</h1>\n\
+         <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020, and \
+         J. Li et al., <i>Mesh morphing process for facial plastic surgery simulation</i>, 2018: their figures and their claims, on data \
+         whose truth is known. {}</p>\n\
          <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, {open} are not \
          measured{}.</p>\n<nav>",
         escaped(page.about),
@@ -82,13 +83,17 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
             }
         }
     }
-    out.push_str("<h2 id=\"claims\">What the paper claims</h2>\n");
-    write_claims(&mut out, page.verdicts)?;
+    out.push_str("<h2 id=\"claims\">What the papers claim</h2>\n");
+    for paper in PAPERS {
+        let of_paper: Vec<&Judged> = page.verdicts.iter().filter(|j| j.paper == paper.name).collect();
+        write!(out, "<h3>{}</h3>\n", paper.name)?;
+        write_claims(&mut out, &of_paper)?;
+    }
     out.push_str(
         "<p class=\"about\">Every number is in a CSV and a JSON file beside this page; <code>manifest.json</code> has version, \
          command, configuration, seed and hashes of the inputs, <code>machine.json</code> processor, threads and times.</p>\n",
     );
-    Ok(page::document("nonrigid: Klimov 2020, measured", STYLE, &out))
+    Ok(page::document("nonrigid: two papers, measured", STYLE, &out))
 }
 
 fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
@@ -113,7 +118,7 @@ fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
     Ok(())
 }
 
-fn write_claims(out: &mut String, verdicts: &[Judged]) -> Result<()> {
+fn write_claims(out: &mut String, verdicts: &[&Judged]) -> Result<()> {
     out.push_str(
         "<div class=\"wide\"><table class=\"text\"><caption>One row for each sentence that claims something. A claim holds when \
          every number of its rule does. The same in <code>claims.csv</code>.</caption>\

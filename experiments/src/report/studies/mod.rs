@@ -5,6 +5,9 @@ mod comparison;
 mod convergence;
 mod extreme;
 mod inputs;
+mod mask_models;
+mod masks;
+mod presets;
 mod real;
 mod resolution;
 mod shapes;
@@ -25,6 +28,9 @@ pub const STUDIES: &[Study] = &[
     ablations::STUDY,
     real::STUDY,
     solver::STUDY,
+    masks::STUDY,
+    presets::STUDY,
+    mask_models::STUDY,
 ];
 
 /// The study that needs scans of the user's.

@@ -1,12 +1,12 @@
-//! The claims themselves, in the order of the paper.
+//! Klimov's claims, in the order of the paper.
 
 use super::Bound::{AtLeast, AtMost};
 use super::Take::{First, Last, Mean, Variation};
 use super::{Claim, Pick, Rule, Take};
 
-type Rows = &'static [(&'static str, &'static str)];
+pub(super) type Rows = &'static [(&'static str, &'static str)];
 
-const fn pick(csv: &'static str, rows: Rows, column: &'static str, take: Take) -> Pick {
+pub(super) const fn pick(csv: &'static str, rows: Rows, column: &'static str, take: Take) -> Pick {
     Pick { csv, rows, column, take }
 }
 
@@ -15,11 +15,11 @@ const fn rmse(csv: &'static str, rows: Rows) -> Pick {
     pick(csv, rows, "rmse", Mean)
 }
 
-const fn ratio(value: Pick, over: Pick, is: super::Bound) -> Rule {
+pub(super) const fn ratio(value: Pick, over: Pick, is: super::Bound) -> Rule {
     Rule { value, over: Some(over), is }
 }
 
-const fn alone(value: Pick, is: super::Bound) -> Rule {
+pub(super) const fn alone(value: Pick, is: super::Bound) -> Rule {
     Rule { value, over: None, is }
 }
 
@@ -31,7 +31,7 @@ const PAPER: Rows = &[("differentiation", "paper"), ("quantity", "seconds")];
 const OURS: Rows = &[("differentiation", "ours"), ("quantity", "seconds")];
 
 /// Every sentence of the paper that claims something which can be measured.
-pub const CLAIMS: &[Claim] = &[
+pub const KLIMOV: &[Claim] = &[
     Claim {
         quote: "[The modified algorithm provides for] the highly accurate registration of 3D models which differ greatly.",
         section: "Abstract",

@@ -1,0 +1,65 @@
+//! Faces with the 68 landmarks that presets need.
+
+use anyhow::{Result, bail};
+use nonrigid::mesh::io::TemplatePoint;
+use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, Subject, replay};
+use nonrigid::rig::{Regions, Rig, ShapeBasis};
+
+use crate::scan_bench::BenchRig;
+
+/// A face with its 68 landmarks.
+#[derive(Clone)]
+pub struct Patient {
+    /// Name in tables.
+    pub name: String,
+    /// The face.
+    pub mesh: PolygonMesh,
+    /// By number.
+    pub landmarks: Vec<(String, TemplatePoint)>,
+    /// For models that use them.
+    pub shapes: ShapeBasis,
+    regions: Regions,
+}
+
+impl Patient {
+    /// A mesh with the polygons of a rig.
+    ///
+    /// # Errors
+    /// When the rig has no 68 landmarks.
+    pub fn new(name: impl Into<String>, mesh: PolygonMesh, rig: &Rig, shapes: ShapeBasis) -> Result<Self> {
+        let Some(landmarks) = rig.landmarks().filter(|l| l.len() == 68) else {
+            bail!("the rig has no landmarks_multipie68.json: presets need the 68 landmarks");
+        };
+        let landmarks = landmarks.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect();
+        Ok(Self { name: name.into(), regions: Regions::of_groups(&mesh), mesh, landmarks, shapes })
+    }
+
+    /// The same face elsewhere, or otherwise.
+    #[must_use]
+    pub fn standing_at(&self, positions: &[Vec3]) -> Self {
+        Self { mesh: self.mesh.with_positions(positions.to_vec()), ..self.clone() }
+    }
+
+    /// Follows a recipe of one step.
+    ///
+    /// # Errors
+    /// As [`replay`].
+    pub fn morph(&self, recipe: &Recipe, options: &ReplayOptions) -> Result<StepOutcome> {
+        let Self { mesh, landmarks, regions, shapes, .. } = self;
+        let mut outcomes = replay(recipe, &Subject { mesh, landmarks, regions, shapes }, options)?;
+        match (outcomes.pop(), outcomes.is_empty()) {
+            (Some(outcome), true) => Ok(outcome),
+            _ => bail!("a recipe of one step"),
+        }
+    }
+}
+
+/// Places of the 68 landmarks on a rig's template.
+///
+/// # Errors
+/// When the rig has none.
+pub fn landmarks68(rig: &BenchRig) -> Result<Vec<Vec3>> {
+    let patient = Patient::new("", rig.template().clone(), rig.rig(), ShapeBasis::none())?;
+    Ok(patient.landmarks.iter().map(|(_, point)| point.position(&patient.mesh.positions)).collect())
+}
