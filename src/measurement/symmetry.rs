@@ -87,8 +87,7 @@ impl Symmetry {
     ) -> Result<Self, MeasurementError> {
         let surface = ClosestPoint::new(mesh).map_err(|source| MeasurementError::Mesh { what, source })?;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-        // Written so that NaN fails.
-        if !(areas.iter().sum::<f64>() > 0.0) {
+        if areas.iter().sum::<f64>() <= 0.0 {
             return Err(MeasurementError::NoSurface(what));
         }
         let search = Search {
