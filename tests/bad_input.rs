@@ -47,6 +47,16 @@ const EVAL: &[(&str, &str)] = &[
     ("--observed", "case/observed.npy"),
     ("--heatmap", "OUT/h.png"),
 ];
+const MEASURE: &[(&str, &str)] = &[
+    ("--mesh", "rig/template.obj"),
+    ("--after", "case/truth.npy"),
+    ("--landmarks", "rig/landmarks_anthropometric.json"),
+    ("--rig", "rig"),
+    ("--mask", "ones.npy"),
+    ("--json", "OUT/m.json"),
+    ("--csv", "OUT/m.csv"),
+    ("--report", "OUT/page"),
+];
 const RIG_PCA: &[(&str, &str)] = &[("--meshes", "people"), ("--components", "2"), ("--out", "OUT/people_rig")];
 
 /// The command line of a row: `changes` are options with other values, or with `-` to leave them out.
@@ -54,6 +64,7 @@ fn command_line(command: &str, changes: &str) -> String {
     let mut options: Vec<(String, String)> = match command {
         "register" => REGISTER,
         "eval" => EVAL,
+        "measure" => MEASURE,
         "rig pca" => RIG_PCA,
         _ => return format!("{command} {changes}"),
     }
@@ -106,7 +117,7 @@ fn check(bench: &Bench, &(command, changes, code, words): &Row) {
 fn broken() -> Bench {
     let bench = Bench::new();
     bench.write("new/.keep", "");
-    for name in ["r.obj", "r.json", "r.timing.json", "r.png", "h.png"] {
+    for name in ["r.obj", "r.json", "r.timing.json", "r.png", "h.png", "m.json", "m.csv"] {
         bench.write(&format!("old/{name}"), "from last week");
     }
     bench.write("schedule.toml", SCHEDULE);
@@ -154,6 +165,19 @@ fn broken() -> Bench {
     bench.write("nan.json", "{\"1\": [1, 2, 3], \"2\": [1, NaN, 3], \"5\": [0, 0, 1.5]}");
     bench.write("huge.json", "{\"1\": [1, 2, 3], \"2\": [1, 1e999, 3], \"5\": [0, 0, 1.5]}");
     bench.write("named.json", "{\"nose_tip\": [1.5, 2, 3], \"chin\": [0, -9.5, 1], \"wart\": [2, 0, 1.5]}");
+    bench.write("nosion.json", "{\"nasion\": 1, \"nosion\": 2}");
+    bench.write("few_numbers.json", "[1, 2, 3]");
+    bench.write("both_names.json", "{\"menton\": 1, \"gnathion\": 2}");
+    bench.write("hairline.json", "{\"trichion\": 1}");
+    bench.write("past_nasion.json", "{\"nasion\": 99999, \"menton\": 5}");
+    bench.write("past_of_rig.json", "{\"nose\": [1, 99999]}");
+    bench.write("no_landmarks.json", "{}");
+    let shuffled = bench.rig.mesh.corners.iter().rev().copied().collect();
+    write_obj(
+        &bench.path("shuffled.obj"),
+        &PolygonMesh { corners: shuffled, metadata: Default::default(), ..bench.rig.mesh.clone() },
+    )
+    .unwrap();
     bench.write("wrap.json", "{\"nose_tip\": [999999, 0.2, 0.3]}");
     bench.write("vertices.json", "{\"nose_tip\": 99999, \"chin\": 3, \"wart\": 5}");
 
@@ -448,6 +472,42 @@ const ROWS: &[Row] = &[
     ("eval", "--truth - --observed - --target cloud.ply", LOADING, &["cloud.ply", "nx, ny, nz"]),
     ("eval", "--heatmap OUT/h.bmp", ARGUMENTS, &["h.bmp", ".png"]),
     ("eval", "--heatmap nowhere/h.png", WRITING, &["nowhere/h.png", "no folder"]),
+    // measure
+    ("measure", "--mesh missing.obj", LOADING, &["missing.obj"]),
+    ("measure", "--mesh empty.obj", LOADING, &["empty.obj", "vertices"]),
+    ("measure", "--mesh nan.obj", LOADING, &["nan.obj", "line 2", "finite"]),
+    ("measure", "--mesh points.obj --after - --rig - --mask - --landmarks hairline.json", LOADING, &["the mesh has no faces"]),
+    ("measure", "--mesh one_point.obj --after - --rig - --mask - --landmarks hairline.json", LOADING, &["the mesh has no faces, or none with an area"]),
+    ("measure", "--mesh -", ARGUMENTS, &["--mesh"]),
+    ("measure", "--after missing.npy", LOADING, &["missing.npy"]),
+    ("measure", "--after short.npy", LOADING, &["short.npy", "the mesh before has", "correspond"]),
+    ("measure", "--after triangle.obj", LOADING, &["triangle.obj: 3 vertices", "correspond"]),
+    ("measure", "--after shuffled.obj", LOADING, &["shuffled.obj", "polygons"]),
+    ("measure", "--after nan.npy", LOADING, &["nan.npy", "point 7", "finite"]),
+    ("measure", "--after flat.npy", LOADING, &["flat.npy", "N x 3"]),
+    ("measure", "--landmarks missing.json", LOADING, &["missing.json"]),
+    ("measure", "--landmarks garbage.json", LOADING, &["garbage.json", "line 1"]),
+    ("measure", "--landmarks nosion.json", LOADING, &["nosion.json", "\"nosion\"", "known are trichion, glabella"]),
+    ("measure", "--landmarks rig/landmarks.json", LOADING, &["rig/landmarks.json", "no landmark \"brow_L1\""]),
+    ("measure", "--landmarks few_numbers.json", LOADING, &["few_numbers.json", "found 3", "all 68"]),
+    ("measure", "--landmarks both_names.json", LOADING, &["both_names.json", "menton", "gnathion"]),
+    ("measure", "--landmarks past_nasion.json", LOADING, &["past_nasion.json", "nasion", "99999"]),
+    ("measure", "--landmarks hairline.json", LOADING, &["nothing can be measured", "only trichion"]),
+    ("measure", "--landmarks no_landmarks.json", LOADING, &["no_landmarks.json", "no landmarks"]),
+    ("measure", "--landmarks -", ARGUMENTS, &["--landmarks"]),
+    ("measure", "--rig - --regions past_of_rig.json", LOADING, &["past_of_rig.json", "\"nose\"", "99999"]),
+    ("measure", "--rig - --regions missing.json", LOADING, &["missing.json"]),
+    ("measure", "--regions past_of_rig.json", ARGUMENTS, &["--regions", "--rig"]),
+    ("measure", "--rig missing", LOADING, &["missing/regions.json"]),
+    ("measure", "--mask short_mask.npy", LOADING, &["short_mask.npy"]),
+    ("measure", "--mask large_mask.npy", LOADING, &["large_mask.npy", "1.5", "from 0 to 1"]),
+    ("measure", "--report -", ARGUMENTS, &["--report"]),
+    ("measure", "--json OUT/m.txt", ARGUMENTS, &["m.txt", ".json"]),
+    ("measure", "--csv OUT/m.json", ARGUMENTS, &["m.json", ".csv"]),
+    ("measure", "--json nowhere/m.json", WRITING, &["nowhere/m.json", "no folder"]),
+    ("measure", "--report schedule.toml", WRITING, &["schedule.toml", "not a folder"]),
+    ("measure", "--report nowhere/page", WRITING, &["nowhere/page", "no folder"]),
+    ("measure", "--threads 0", ARGUMENTS, &["--threads", "0"]),
     // rig info
     ("rig info", "missing", LOADING, &["missing"]),
     ("rig info", "nothing", LOADING, &["nothing", "neutral"]),
@@ -491,12 +551,12 @@ const ROWS: &[Row] = &[
 #[test]
 fn the_rows_would_work_without_their_changes() {
     let bench = broken();
-    for command in ["register", "eval", "rig pca"] {
+    for command in ["register", "eval", "measure", "rig pca"] {
         bench.done(&command_line(command, "").replace("OUT", "new"));
     }
     assert_eq!(
         files_in(&bench.path("new")),
-        [".keep", "h.png", "people_rig", "r.json", "r.obj", "r.png", "r.timing.json"]
+        [".keep", "h.png", "m.csv", "m.json", "page", "people_rig", "r.json", "r.obj", "r.png", "r.timing.json"]
     );
 }
 

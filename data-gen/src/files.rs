@@ -5,7 +5,7 @@
 //! | `template.obj`, `face.mtl`, `neutral.npy` (V, 3) | `scan.ply` |
 //! | `expression_deltas.npy` (K, V, 3), `expression_names.json` | `truth.npy` (V, 3), `observed.npy` (V) |
 //! | `identity_deltas.npy`, `identity_names.json` | `landmarks.json`: template vertex -> point of the scan |
-//! | `landmarks_multipie68.json`: 68 vertices; `landmarks.json`: name -> vertex | `case.json`: what a fit may use, and what was drawn |
+//! | `landmarks_multipie68.json`: 68 vertices; `landmarks.json`: name -> vertex; `landmarks_anthropometric.json`: the names of `nonrigid measure` -> vertex | `case.json`: what a fit may use, and what was drawn |
 //! | `regions.json`: name -> vertices; `eyeballs.json`: spheres | `neutral.npy` (V, 3), where the subject's own neutral is known |
 //!
 //! Arrays hold 32 bits, coordinates in text files all digits. Every file is written whole or not at all.
@@ -73,8 +73,10 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
     let names: Vec<String> = (0..rig.identities.len()).map(|k| format!("identity{k:03}")).collect();
     let deltas: Vec<&[Vec3]> = rig.identities.iter().map(Vec::as_slice).collect();
     write_shapes(folder, "identity", &names, &deltas)?;
-    let landmarks: Map<String, Value> = rig.landmarks.iter().map(|l| (l.name.clone(), l.vertex.into())).collect();
-    write_json(&folder.join("landmarks.json"), &landmarks.into())?;
+    for (file, landmarks) in [("landmarks", &rig.landmarks), ("landmarks_anthropometric", &rig.anthropometric)] {
+        let named: Map<String, Value> = landmarks.iter().map(|l| (l.name.clone(), l.vertex.into())).collect();
+        write_json(&folder.join(format!("{file}.json")), &named.into())?;
+    }
     let landmarks: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
     write_json(&folder.join("landmarks_multipie68.json"), &json!(landmarks))?;
     let regions: Map<String, Value> =

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
 use rayon::prelude::*;
 
-use crate::face::{Eyeball, FaceModel, FaceWeights, Flat, LANDMARKS, Layout, REGIONS, Site, region, site};
+use crate::face::{
+    ANTHROPOMETRIC, Eyeball, FaceModel, FaceWeights, Flat, LANDMARKS, Layout, REGIONS, Site, region, site,
+};
 
 /// How the face is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,6 +47,8 @@ pub struct FaceRig {
     pub identities: Vec<Vec<Vec3>>,
     /// The 68 Multi-PIE/iBUG landmarks in their order.
     pub landmarks: Vec<Landmark>,
+    /// The landmarks that `nonrigid measure` knows: midline, left ones, right ones. Vertices on the two sides mirror each other.
+    pub anthropometric: Vec<Landmark>,
     /// Name and vertices of each region; every vertex belongs to one.
     pub regions: Vec<(String, Vec<u32>)>,
     /// Place of each vertex on the flat face.
@@ -71,8 +75,18 @@ impl FaceRig {
             regions[*r].1.push(v as u32);
         }
         let mesh = template(&places, &neutral, quads, &model);
-        let landmarks = landmarks(&places);
-        Self { mesh, neutral, expressions, identities, landmarks, regions, places, model: Arc::new(model) }
+        let (landmarks, anthropometric) = (landmarks(&places), anthropometric(&places));
+        Self {
+            mesh,
+            neutral,
+            expressions,
+            identities,
+            landmarks,
+            anthropometric,
+            regions,
+            places,
+            model: Arc::new(model),
+        }
     }
 
     /// The template's vertices at these weights; missing weights are 0 and superfluous ones are ignored.
@@ -149,6 +163,26 @@ fn landmarks(places: &[Flat]) -> Vec<Landmark> {
         .collect()
 }
 
+/// The vertex nearest to each landmark of anthropometry, and the one on the right to each on the left.
+fn anthropometric(places: &[Flat]) -> Vec<Landmark> {
+    let nearest = |[x, y]: Flat, midline: bool| {
+        let off = |v: &usize| (places[*v][0] - x).powi(2) + (places[*v][1] - y).powi(2);
+        let possible = (0..places.len()).filter(|v| !midline || places[*v][0] == 0.0);
+        possible.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
+    };
+    let landmark = |name: String, vertex: usize| Landmark { name, vertex: vertex as u32 };
+    let named =
+        ANTHROPOMETRIC.map(|(name, mark)| landmark(name.to_owned(), nearest(mark.flat(), !name.ends_with("_left"))));
+    let right: Vec<Landmark> = named
+        .iter()
+        .filter_map(|left| {
+            let [x, y] = places[left.vertex as usize];
+            Some(landmark(format!("{}_right", left.name.strip_suffix("_left")?), nearest([-x, y], false)))
+        })
+        .collect();
+    named.into_iter().chain(right).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,6 +224,16 @@ mod tests {
         let twin = |p: &Vec3| Vec3::new(-p.x, p.y, p.z);
         let nearest = |p: Vec3| rig.neutral.iter().map(|q| (p - q).norm()).fold(f64::INFINITY, f64::min);
         assert!(rig.neutral.iter().all(|p| nearest(twin(p)) < 1e-9));
+        let at =
+            |name: &str| rig.anthropometric.iter().find(|l| l.name == name).map(|l| rig.neutral[l.vertex as usize]);
+        assert_eq!(rig.anthropometric.len(), 25);
+        for landmark in &rig.anthropometric {
+            let place = at(&landmark.name).unwrap();
+            match landmark.name.strip_suffix("_left") {
+                Some(stem) => assert!((at(&format!("{stem}_right")).unwrap() - twin(&place)).norm() < 1e-9, "{stem}"),
+                None => assert!(landmark.name.ends_with("_right") || place.x == 0.0, "{}", landmark.name),
+            }
+        }
     }
 
     #[test]

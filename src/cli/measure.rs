@@ -9,7 +9,7 @@ use super::inputs::read_mask;
 use super::{Failure, check_output, check_output_folder, on_threads, say};
 use crate::measurement::{Landmarks, MeasurementError, NamedRegion, Subject, glossary, report};
 use crate::mesh::io::{self, write_atomically};
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
 use crate::rig::Regions;
 
 /// Arguments of `nonrigid measure`.
@@ -27,6 +27,10 @@ pub struct Arguments {
     /// The same vertices after (.obj, .ply or .npy N x 3)
     #[arg(long, value_name = "FILE")]
     after: Option<PathBuf>,
+    /// Move the face after onto the one before first, by the rigid motion that fits all vertices best; else displacements and
+    /// volumes are also those of the head's motion
+    #[arg(long, requires = "after")]
+    align: bool,
     /// Landmarks on the mesh (.json), once or more; names stand before numbers, later files before earlier ones
     #[arg(long, value_name = "FILE", required_unless_present = "list")]
     landmarks: Vec<PathBuf>,
@@ -70,7 +74,12 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.report.as_deref().map_or(Ok(()), check_output_folder)?;
     let mesh = io::read_polygon_mesh(before).map_err(Failure::loading)?;
     let vertices = mesh.positions.len();
-    let after = a.after.as_deref().map(|path| read_after(path, &mesh)).transpose()?;
+    let mut after = a.after.as_deref().map(|path| read_after(path, &mesh)).transpose()?;
+    if let Some(after) = after.as_mut().filter(|_| a.align) {
+        let pairs: Vec<(Vec3, Vec3)> = after.iter().copied().zip(mesh.positions.iter().copied()).collect();
+        let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;
+        after.iter_mut().for_each(|p| *p = pose.apply(*p));
+    }
     let landmarks = Landmarks::read(&a.landmarks, &mesh).map_err(Failure::loading)?;
     if landmarks.is_empty() {
         let names: Vec<String> = a.landmarks.iter().map(|p| p.display().to_string()).collect();

@@ -98,40 +98,56 @@ fn upright(subject: &Subject<'_>, measured: &Measurements) -> Vec<PolygonMesh> {
     std::iter::once(&subject.mesh.positions[..]).chain(subject.after).map(turned).collect()
 }
 
+/// A heading, and what the camera of a view sees below it.
+type Column<'a> = (&'static str, Box<dyn Fn(&Camera) -> Scene + 'a>);
+
 /// A row for each view: before, its landmarks, after, the mask over before, the displacement on after.
 fn pictures(report: &Report<'_>, measured: &Measurements) -> RgbImage {
     let shapes = upright(&report.subject, measured);
     let surfaces: Vec<TriangleMesh> = shapes.iter().map(PolygonMesh::triangulate).collect();
-    let clay = |surface: &TriangleMesh| Scene::new().mesh(surface, Style::Clay);
-    let after = surfaces.get(1);
-    let mut columns = vec![(if after.is_some() { "before" } else { "face" }, clay(&surfaces[0]))];
+    let clay = |k: usize| Scene::new().mesh(&surfaces[k], Style::Clay);
+    let frame = shapes.iter().map(|s| Frame::of(&s.positions)).reduce(Frame::union);
+    let frame = frame.unwrap_or_else(|| Frame::of(&[])).scaled(0.95);
+
+    let is_pair = surfaces.len() > 1;
+    let mut columns: Vec<Column<'_>> = vec![(if is_pair { "before" } else { "face" }, Box::new(|_: &Camera| clay(0)))];
     if !measured.before.landmarks.is_empty() {
         let place = |p: &Vec3| measured.before.frame.map_or(*p, |f| f.coordinates(*p));
         let points: Vec<Vec3> = measured.before.landmarks.iter().map(|l| place(&l.1)).collect();
-        columns.push(("landmarks", clay(&surfaces[0]).points(&points, [24, 64, 150], f64::from(report.panel) / 120.0)));
+        let reach = 0.02 * frame.half.norm();
+        columns.push((
+            "landmarks",
+            Box::new(move |camera: &Camera| {
+                // Off the surface, towards the viewer: whole discs.
+                let shown = points.iter().map(|p| p + (camera.eye() - p).normalize() * reach).collect::<Vec<_>>();
+                clay(0).points(&shown, [24, 64, 150], f64::from(report.panel) / 120.0)
+            }),
+        ));
     }
-    columns.extend(after.map(|after| ("after", clay(after))));
+    if is_pair {
+        columns.push(("after", Box::new(|_: &Camera| clay(1))));
+    }
     if let Some(mask) = report.mask {
         let style = Style::Overlay(mask.to_vec(), report.mask_colour);
-        columns.push(("mask", Scene::new().mesh(&surfaces[0], style)));
+        let surface = &surfaces[0];
+        columns.push(("mask", Box::new(move |_: &Camera| Scene::new().mesh(surface, style.clone()))));
     }
     let mut sheet = Sheet::new("");
-    if let (Some(after), Some(positions)) = (after, report.subject.after) {
-        let moved: Vec<f64> =
-            report.subject.mesh.positions.iter().zip(positions).map(|(b, a)| (a - b).norm()).collect();
+    if let Some(after) = report.subject.after {
+        let moved: Vec<f64> = report.subject.mesh.positions.iter().zip(after).map(|(b, a)| (a - b).norm()).collect();
         // Most of a face may not move at all: the scale is that of what does.
         let some: Vec<f64> = moved.iter().copied().filter(|d| *d > 0.0).collect();
         let scale = ColourScale::for_magnitudes(&some, "displacement", "mm");
-        columns.push(("displacement", Scene::new().mesh(after, Style::Values(moved, scale.clone()))));
         sheet = sheet.colour_bar(&scale);
+        let style = Style::Values(moved, scale);
+        let surface = &surfaces[1];
+        columns.push(("displacement", Box::new(move |_: &Camera| Scene::new().mesh(surface, style.clone()))));
     }
-    let frame = shapes.iter().map(|s| Frame::of(&s.positions)).reduce(Frame::union);
-    let frame = frame.unwrap_or_else(|| Frame::of(&[])).scaled(0.95);
     let size = [report.panel; 2];
     sheet = sheet.columns(&columns.iter().map(|c| c.0).collect::<Vec<_>>());
     for view in VIEWS {
         let camera = Camera::framing(&frame, view, size);
-        sheet = sheet.row(&view.name(), columns.iter().map(|(_, scene)| render(scene, &camera, size)).collect());
+        sheet = sheet.row(&view.name(), columns.iter().map(|(_, see)| render(&see(&camera), &camera, size)).collect());
     }
     sheet.render()
 }

@@ -8,7 +8,8 @@
 //! ```
 //!
 //! where `a_i` is the vertex's area and `rho` Tukey's biweight, whose scale follows the residuals' median: what is lopsided does not
-//! draw the plane to it. Images that come closest to the open boundary, or to surface that faces elsewhere, do not count. From a start a
+//! draw the plane to it. Vertices of the open boundary, and images that come closest to it or to surface that faces elsewhere, do not
+//! count. From a start a
 //! few steps of closest points as pairs ([`MirrorPlane::of_pairs`]) come near, and Gauss-Newton steps in the plane's three degrees of
 //! freedom end it: on a face that is its own mirror image they converge quadratically, to rounding.
 
@@ -86,8 +87,7 @@ impl Symmetry {
     ) -> Result<Self, MeasurementError> {
         let surface = ClosestPoint::new(mesh).map_err(|source| MeasurementError::Mesh { what, source })?;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-        // Written so that NaN fails.
-        if !(areas.iter().sum::<f64>() > 0.0) {
+        if areas.iter().sum::<f64>() <= 0.0 {
             return Err(MeasurementError::NoSurface(what));
         }
         let search = Search {
@@ -165,6 +165,9 @@ impl Search<'_> {
     /// The images of every `step`-th vertex; nothing where they have no counterpart.
     fn matches(&self, plane: &MirrorPlane, step: usize) -> Vec<Option<Match>> {
         let of = |vertex: usize| {
+            if self.areas[vertex] <= 0.0 || self.boundary.vertices()[vertex] {
+                return None;
+            }
             let image = plane.reflect(self.mesh.positions[vertex]);
             let found = self.surface.query(&image)?;
             let triangle = found.triangle as usize;
@@ -173,8 +176,12 @@ impl Search<'_> {
             let at: Vec3 = corners.iter().zip(found.barycentric).map(|(v, b)| self.normals[*v as usize] * b).sum();
             let matching = facing.dot(&at) > self.cosine * at.norm();
             let normal = self.faces[triangle];
-            (self.areas[vertex] > 0.0 && matching && !self.boundary.holds(triangle, corners, found.barycentric))
-                .then_some(Match { vertex, image, closest: found.point, normal })
+            (matching && !self.boundary.holds(triangle, corners, found.barycentric)).then_some(Match {
+                vertex,
+                image,
+                closest: found.point,
+                normal,
+            })
         };
         let vertices: Vec<usize> = (0..self.areas.len()).step_by(step).collect();
         vertices.into_par_iter().map(of).collect()

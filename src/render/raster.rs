@@ -429,7 +429,8 @@ impl<'p, 'a> Band<'p, 'a> {
             }
             Look::Overlay { weights, colour } => {
                 let clay = to_linear(CLAY[usize::from(inside)]).map(|c| c * light.0 + light.1);
-                mix(clay, *colour, interpolated(weights, 0.0).max(0.0).min(1.0) as f32)
+                let weight = interpolated(weights, 0.0);
+                mix(clay, *colour, if weight.is_nan() { 0.0 } else { weight.clamp(0.0, 1.0) as f32 })
             }
             Look::Values { values, scale, palette } => {
                 let value = interpolated(values, f64::NAN);

@@ -102,6 +102,32 @@ pub(crate) const LANDMARKS: [(&str, f64, Mark); 68] = {
     ]
 };
 
+/// Landmarks of anthropometry, those on the midline and the left ones of pairs. Where they are is what their definitions say of
+/// the neutral face: `nonrigid measure --list`.
+pub(crate) const ANTHROPOMETRIC: [(&str, Mark); 18] = {
+    use Mark::{Chart, Lid, Lip};
+    [
+        ("trichion", Chart([0.0, 80.0])),
+        ("glabella", Chart([0.0, 21.5])),
+        ("nasion", Chart([0.0, 5.0])),
+        ("pronasale", Chart([0.0, -39.2])),
+        ("subnasale", Chart([0.0, -50.0])),
+        ("labiale_superius", Lip(90.0, 1.0)),
+        ("stomion", Lip(90.0, 0.0)),
+        ("labiale_inferius", Lip(-90.0, 1.0)),
+        ("sublabiale", Chart([0.0, -88.0])),
+        ("pogonion", Chart([0.0, -100.0])),
+        ("menton", Chart([0.0, -118.0])),
+        ("endocanthion_left", Lid(180.0)),
+        ("exocanthion_left", Lid(0.0)),
+        ("subalare_left", Chart([13.0, -48.0])),
+        ("alare_left", Chart([18.5, -42.0])),
+        ("cheilion_left", Lip(0.0, 1.0)),
+        ("zygion_left", Chart([92.0, -14.0])),
+        ("gonion_left", Chart([80.0, -62.0])),
+    ]
+};
+
 impl Mark {
     /// The flat place of a mark on the left side.
     pub fn flat(self) -> [f64; 2] {
@@ -154,6 +180,7 @@ pub(crate) fn region(site: &Site) -> usize {
 mod tests {
     use super::*;
     use crate::face::site;
+    use nonrigid::mesh::Vec3;
     use std::collections::BTreeSet;
 
     #[test]
@@ -176,6 +203,30 @@ mod tests {
             let left = name.contains("_L");
             assert!((!right || site.neutral.x < 0.0) && (!left || site.neutral.x > 0.0), "{name}: {}", site.neutral);
         }
+    }
+
+    #[test]
+    fn landmarks_of_anthropometry_are_where_their_definitions_say() {
+        let place = |name: &str| site(ANTHROPOMETRIC.iter().find(|l| l.0 == name).unwrap().1.flat()).neutral;
+        // Most and least prominent points of the midline between two heights of the chart.
+        for (name, low, high, forwards) in [
+            ("glabella", 15, 35, 1.0),
+            ("nasion", -5, 15, -1.0),
+            ("pronasale", -45, -30, 1.0),
+            ("sublabiale", -95, -80, -1.0),
+            ("pogonion", -108, -92, 1.0),
+        ] {
+            let midline = (10 * low..10 * high).map(|y| site(Mark::Chart([0.0, 0.1 * f64::from(y)]).flat()).neutral.z);
+            let most = midline.map(|z| forwards * z).fold(f64::MIN, f64::max);
+            let found = forwards * place(name).z;
+            assert!(place(name).x == 0.0 && most - found < 0.1, "{name}: {found} of {most}");
+        }
+        let left: Vec<Vec3> =
+            ANTHROPOMETRIC.iter().filter(|l| l.0.ends_with("_left")).map(|l| site(l.1.flat()).neutral).collect();
+        assert!(left.len() == 7 && left.iter().all(|p| p.x > 10.0));
+        let widest = left.iter().map(|p| p.x).fold(0.0, f64::max);
+        assert!(place("zygion_left").x == widest && place("gonion_left").x < widest - 5.0);
+        assert!(place("alare_left").x > place("subalare_left").x && place("menton").y < place("pogonion").y - 10.0);
     }
 
     #[test]

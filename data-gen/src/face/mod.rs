@@ -8,7 +8,7 @@ mod sculpt;
 mod site;
 mod spline;
 
-pub(crate) use anatomy::{LANDMARKS, REGIONS, region};
+pub(crate) use anatomy::{ANTHROPOMETRIC, LANDMARKS, REGIONS, region};
 pub(crate) use layout::Layout;
 pub use model::{Eyeball, FaceModel, FaceWeights};
 pub(crate) use rings::Around;
