@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use data_gen::{Eyeball, FaceOptions, FaceRig};
 use nalgebra::Rotation3;
 use nonrigid::measurement::{
-    DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, MirrorPlane, Missing, NamedRegion,
-    Subject, Symmetry, SymmetryOptions, WHOLE, report,
+    DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Subject,
+    Symmetry, SymmetryOptions, WHOLE, report,
 };
 use nonrigid::mesh::io::{TemplatePoint, read_obj};
-use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
+use nonrigid::mesh::{MirrorPlane, PolygonMesh, Pose, TriangleMesh, Vec3};
 
 fn rig(vertices: usize) -> FaceRig {
     FaceRig::generate(&FaceOptions { vertices, identity_modes: 20 })

@@ -327,6 +327,26 @@ fn what_a_mesh_cannot_do_names_the_line() {
 }
 
 #[test]
+fn a_mirrored_mesh_is_noticed() {
+    let mirror = |face: &Face| {
+        let flipped = face.mesh.positions.iter().map(|p| Vec3::new(-p.x, p.y, p.z)).collect();
+        Face::new(face.mesh.with_positions(flipped), face.landmarks.clone())
+    };
+    let swap = |face: &Face| {
+        let mut landmarks = face.landmarks.clone();
+        let (right, left) = (landmarks[36].1, landmarks[45].1);
+        (landmarks[36].1, landmarks[45].1) = (left, right);
+        Face::new(face.mesh.clone(), landmarks)
+    };
+    let recipe = preset("nose-tip").unwrap().unwrap();
+    for wrong in [mirror(&FACE), swap(&FACE)] {
+        let error = wrong.replay(&recipe, ReplayOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("mirrored"), "{error}");
+    }
+    assert!(mirror(&mirror(&FACE)).replay(&recipe, ReplayOptions::default()).is_ok());
+}
+
+#[test]
 fn presets_print_as_recipes_that_do_the_same() {
     for (name, recipe) in presets() {
         let text = preset_text(name).unwrap();

@@ -79,6 +79,12 @@ impl Studio {
         &self.face.mesh
     }
 
+    /// Vertices of the 68 Multi-PIE/iBUG landmarks.
+    #[must_use]
+    pub fn landmarks(&self) -> Vec<u32> {
+        self.face.landmarks.iter().map(|landmark| landmark.vertex).collect()
+    }
+
     /// Faces of random people with random expressions, one position per template vertex.
     #[must_use]
     pub fn random_faces(&self, count: usize, seed: u64) -> Vec<Vec<Vec3>> {

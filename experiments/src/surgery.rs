@@ -4,7 +4,7 @@ use anyhow::{Result, bail};
 use nonrigid::mesh::io::TemplatePoint;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, Subject, replay};
-use nonrigid::rig::{Regions, Rig, ShapeBasis};
+use nonrigid::rig::{Regions, ShapeBasis};
 
 use crate::scan_bench::BenchRig;
 
@@ -23,12 +23,17 @@ pub struct Patient {
 }
 
 impl Patient {
-    /// A mesh with the polygons of a rig.
+    /// A mesh with the polygons of a rig, and the rig's landmarks.
     ///
     /// # Errors
-    /// When the rig has no 68 landmarks.
-    pub fn new(name: impl Into<String>, mesh: PolygonMesh, rig: &Rig, shapes: ShapeBasis) -> Result<Self> {
-        let Some(landmarks) = rig.landmarks().filter(|l| l.len() == 68) else {
+    /// When there are no 68.
+    pub fn new(
+        name: impl Into<String>,
+        mesh: PolygonMesh,
+        landmarks: Option<&[u32]>,
+        shapes: ShapeBasis,
+    ) -> Result<Self> {
+        let Some(landmarks) = landmarks.filter(|l| l.len() == 68) else {
             bail!("the rig has no landmarks_multipie68.json: presets need the 68 landmarks");
         };
         let landmarks = landmarks.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect();
@@ -60,6 +65,6 @@ impl Patient {
 /// # Errors
 /// When the rig has none.
 pub fn landmarks68(rig: &BenchRig) -> Result<Vec<Vec3>> {
-    let patient = Patient::new("", rig.template().clone(), rig.rig(), ShapeBasis::none())?;
+    let patient = Patient::new("", rig.template().clone(), rig.rig().landmarks(), ShapeBasis::none())?;
     Ok(patient.landmarks.iter().map(|(_, point)| point.position(&patient.mesh.positions)).collect())
 }

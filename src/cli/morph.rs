@@ -53,10 +53,10 @@ pub struct Arguments {
     #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
     weight_bounds: Option<[f64; 2]>,
     /// In place of the recipe's amount: what its displacements are multiplied by
-    #[arg(long, value_name = "X", allow_hyphen_values = true, requires = "recipe")]
+    #[arg(long, value_name = "X", allow_hyphen_values = true, conflicts_with = "preset")]
     amount: Option<f64>,
     /// Only the first N steps of the recipe
-    #[arg(long, value_name = "N", requires = "recipe")]
+    #[arg(long, value_name = "N", conflicts_with = "preset")]
     until: Option<usize>,
     /// In place of every step's model: direct, free, arap, graph, blendshape or hybrid
     #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>)]

@@ -6,9 +6,8 @@
 
 use std::fmt;
 
-use super::MirrorPlane;
 use super::landmarks::{Placed, index, mirrored};
-use crate::mesh::Vec3;
+use crate::mesh::{MirrorPlane, Vec3};
 
 /// An axis of the face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

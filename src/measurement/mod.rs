@@ -26,7 +26,6 @@ mod change;
 mod definitions;
 mod error;
 mod landmarks;
-mod mirror_plane;
 mod output;
 pub mod report;
 mod symmetry;
@@ -37,7 +36,6 @@ pub use change::{Change, swept_volume};
 pub use definitions::{Axis, DEFINITIONS, Definition, FacialFrame, Formula, Missing, TypicalRange};
 pub use error::MeasurementError;
 pub use landmarks::{LANDMARKS, LandmarkDefinition, Landmarks};
-pub use mirror_plane::MirrorPlane;
 pub use output::glossary;
 pub use symmetry::{Asymmetry, Symmetry, SymmetryOptions};
 
@@ -45,7 +43,7 @@ use change::Changes;
 use definitions::evaluate;
 use landmarks::Placed;
 
-use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
 
 /// What is to be measured.
 #[derive(Debug, Clone, Copy)]

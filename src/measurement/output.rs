@@ -61,7 +61,7 @@ impl Serialize for FaceState {
         }
         #[derive(Serialize)]
         struct State {
-            mirror_plane: super::MirrorPlane,
+            mirror_plane: crate::mesh::MirrorPlane,
             mirror_plane_converged: bool,
             axes: Option<Axes>,
             landmarks: Vec<Point>,

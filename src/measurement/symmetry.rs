@@ -17,12 +17,12 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{MeasurementError, MirrorPlane};
+use super::MeasurementError;
 use crate::evaluation::percentile;
 use crate::mesh::adjacency::OpenBoundary;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_normals, vertex_areas, vertex_normals};
-use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, bounding_box_diagonal};
 
 /// What steers the search; the defaults suit faces.
 #[derive(Debug, Clone, Copy, PartialEq)]

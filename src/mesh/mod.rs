@@ -5,6 +5,7 @@ pub mod closest_point;
 mod error;
 pub mod geodesic;
 pub mod io;
+mod mirror_plane;
 pub mod normals;
 mod oriented_points;
 mod polygon_mesh;
@@ -14,6 +15,7 @@ pub(crate) mod testing;
 mod triangle_mesh;
 
 pub use error::MeshError;
+pub use mirror_plane::MirrorPlane;
 pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;

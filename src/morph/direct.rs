@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 
-use super::{MirrorPlane, MorphError, Weights, check_positions};
-use crate::mesh::{TriangleMesh, Vec3};
+use super::{MorphError, Weights, check_positions};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3};
 
 /// The grey value above which a vertex moves: one step of an 8-bit texture. The paper does not print its own.
 pub const DEFAULT_THRESHOLD: f64 = 1.0 / 255.0;
@@ -27,7 +27,10 @@ impl MaskedDisplacement {
     /// # Errors
     /// As [`Weights::mirrored`].
     pub fn mirrored(&self, mesh: &TriangleMesh, plane: &MirrorPlane) -> Result<Self, MorphError> {
-        Ok(Self { weights: self.weights.mirrored(mesh, plane)?, displacement: plane.vector(self.displacement) })
+        Ok(Self {
+            weights: self.weights.mirrored(mesh, plane)?,
+            displacement: plane.reflect_direction(self.displacement),
+        })
     }
 }
 

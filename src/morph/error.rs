@@ -92,6 +92,11 @@ pub enum MorphError {
     /// Something is given in the frame of landmarks, and there is none.
     #[error("this needs the frame of landmarks: give the recipe a frame")]
     NoFrame,
+    /// A frame whose z points into the face.
+    #[error(
+        "the frame of landmarks points into the face: the mesh is mirrored, or left and right of its landmarks are swapped"
+    )]
+    Mirrored,
     /// A picture in the frame of landmarks that does not say what it covers.
     #[error(
         "a picture in the frame of landmarks must say what it covers: view = {{ frame = {{ covers = [[x, y], [x, y]] }} }}"
@@ -230,16 +235,6 @@ pub enum MorphError {
         found: usize,
         /// Number of vertices.
         vertices: usize,
-    },
-    /// A mirror plane without a direction.
-    #[error(
-        "the mirror plane has the point {point:?} and the normal {normal:?}, expected finite numbers and a normal other than 0"
-    )]
-    Mirror {
-        /// Point on it.
-        point: [f64; 3],
-        /// Its normal.
-        normal: [f64; 3],
     },
     /// No triangle to measure on.
     #[error("the mesh has no surface: without triangles, painted weights have no mirror image")]

@@ -1,10 +1,9 @@
-//! Frames of reference on a face: a frame from landmarks, in which a mask needs no camera, and the plane of symmetry.
+//! The frame of landmarks on a face, in which a mask needs no camera.
 
-use nalgebra::Matrix4;
 use serde::{Deserialize, Serialize};
 
 use super::{MorphError, Projector};
-use crate::mesh::Vec3;
+use crate::mesh::{MirrorPlane, Vec3};
 
 /// Which landmarks make a frame. Numbered landmarks are named "0", "1", ... as [`read_template_landmarks`] does.
 ///
@@ -140,50 +139,5 @@ impl LandmarkFrame {
     /// When the corners are not finite or the box has no area.
     pub fn projector(&self, low: [f64; 2], high: [f64; 2]) -> Result<Projector, MorphError> {
         Projector::of_frame(self.axes, self.origin, low.map(|c| c * self.unit), high.map(|c| c * self.unit))
-    }
-}
-
-/// A plane of symmetry.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MirrorPlane {
-    point: Vec3,
-    /// Unit length.
-    normal: Vec3,
-}
-
-impl MirrorPlane {
-    /// The plane through a point, perpendicular to `normal`.
-    ///
-    /// # Errors
-    /// When a number is not finite or the normal is 0.
-    pub fn new(point: Vec3, normal: Vec3) -> Result<Self, MorphError> {
-        match normal.try_normalize(1e-12) {
-            Some(unit) if (point + unit).iter().all(|c| c.is_finite()) => Ok(Self { point, normal: unit }),
-            _ => Err(MorphError::Mirror { point: point.into(), normal: normal.into() }),
-        }
-    }
-
-    /// The mirror image of a point.
-    #[must_use]
-    pub fn point(&self, p: Vec3) -> Vec3 {
-        p - self.normal * (2.0 * self.normal.dot(&(p - self.point)))
-    }
-
-    /// The mirror image of a displacement.
-    #[must_use]
-    pub fn vector(&self, d: Vec3) -> Vec3 {
-        d - self.normal * (2.0 * self.normal.dot(&d))
-    }
-
-    /// As [`Self::point`], on homogeneous coordinates.
-    pub(super) fn matrix(&self) -> Matrix4<f64> {
-        let mut m = Matrix4::identity();
-        for column in 0..3 {
-            let mut axis = Vec3::zeros();
-            axis[column] = 1.0;
-            m.fixed_view_mut::<3, 1>(0, column).copy_from(&self.vector(axis));
-        }
-        m.fixed_view_mut::<3, 1>(0, 3).copy_from(&self.point(Vec3::zeros()));
-        m
     }
 }

@@ -48,7 +48,7 @@ pub use change::MorphChange;
 pub use direct::{DEFAULT_THRESHOLD, MaskedDisplacement, MorphStep};
 pub use energy::{Constraints, EnergyOptions, EnergyReport, MorphEnergy, MorphModel, PIN_TOLERANCE, PlacedPoint};
 pub use error::{MorphError, NO_LANDMARKS};
-pub use frame::{FrameScale, FrameSpec, LandmarkFrame, MirrorPlane};
+pub use frame::{FrameScale, FrameSpec, LandmarkFrame};
 pub use presets::{preset, preset_names, preset_text};
 pub use projection::{Projector, Visibility, uv_weights};
 pub use recipe::{MaskSpec, PointSpec, Recipe, RecipeError, RecipeStep, ViewSpec};

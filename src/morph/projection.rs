@@ -19,8 +19,8 @@ use nalgebra::{Matrix4, Vector4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{MirrorPlane, MorphError, Sampling, Texture, Weights, check_positions};
-use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
+use super::{MorphError, Sampling, Texture, Weights, check_positions};
+use crate::mesh::{MeshError, MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
 use crate::render;
 
 /// A map from space to texture coordinates and depth: `M` of equation (1) with the divide.
@@ -144,7 +144,7 @@ impl Projector {
     /// The projector that gives the mirror image of a point what this one gives the point: its mask is the mirror image of the mask.
     #[must_use]
     pub fn mirrored(&self, plane: &MirrorPlane) -> Self {
-        Self { matrix: self.matrix * plane.matrix() }
+        Self { matrix: self.matrix * reflection(plane) }
     }
 
     /// `M_lerp M_proj M_view M_model`.
@@ -209,6 +209,18 @@ impl Projector {
 
 /// Vertices, or triangles, that stay on one thread.
 const GRAIN: usize = 4096;
+
+/// The mirror image, on homogeneous coordinates.
+fn reflection(plane: &MirrorPlane) -> Matrix4<f64> {
+    let mut m = Matrix4::identity();
+    for column in 0..3 {
+        let mut axis = Vec3::zeros();
+        axis[column] = 1.0;
+        m.fixed_view_mut::<3, 1>(0, column).copy_from(&plane.reflect_direction(axis));
+    }
+    m.fixed_view_mut::<3, 1>(0, 3).copy_from(&plane.reflect(Vec3::zeros()));
+    m
+}
 
 /// From space to a frame's coordinates.
 fn frame_matrix(axes: [Vec3; 3], origin: Vec3) -> Matrix4<f64> {

@@ -145,7 +145,7 @@ impl Stage<'_> {
                     None => constraints.free.push(weights),
                     Some(displacement) => {
                         let mirror = frame.filter(|_| k == 1).map(|f| f.mirror_plane());
-                        let displacement = mirror.map_or(displacement, |plane| plane.vector(displacement));
+                        let displacement = mirror.map_or(displacement, |plane| plane.reflect_direction(displacement));
                         morph.pairs.push(MaskedDisplacement { weights, displacement });
                     }
                 }
@@ -198,7 +198,14 @@ impl Stage<'_> {
 
     fn frame(&self, spec: &FrameSpec) -> Result<LandmarkFrame, MorphError> {
         let places: Vec<(String, Vec3)> = self.places().collect();
-        LandmarkFrame::new(spec, &places)
+        let frame = LandmarkFrame::new(spec, &places)?;
+        // Landmarks lie on the front of a face, whose middle is behind them.
+        let mean = |points: &mut dyn ExactSizeIterator<Item = Vec3>| {
+            let count = points.len() as f64;
+            points.sum::<Vec3>() / count
+        };
+        let front = mean(&mut places.iter().map(|p| p.1)) - mean(&mut self.mesh.positions.iter().copied());
+        if frame.axes()[2].dot(&front) < 0.0 { Err(MorphError::Mirrored) } else { Ok(frame) }
     }
 
     /// Every landmark where it is now.

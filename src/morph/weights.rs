@@ -4,10 +4,10 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::{MirrorPlane, MorphError, check_positions};
-use crate::mesh::TriangleMesh;
+use super::{MorphError, check_positions};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
+use crate::mesh::{MirrorPlane, TriangleMesh};
 
 /// A weight from 0 to 1 for each vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,7 +84,7 @@ impl Weights {
         check_positions(&mesh.positions)?;
         let surface = ClosestPoint::new(mesh)?;
         let weight = |position| {
-            let closest = surface.query(&plane.point(position)).ok_or(MorphError::NoSurface)?;
+            let closest = surface.query(&plane.reflect(position)).ok_or(MorphError::NoSurface)?;
             let corners = mesh.triangles[closest.triangle as usize];
             let sum: f64 = corners.iter().zip(closest.barycentric).map(|(&v, b)| b * self.0[v as usize]).sum();
             Ok(sum.clamp(0.0, 1.0))

@@ -101,7 +101,7 @@ pub struct EnergyOptions {
     pub smoothing: f64,
     /// What is smooth about the displacements of free vertices; default the bi-Laplacian, which has no crease at the rim.
     pub smoothness: Smoothness,
-    /// Nodes of a graph within the region; default 150.
+    /// Nodes of a graph within the region, at most one to two vertices; default 150.
     pub nodes: usize,
     /// A shape's weight of one standard deviation costs as much as this rms distance from the handles, millimetres; default 0.1.
     pub prior: f64,
@@ -456,7 +456,7 @@ fn build(
         }
         MorphModel::Blendshape => Box::new(blendshape_in_place(rest, shapes.clone(), blend)),
         MorphModel::Graph | MorphModel::Hybrid => {
-            let nodes = NodeGraph::on_region(mesh, &patch.held, options.nodes)?;
+            let nodes = NodeGraph::on_region(mesh, &patch.held, options.nodes.min(patch.moving().div_ceil(2)))?;
             let edge = |e: &(u32, u32)| (nodes.nodes()[e.0 as usize] - nodes.nodes()[e.1 as usize]).norm_squared();
             // A residual of (7) sees the change along its edge: half of the gradient's square, times the edge's.
             let squares: f64 = 0.5 * nodes.edges().iter().map(edge).sum::<f64>();

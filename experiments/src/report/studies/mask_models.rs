@@ -13,7 +13,7 @@ use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
 use crate::generated::face;
 use crate::plots::{Axis, Plot, Point, Series};
-use crate::report::study::{Block, Section, Setting, Study, labelled};
+use crate::report::study::{Block, Section, Setting, Study};
 use crate::report::table::{Table, number};
 use crate::surgery::Patient;
 
@@ -47,7 +47,7 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
     let rig = setting.data.rig.rig();
     let modes = rig.shapes().iter().filter(|s| s.family == nonrigid::rig::Family::Identity).count();
     let shapes = rig.select(ShapeSelection { names: Some(&[]), identity_modes: modes.min(IDENTITY_MODES) })?;
-    let patient = Patient::new("template", setting.data.rig.template().clone(), rig, shapes)?;
+    let patient = Patient::new("template", setting.data.rig.template().clone(), rig.landmarks(), shapes)?;
     let jobs: Vec<(&str, f64, MorphModel)> =
         MASKS.iter().flat_map(|(name, amount)| MorphModel::ALL.map(|model| (*name, *amount, model))).collect();
     let outcomes = setting.run_all(&jobs, |(name, amount, model)| {
@@ -84,8 +84,7 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
         let camera = Camera::framing(&frame, View::Angles { yaw: 50.0, pitch: 5.0 }, [PANEL; 2]);
         let mesh = patient.mesh.with_positions(outcome.positions);
         let scene = Scene::new().mesh(&mesh.triangulate(), Style::Clay);
-        let words = format!("{:.0} %", 100.0 * change.reached / report.asked);
-        shaded.push(labelled(render(&scene, &camera, [PANEL; 2]), &words));
+        shaded.push(render(&scene, &camera, [PANEL; 2]));
         wired.push(render(&scene.wireframe(&mesh), &camera, [PANEL; 2]));
     }
     table.write(setting.out, "mask-models")?;
@@ -94,14 +93,14 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
         let row = m * count..(m + 1) * count;
         sheet = sheet.row(&format!("{name} {amount} mm"), shaded[row.clone()].to_vec()).row("", wired[row].to_vec());
     }
-    let caption = "The same mask on every model; per cent of the asked displacement. Direct is the paper's own.";
+    let caption = "The same mask on every model. Direct is the paper's own.";
     let picture = setting.picture("mask-models", &sheet.render(), caption)?;
     let caption = "The same in numbers: jumps across edges in millimetres, edges' length after over before.";
     Ok(vec![picture, Block::Table { table, caption: caption.into(), file: "mask-models.csv".into() }])
 }
 
 /// Side of a panel, pixels.
-const PANEL: u32 = 220;
+const PANEL: u32 = 250;
 
 /// Milliseconds of each stage over the number of vertices.
 fn speed(setting: &Setting<'_>) -> Result<Vec<Block>> {

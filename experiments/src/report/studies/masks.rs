@@ -114,16 +114,16 @@ fn selections(setting: &Setting<'_>, picture: &Picture<'_>, landmarks: &[Vec3]) 
     let chin = at(57)?;
     let reach = apart(chin, at(8)?);
     let regions: [(&str, Region); 4] = [
-        ("circle: tip of the nose", disc(at(30)?, 0.45 * width)),
+        ("circle", disc(at(30)?, 0.45 * width)),
         (
-            "ellipse: an eye",
+            "ellipse",
             Shape::Ellipse { centre: between(corner, other), radii: [0.75 * width, 0.45 * width], angle: 0.0 }.into(),
         ),
         (
-            "sector of a ring: the chin",
+            "sector of a ring",
             Shape::Sector { centre: chin, inner: 0.35 * reach, outer: 1.1 * reach, start: 30.0, sweep: 120.0 }.into(),
         ),
-        ("free, with a hole: the lips", Shape::Polygon { rings: vec![mouth, inner] }.into()),
+        ("free, with a hole", Shape::Polygon { rings: vec![mouth, inner] }.into()),
     ];
     let front = render(&Scene::new().mesh(&picture.mesh, Style::Clay), &picture.camera, [SIDE; 2]);
     let mut sheet = Sheet::new("").columns(&["selected", "grey texture", "on the surface"]);

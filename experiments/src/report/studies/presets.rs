@@ -98,12 +98,13 @@ fn known(name: &str) -> Result<Recipe> {
 /// The template, another person, two resolutions, then real scans if there are any.
 fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
     let (rig, template) = (setting.data.rig.rig(), setting.data.rig.template());
-    let of = |name: &str, mesh: PolygonMesh, rig: &Rig| Patient::new(name, mesh, rig, ShapeBasis::none());
+    let of = |name: &str, mesh: PolygonMesh| Patient::new(name, mesh, rig.landmarks(), ShapeBasis::none());
     let person = template.with_positions(person(rig, &template.positions, setting.seed));
-    let mut all = vec![of("template", template.clone(), rig)?, of("another person", person, rig)?];
+    let mut all = vec![of("template", template.clone())?, of("another person", person)?];
     for vertices in RESOLUTIONS {
         let studio = Studio::new(vertices)?;
-        all.push(of(&format!("{vertices} vertices"), studio.template().clone(), studio.rig())?);
+        let (name, mesh) = (format!("{vertices} vertices"), studio.template().clone());
+        all.push(Patient::new(name, mesh, Some(&studio.landmarks()), ShapeBasis::none())?);
     }
     let Some([rig_folder, scans]) = setting.data.real.clone() else { return Ok(all) };
     let out = setting.out.join("presets");
@@ -119,7 +120,7 @@ fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
     for (name, _) in SCANS {
         let path = out.join(name).join("hybrid.obj");
         if path.exists() {
-            all.push(of(name, read_polygon_mesh(&path)?, rig)?);
+            all.push(of(name, read_polygon_mesh(&path)?)?);
         }
     }
     Ok(all)

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, SymmetricEigen};
 use serde::Serialize;
 
-use crate::mesh::Vec3;
+use super::Vec3;
 
 /// A plane in which things are mirrored.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +26,13 @@ impl Serialize for MirrorPlane {
 }
 
 impl MirrorPlane {
+    /// The plane through a point, perpendicular to `normal`; `None` when a number is not finite or the normal is 0.
+    #[must_use]
+    pub fn new(point: Vec3, normal: Vec3) -> Option<Self> {
+        let plane = Self { point, normal: normal.try_normalize(1e-12)? };
+        (plane.point + plane.normal).iter().all(|c| c.is_finite()).then_some(plane)
+    }
+
     /// Signed distance to the plane, positive on the side that the normal points to, millimetres.
     #[must_use]
     pub fn height(&self, p: Vec3) -> f64 {
