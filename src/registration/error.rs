@@ -59,6 +59,14 @@ pub enum RegistrationError {
         /// The template's.
         template: usize,
     },
+    /// A coordinate is NaN or infinite.
+    #[error("{what}: number {index}, from 0, has coordinates that are not finite")]
+    NotFinite {
+        /// Whose.
+        what: &'static str,
+        /// Which vertex, or landmark.
+        index: usize,
+    },
     /// The model cannot move without blendshapes.
     #[error("model '{0}' needs blendshapes; give a rig")]
     NeedsShapes(String),
@@ -113,8 +121,9 @@ pub enum RegistrationError {
     },
     /// No vertex found a correspondence.
     #[error(
-        "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
-         check that template and scan are in the same unit, and that the scan is not turned inside out"
+        "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way and is not its open boundary; \
+         give landmarks, check that template and scan are in the same unit, that the scan is not turned inside out, and that its \
+         triangles share their vertices"
     )]
     NoOverlap {
         /// Level, as schedules' messages name it: `level 1`, `then.level 2`.
