@@ -485,7 +485,10 @@ impl<R: Read + Seek> Npz<R> {
             let found = if names.is_empty() { "no arrays".to_owned() } else { names.join(", ") };
             return Err(ReadError::malformed(&self.path, Place::File, format!("an array {name:?}"), found));
         }
-        let inside = self.path.join(format!("{name}.npy"));
+        // Appended, not joined: a name may look like a path from the root.
+        let mut inside = self.path.clone().into_os_string();
+        inside.push(format!("/{name}.npy"));
+        let inside = PathBuf::from(inside);
         match self.archive.zip_archive().by_name(&npyz::npz::file_name_from_array_name(name)) {
             Ok(entry) => {
                 let size = entry.size();
