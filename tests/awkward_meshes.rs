@@ -322,7 +322,10 @@ fn every_model_meets_every_scan() {
                     scan_normals: normals,
                     ..RegistrationInput::new(&template, scan)
                 };
-                for model in ModelKind::ALL {
+                // The search of a start is the same for all.
+                let models =
+                    if landmarks.is_empty() { &[ModelKind::Hybrid, ModelKind::Rigid][..] } else { &ModelKind::ALL };
+                for &model in models {
                     let what = format!("{name} ({kind}), {model}, {} landmarks", landmarks.len());
                     match run(&input, model) {
                         Ok(result) if !finite(&result.positions) => faults.push(format!("{what}: not finite")),
