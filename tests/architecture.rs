@@ -151,3 +151,16 @@ fn the_table_goes_from_the_ground_up() {
         }
     }
 }
+
+/// Unsafe code is where a profile asked for it, and nowhere else.
+#[test]
+fn unsafe_code_is_in_one_place() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = Vec::new();
+    for folder in ["src", "data-gen/src", "experiments/src"] {
+        sources(&root.join(folder), &mut files);
+    }
+    let unsafe_code = |file: &PathBuf| code(&fs::read_to_string(file).unwrap()).contains("unsafe {");
+    let found: Vec<_> = files.iter().filter(|f| unsafe_code(f)).map(|f| f.strip_prefix(root).unwrap()).collect();
+    assert_eq!(found, [Path::new("src/nlls/dense_kernels.rs")]);
+}

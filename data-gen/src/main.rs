@@ -161,10 +161,7 @@ fn main() -> ExitCode {
     };
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("error: {failure}");
-            failure.exit_code()
-        }
+        Err(failure) => failure.report(),
     }
 }
 
@@ -180,18 +177,23 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     say(format_args!("seed {seed}"))?;
     let start = Instant::now();
     let rig = FaceRig::generate(&FaceOptions { vertices, identity_modes });
+    let generated = start.elapsed().as_secs_f64();
     let plans = plan(&rig, arguments)?;
     // Whatever is wrong with the options shows before anything is written.
     for plan in &plans {
         plan.options.validate(&rig).map_err(unsimulated)?;
     }
+    let count = plans.len();
+    let mut scans = plans.iter().map(|plan| simulate(&rig, plan)).peekable();
+    if let Some(Err(failure)) = scans.next_if(Result::is_err) {
+        return Err(failure);
+    }
     let folder = arguments.out.join("rig");
     write_rig(&folder, &rig).map_err(unwritten)?;
     let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
     say(format_args!(
-        "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {:.1} s",
-        folder.display(),
-        start.elapsed().as_secs_f64()
+        "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {generated:.1} s",
+        folder.display()
     ))?;
     if let Some(people) = arguments.population {
         let folder = arguments.out.join("population");
@@ -200,12 +202,12 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let mut shown = Vec::new();
     let mut weights = Vec::new();
-    let count = plans.len();
-    for (k, plan) in plans.into_iter().enumerate() {
-        let case = scan(&rig, &plan, &arguments.out, &format!("{}/{count}", k + 1))?;
+    for (k, (plan, scan)) in plans.iter().zip(&mut scans).enumerate() {
+        let (case, seconds) = scan?;
+        write(&rig, plan, &case, &arguments.out, seconds, &format!("{}/{count}", k + 1))?;
         weights.push((plan.time, case.expression_weights.clone()));
         if arguments.contact_sheet && shown.len() < 3 {
-            shown.push((plan.name, case));
+            shown.push((plan.name.clone(), case));
         }
     }
     if arguments.frames.is_some() {
@@ -259,9 +261,12 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
     }
     let standard = STANDARD_CASES.iter().map(|s| s.name.to_owned());
     let wanted: Vec<String> = if arguments.names.is_empty() { standard.collect() } else { arguments.names.clone() };
-    let mut plans = Vec::new();
-    for name in wanted {
-        let at = STANDARD_CASES.iter().position(|s| s.name == name);
+    let mut plans: Vec<Plan> = Vec::new();
+    for (k, name) in wanted.iter().enumerate() {
+        if wanted[..k].contains(name) {
+            return Err(Failure::new(Stage::Arguments, format!("--case {name:?} twice")));
+        }
+        let at = STANDARD_CASES.iter().position(|s| s.name == *name);
         let mut options = options.clone();
         let mut subject = if name.starts_with("new") { unknown() } else { None };
         if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
@@ -278,22 +283,33 @@ fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
     Ok(plans)
 }
 
-/// Simulates and writes one case.
-fn scan(rig: &FaceRig, plan: &Plan, out: &Path, progress: &str) -> Result<ScanCase, Failure> {
+/// Simulates one case; how many seconds it took.
+fn simulate(rig: &FaceRig, plan: &Plan) -> Result<(ScanCase, f64), Failure> {
     let start = Instant::now();
     let case = simulate_scan(rig, &plan.options, plan.seed).map_err(unsimulated)?;
-    let simulated = start.elapsed().as_secs_f64();
+    Ok((case, start.elapsed().as_secs_f64()))
+}
+
+/// Writes one case that took so many seconds to simulate.
+fn write(
+    rig: &FaceRig,
+    plan: &Plan,
+    case: &ScanCase,
+    out: &Path,
+    simulated: f64,
+    progress: &str,
+) -> Result<(), Failure> {
+    let start = Instant::now();
     let folder = out.join(&plan.name);
-    let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, &case));
-    write_case(&folder, rig, &case, &subject, plan.seed).map_err(unwritten)?;
+    let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, case));
+    write_case(&folder, rig, case, &subject, plan.seed).map_err(unwritten)?;
     let seen = case.observed.iter().filter(|o| **o).count();
     let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
     say(format_args!(
         "[{progress}] {}: {points} points, {triangles} triangles, {seen} vertices observed; {simulated:.1} + {:.1} s",
         folder.display(),
-        start.elapsed().as_secs_f64() - simulated
-    ))?;
-    Ok(case)
+        start.elapsed().as_secs_f64()
+    ))
 }
 
 impl Arguments {

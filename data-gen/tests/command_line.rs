@@ -1,5 +1,8 @@
 //! The program: what it writes, what it refuses, and how it says so.
 
+#[path = "../../tests/support/repeats.rs"]
+mod repeats;
+
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -79,38 +82,10 @@ fn sequences_are_cases_with_weights() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_anything_is_written() {
+fn help_has_examples_and_exit_codes() {
     let folder = tempfile::tempdir().unwrap();
-    for (arguments, code, words) in [
-        ("", 1, "--out"),
-        ("--out data --vertices 999", 1, "1000 to 500000"),
-        ("--out data --vertices 500001", 1, "1000 to 500000"),
-        ("--out data --triangles 4999", 1, "5000 to 5000000"),
-        ("--out data --vertices 1000 --expression jawOpne=1", 1, "jawOpen"),
-        ("--out data --vertices 1000 --expression jawOpen", 1, "NAME=WEIGHT"),
-        ("--out data --vertices 1000 --preset grin", 1, "smile"),
-        ("--out data --vertices 1000 --noise -1", 1, "noise"),
-        ("--out data --vertices 1000 --noise=-1", 1, "noise"),
-        ("--out data --vertices 1000 --noise NaN", 1, "noise"),
-        ("--out data --vertices 1000 --camera 0", 1, "azimuth"),
-        ("--out data --vertices 1000 --camera 0,90", 1, "elevation"),
-        ("--out data --vertices 1000 --case ../x", 1, "folder"),
-        ("--out data --vertices 1000 --fps 0 --frames 2", 1, "fps"),
-        ("--out data --frames 2 --case same_open", 1, "cannot be used with"),
-    ] {
-        let output = run(folder.path(), arguments);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{arguments}: {said}");
-        assert!(said.contains(words) && !said.contains("panicked"), "{arguments}: {said}");
-        assert!(!folder.path().join("data").exists(), "{arguments}");
-    }
     let help = done(folder.path(), "--help");
     assert!(help.contains("Examples:") && help.contains("Exit codes") && help.contains("--camera"));
-    let behind = run(folder.path(), &format!("{SMALL} --case same_open --camera 180,0"));
-    assert_eq!(behind.status.code(), Some(2), "{}", String::from_utf8_lossy(&behind.stderr));
-    std::fs::write(folder.path().join("file"), "").unwrap();
-    let unwritable = run(folder.path(), &SMALL.replace("data", "file/in"));
-    assert_eq!(unwritable.status.code(), Some(3), "{}", String::from_utf8_lossy(&unwritable.stderr));
 }
 
 #[test]
@@ -136,4 +111,16 @@ fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
     }
     // The files were still wanted.
     assert!(folder.path().join("data/cases/same_open/truth.npy").exists());
+}
+
+#[test]
+fn equal_runs_leave_equal_files_at_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_data-gen");
+    let small = "--seed 7 --out OUT --vertices 1000 --identity-modes 6 --triangles 5000 --threads THREADS";
+    for (options, files) in
+        [("--population 3 --contact-sheet --case same_open --case new_asym", 29), ("--frames 2 --preset smile", 23)]
+    {
+        assert_eq!(repeats::leaves_equal_files(program, folder.path(), &format!("{small} {options}"), false), files);
+    }
 }

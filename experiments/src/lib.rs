@@ -2,6 +2,7 @@
 
 pub mod compare;
 pub mod compare_rigs;
+pub mod faulty_scans;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;

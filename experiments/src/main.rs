@@ -6,10 +6,10 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
+    compare, compare_rigs, faulty_scans, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
     schedule_search, solver_case, start_bench, this_program,
 };
-use nonrigid::cli::{Failure, Stage, answer};
+use nonrigid::cli::{Failure, Stage, answer, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
@@ -33,6 +33,8 @@ enum Command {
     ScanBench(scan_bench_command::Arguments),
     /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
     StartBench(start_bench::Arguments),
+    /// Register scans with faults, from outliers to two faces in one: right, refused, or wrong with a warning
+    FaultyScans(faulty_scans::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Search the default schedules: the same search for every model
@@ -63,6 +65,7 @@ fn main() -> ExitCode {
         }),
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
         Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
+        Some(Command::FaultyScans(a)) => on_threads(a.threads, || faulty_scans::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
@@ -73,7 +76,7 @@ fn main() -> ExitCode {
         Some(Command::MoreGarbowHillstrom(a)) => more_garbow_hillstrom::run(a),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
-    eprintln!("error: {e:#}");
+    tell(format_args!("error: {e:#}"));
     exit_code(&e)
 }
 

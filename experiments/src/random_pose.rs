@@ -14,6 +14,14 @@ pub fn random_pose(degrees: f64, millimetres: f64, seed: u64, stream: u64) -> Po
     Pose::rigid(turn, direction(&mut rng) * millimetres)
 }
 
+/// A finite number of the command line, as turns and shifts are.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn finite(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| "not a finite number".to_owned())
+}
+
 /// Uniform on the unit sphere.
 fn direction(rng: &mut ChaCha8Rng) -> Vec3 {
     loop {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::cli::{Failure, Stage, say};
+use nonrigid::cli::{Failure, Stage, say, tell};
 use nonrigid::mesh::io::{self, Landmark, Scan, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, StepRecord, register};
@@ -186,12 +186,12 @@ fn every_model(
                 write_polygon_mesh(&folder.join(format!("{model}.obj")), &mesh).map_err(Failure::writing)?;
                 view.get_or_insert_with(|| Upright::new(start, &mesh.positions));
                 results.push(Some(mesh.triangulate()));
-                eprintln!("{name:10} {model:16} median {:.3} mm  {seconds:.2} s", fit.quality.to_scan.median);
+                tell(format_args!("{name:10} {model:16} median {:.3} mm  {seconds:.2} s", fit.quality.to_scan.median));
                 rows.push(row(Some(fit), None));
             }
             Err(e) => {
                 let message = format!("{e:#}");
-                eprintln!("{name:10} {model:16} failed: {message}");
+                tell(format_args!("{name:10} {model:16} failed: {message}"));
                 results.push(None);
                 rows.push(row(None, Some(message)));
             }
@@ -229,7 +229,7 @@ fn fit(model: &ModelKind, template: &Template, target: &Target) -> Result<(Fit, 
 }
 
 fn unreadable(a: &Arguments, name: &str, message: &str) -> (Vec<RealScanRow>, Vec<RgbImage>) {
-    eprintln!("{name:10} cannot be read: {message}");
+    tell(format_args!("{name:10} cannot be read: {message}"));
     let row = |model: &ModelKind| RealScanRow {
         scan: name.into(),
         model: model.to_string(),

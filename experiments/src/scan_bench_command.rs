@@ -4,11 +4,11 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::cli::{Failure, say, tell};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 
-use crate::random_pose::random_pose;
+use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, Scheduled, scan_bench, summarize};
 use crate::tables::{summary_table, table_of, write_tables};
 
@@ -34,10 +34,10 @@ pub struct Arguments {
     #[arg(long, default_value = "all", value_parser = str::parse::<LandmarkUse>)]
     landmarks: LandmarkUse,
     /// Turn every scan by this many degrees about a random axis
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, value_parser = finite, allow_negative_numbers = true)]
     turn: f64,
     /// Move every scan by this many millimetres in a random direction
-    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = finite, allow_negative_numbers = true)]
     shift: f64,
     /// Use each scan's dual mesh: the same surface without its vertices, which may be the template's own, displaced
     #[arg(long)]
@@ -56,7 +56,6 @@ pub struct Arguments {
 /// A [`Failure`] when something cannot be read or written; anything else is a failed registration.
 pub fn run(a: &Arguments) -> Result<()> {
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
     if a.remesh {
@@ -80,6 +79,7 @@ pub fn run(a: &Arguments) -> Result<()> {
         Ok(Scheduled { model, schedule })
     });
     let scheduled: Vec<Scheduled<'_>> = scheduled.collect::<Result<_>>()?;
+    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let models: Vec<&dyn ModelFactory> = scheduled.iter().map(|m| m as &dyn ModelFactory).collect();
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {
@@ -87,7 +87,7 @@ pub fn run(a: &Arguments) -> Result<()> {
         fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
         let mesh = case.template.with_positions(result.positions.clone());
         write_polygon_mesh(&folder.join(format!("{}.obj", row.model)), &mesh).map_err(Failure::writing)?;
-        eprintln!("{:16} {:12} rmse {:.3} mm  {:.2} s", row.case, row.model, row.errors.rmse, row.seconds);
+        tell(format_args!("{:16} {:12} rmse {:.3} mm  {:.2} s", row.case, row.model, row.errors.rmse, row.seconds));
         Ok(())
     })?;
     let json = serde_json::json!({ "rows": rows, "summary": summarize(&rows) });

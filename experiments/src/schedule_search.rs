@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::cli::{Failure, say, tell};
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;
@@ -318,7 +318,7 @@ pub fn run(options: &Options) -> Result<()> {
         let found = search(model, &cases, *budget as usize, |values, objective| {
             count += 1;
             let values: Vec<String> = values.iter().map(|(name, v)| format!("{name} {v}")).collect();
-            eprintln!("{model:12} {count:3}  {objective:.4} mm  {}", values.join(", "));
+            tell(format_args!("{model:12} {count:3}  {objective:.4} mm  {}", values.join(", ")));
             let _ = writeln!(rows, "{model},{count},{},{objective:.6}", values.join("; "));
         })?;
         say(format_args!("{model}: {:.4} mm after {} evaluations", found.objective, found.evaluations))?;

@@ -13,7 +13,7 @@ use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
 use nonrigid::rig::ShapeBasis;
 
-use crate::random_pose::random_pose;
+use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig};
 use crate::tables::table;
 
@@ -27,13 +27,13 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     rig: PathBuf,
     /// Turns about random axes, degrees
-    #[arg(long, value_delimiter = ',', default_value = "0,30,90,180")]
+    #[arg(long, value_delimiter = ',', default_value = "0,30,90,180", value_parser = finite, allow_negative_numbers = true)]
     turns: Vec<f64>,
     /// Turn about the vertical axis instead
     #[arg(long)]
     vertical: bool,
     /// Shift with every turn but 0, millimetres
-    #[arg(long, default_value_t = 500.0)]
+    #[arg(long, default_value_t = 500.0, value_parser = finite, allow_negative_numbers = true)]
     shift: f64,
     /// Seed of the random poses
     #[arg(long, default_value_t = 7)]

@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::real_scans::{Arguments, RealScanRow, SCANS, run};
@@ -112,22 +111,4 @@ fn the_same_files_at_any_number_of_threads_and_any_number_of_columns() {
     let ([_, narrow], [wide, high]) = (size("one"), size("many"));
     assert!((1800..2000).contains(&wide), "{wide}");
     assert!(high > narrow + 400, "{high} {narrow}");
-}
-
-#[test]
-fn missing_data_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    data(folder);
-    let fails = |arguments: &[&str], says: &[&str]| {
-        let run = Command::new(env!("CARGO_BIN_EXE_experiments")).args(arguments).current_dir(folder).output().unwrap();
-        let text = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert_eq!(run.status.code(), Some(4), "{text}");
-        assert!(text.starts_with("error: ") && text.lines().count() == 1, "{text}");
-        assert!(says.iter().all(|s| text.contains(s)), "{text}");
-    };
-    let files = SCANS.map(|(_, file)| file);
-    fails(&["real-scans", "--rig", "rig", "--scans", "nowhere"], &[&["nowhere", "--scans"][..], &files[..]].concat());
-    fails(&["real-scans", "--rig", "nowhere", "--scans", "scans"], &["--rig", "nowhere"]);
-    assert!(!folder.join("out").exists(), "nothing is left where nothing was done");
 }

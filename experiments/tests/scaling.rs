@@ -85,31 +85,3 @@ fn a_small_study_leaves_lines_tables_and_plots() {
         assert!(svg.contains("exponent") && svg.contains("seconds") && svg.contains("threads 2"), "{plot}");
     }
 }
-
-#[test]
-fn options_that_make_no_sense_are_one_error_before_anything_runs() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("scaling");
-    for (options, expected) in [
-        (&["--sizes", "5000,999"][..], "--sizes: 999, expected 1000 to 500000"),
-        (&["--sizes", "none"], "leave nothing to run"),
-        (&["--sizes", "1000,2000", "--nodes", "50"], "--nodes: 1 numbers for 2 --sizes"),
-        (&["--sizes", "1000", "--nodes", "1001"], "--nodes: 1001, expected 1 to 1000"),
-        (&["--threads", "0"], "--threads: 0"),
-        (&["--shapes", "100000"], "--shapes: 100000"),
-        (&["--scan-triangles", "10"], "--scan-triangles: 10"),
-        (
-            &["--linear-solver", "auto,dense"],
-            "--linear-solver dense with 5000 nodes: 30050 unknowns, a square of 7.2 GB",
-        ),
-    ] {
-        let run = scaling(&out, options);
-        let message = String::from_utf8(run.stderr).unwrap();
-        assert_eq!((run.status.code(), message.lines().count()), (Some(1), 1), "{message}");
-        assert!(message.contains(expected) && run.stdout.is_empty(), "{message}");
-    }
-    let run = scaling(&out, &["--linear-solver", "magic"]);
-    let message = String::from_utf8(run.stderr).unwrap();
-    assert!(run.status.code() == Some(1) && message.contains("no linear solver is called \"magic\""), "{message}");
-    assert!(!out.exists());
-}

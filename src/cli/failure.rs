@@ -3,6 +3,8 @@
 use std::fmt;
 use std::process::ExitCode;
 
+use super::tell;
+
 /// The stage at which a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
@@ -14,6 +16,8 @@ pub enum Stage {
     Writing = 3,
     /// Reading inputs.
     Loading = 4,
+    /// Not a failure of its own: Ctrl-C ended the command before its time.
+    Interrupted = 130,
 }
 
 /// Why a command failed.
@@ -54,6 +58,14 @@ impl Failure {
     #[must_use]
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(self.stage as u8)
+    }
+
+    /// Says it on stderr and gives the exit code.
+    #[must_use]
+    pub fn report(&self) -> ExitCode {
+        let kind = if self.stage == Stage::Interrupted { "warning" } else { "error" };
+        tell(format_args!("{kind}: {self}"));
+        self.exit_code()
     }
 }
 

@@ -3,6 +3,7 @@
 mod eval;
 mod failure;
 mod inputs;
+mod interrupt;
 mod measure;
 mod morph;
 mod output;
@@ -20,7 +21,7 @@ use serde::Serialize;
 use crate::mesh::io::write_atomically;
 
 pub use failure::{Failure, Stage};
-pub use output::{answer, say, say_to};
+pub use output::{answer, say, say_to, tell};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
@@ -30,7 +31,7 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.";
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -63,10 +64,7 @@ pub fn main() -> ExitCode {
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("error: {failure}");
-            failure.exit_code()
-        }
+        Err(failure) => failure.report(),
     }
 }
 
@@ -76,12 +74,15 @@ fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) 
     Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
 }
 
-/// Refuses an output whose extension has no writer or whose folder is not there.
+/// Refuses an output whose extension has no writer, whose folder is not there, or that is itself a folder.
 fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     if !extensions.contains(&extension.as_str()) {
         let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), extensions.join(" and ."));
         return Err(Failure::new(Stage::Arguments, message));
+    }
+    if path.is_dir() {
+        return Err(Failure::writing(format!("{}: cannot be written: it is a folder, not a file", path.display())));
     }
     check_parent(path)
 }
@@ -109,7 +110,7 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
 
 /// Prints a warning.
 fn warn(message: impl std::fmt::Display) {
-    eprintln!("warning: {message}");
+    tell(format_args!("warning: {message}"));
 }
 
 /// Writes a value as JSON.

@@ -1,4 +1,5 @@
-//! What a program says on stdout. `println!` panics when nobody reads, as in `nonrigid rig info DIR | head -1`.
+//! What a program says on stdout and stderr. `println!` and `eprintln!` panic when nobody reads, as in
+//! `nonrigid rig info DIR | head -1`.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -25,6 +26,12 @@ pub fn say_to(out: &mut dyn Write, text: fmt::Arguments<'_>) -> Result<(), Failu
     }
 }
 
+/// Writes a line to stderr: progress, warnings, errors. When nobody reads it there is nowhere to say so, and the exit code still
+/// tells.
+pub fn tell(line: impl fmt::Display) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
 /// Prints what clap has to say, help or what is wrong with the arguments, and gives the exit code.
 #[must_use]
 pub fn answer(error: &clap::Error) -> ExitCode {
@@ -34,9 +41,6 @@ pub fn answer(error: &clap::Error) -> ExitCode {
     }
     match say_to(&mut io::stdout().lock(), format_args!("{}", error.render())) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("error: {failure}");
-            failure.exit_code()
-        }
+        Err(failure) => failure.report(),
     }
 }

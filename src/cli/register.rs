@@ -10,11 +10,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::inputs::{MaskArguments, RigArguments, bounds};
+use super::interrupt::Interrupt;
 use super::{Failure, Stage, check_output, on_threads, say, warn, write_json};
 use crate::mesh::io;
 use crate::registration::{
-    InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
-    Schedule, StepRecord, WITHIN_MM, register,
+    Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
+    RegistrationStop, Report, Schedule, StepRecord, WITHIN_MM, register,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -78,6 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
+    let mut progress = Progress::new(Interrupt::listen()?);
     let schedule = read_schedule(a)?;
     check_outputs(a)?;
     if a.model.needs_shapes() && a.rig.rig.is_none() {
@@ -107,7 +109,6 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let reading = clock.elapsed().as_secs_f64();
 
-    let mut progress = Progress::new();
     let result = register(&input, &a.model, &schedule, &mut progress).map_err(|e| {
         let stage = if e.is_input() { Stage::Loading } else { Stage::Computation };
         Failure::new(stage, e.to_string())
@@ -118,9 +119,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let mut registered = template.clone();
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
+    let doubts = Doubt::of(&input, &result, &quality);
     let report = match &a.report {
         Some(path) => {
-            let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone());
+            let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone(), doubts.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
             Some((path, Report { regions, free_regions, ..report }))
         }
@@ -143,8 +145,13 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
-    warn_of_doubtful(&result, &quality, template.triangulate().triangles.len());
-    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())
+    doubts.iter().for_each(warn);
+    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())?;
+    if result.stop == RegistrationStop::StoppedByObserver {
+        let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());
+        return Err(Failure::new(Stage::Interrupted, message));
+    }
+    Ok(())
 }
 
 /// What differs from run to run.
@@ -171,14 +178,25 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
     Ok(schedule)
 }
 
-/// Outputs that could not be written are refused before the work is done.
+/// Outputs that could not be written, or would overwrite what is read, are refused before the work is done.
 fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     check_output(&a.out, &["obj", "ply"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
-    a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))
+    a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
+    let given = [("--out", Some(&a.out)), ("--report", a.report.as_ref()), ("--picture", a.picture.as_ref())];
+    for (option, path) in given.into_iter().filter_map(|(option, path)| Some((option, path?))) {
+        let Ok(file) = path.canonicalize() else { continue }; // it is not there yet
+        let read = input_paths(a)?.into_iter().find(|(_, input)| input.canonicalize().is_ok_and(|i| i == file));
+        if let Some((role, _)) = read {
+            let message = format!("{option} {}: would overwrite a file that is read ({role})", path.display());
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+    }
+    Ok(())
 }
 
-fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
+/// Every file that is read, with what it is read as.
+fn input_paths(a: &Arguments) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
     let mut files = vec![("template", a.template.clone()), ("target", a.target.clone())];
     files.extend(a.neutral.clone().map(|p| ("neutral", p)));
     files.extend(a.landmarks.clone().map(|p| ("landmarks", p)));
@@ -195,42 +213,15 @@ fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
         inside.sort();
         files.extend(inside.into_iter().map(|p| ("rig", p)));
     }
+    Ok(files)
+}
+
+fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
     let hash = |(role, path): (&str, PathBuf)| {
         InputFile::hash(role, &path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
     };
-    files.into_iter().map(hash).collect()
+    input_paths(a)?.into_iter().map(hash).collect()
 }
-
-/// Says so when a result is probably wrong, instead of leaving it to be found out.
-fn warn_of_doubtful(result: &RegistrationResult, quality: &Quality, triangles: usize) {
-    if let Some(search) = result.start_search.as_ref().filter(|s| s.is_doubtful()) {
-        warn(format!(
-            "the start is doubtful: of {} poses tried, the best matches {:.0} % of the template to {:.1} mm (loss {:.2}), one in \
-             another place comes to {:.0} % of its gain; look at the picture, or give three landmarks",
-            search.tried,
-            100.0 * search.fit.share,
-            search.fit.residual,
-            search.fit.loss,
-            100.0 * search.rival()
-        ));
-    }
-    let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-    if inliers < FEW_INLIERS {
-        warn(format!(
-            "only {:.0} % of the template's vertices found the scan; check landmarks, units and the start",
-            100.0 * inliers
-        ));
-    }
-    if quality.flipped as f64 > MANY_FOLDS * triangles as f64 {
-        warn(format!("{} of {triangles} triangles are folded; check landmarks and the start", quality.flipped));
-    }
-}
-
-/// Share of accepted vertices below which a result is doubtful.
-const FEW_INLIERS: f64 = 0.5;
-
-/// Share of flipped triangles above which a result is doubtful.
-const MANY_FOLDS: f64 = 0.02;
 
 fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) -> Result<(), Failure> {
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);
@@ -258,18 +249,19 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// A progress bar on a terminal, nothing when piped.
+/// A progress bar on a terminal, nothing when piped; ends the registration when Ctrl-C asks for it.
 struct Progress {
     bar: ProgressBar,
+    interrupt: Interrupt,
 }
 
 impl Progress {
-    fn new() -> Self {
+    fn new(interrupt: Interrupt) -> Self {
         let bar = if std::io::stderr().is_terminal() { ProgressBar::new(0) } else { ProgressBar::hidden() };
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len}  {msg}") {
             bar.set_style(style);
         }
-        Self { bar }
+        Self { bar, interrupt }
     }
 }
 
@@ -286,6 +278,6 @@ impl RegistrationObserver for Progress {
             100.0 * record.inliers,
             record.motion
         ));
-        ControlFlow::Continue(())
+        if self.interrupt.asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 }

@@ -37,6 +37,7 @@ impl NodeGraph {
         let graph = WeightedGraph::euclidean(&edges, &mesh.positions)?;
         let counts = share_nodes(&components.sizes(), nodes);
         let at = farthest_point_sampling(&graph, &components, &counts).nodes;
+        let influences = influences.min(at.len());
         let nearest = nearest_sources(&graph, &at, influences + 1);
         let positions: Vec<Vec3> = at.iter().map(|&v| mesh.positions[v as usize]).collect();
         let through_space = ClosestVertices::new(&positions)?;
@@ -100,6 +101,7 @@ impl NodeGraph {
     /// When a position is not finite.
     pub fn through_space(mesh: &TriangleMesh, nodes: usize, influences: usize) -> Result<Self, MeshError> {
         let on_surface = Self::along_surface(mesh, nodes, influences)?;
+        let influences = influences.min(on_surface.nodes.len());
         let tree = ClosestVertices::new(&on_surface.nodes)?;
         let mut found: Vec<ClosestVertex> = Vec::new();
         let lists: Vec<_> = mesh

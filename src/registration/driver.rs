@@ -78,7 +78,9 @@ pub struct StepRecord {
     pub level: usize,
     /// Step within the level, from 0.
     pub step: usize,
-    /// Energy after the step, at the step's correspondences.
+    /// Energy before the step, at the step's correspondences.
+    pub energy_before: f64,
+    /// Energy after the step, at the step's correspondences: never more than before.
     pub energy: f64,
     /// The same by term and regulariser.
     pub energies: Vec<(String, f64)>,
@@ -406,6 +408,7 @@ fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError
     if input.template.polygon_count() == 0 {
         return Err(RegistrationError::EmptyTemplate);
     }
+    check_numbers(input)?;
     scan::check_normals(input.scan, input.scan_normals)?;
     if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
         return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
@@ -420,6 +423,30 @@ fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError
         return Err(RegistrationError::EmptyMask);
     }
     Ok(())
+}
+
+/// Refuses coordinates that are not finite and triangles of vertices that do not exist. Files have none; callers may.
+fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
+    let targets: Vec<Vec3> = input.landmarks.iter().map(|l| l.target).collect();
+    for (what, points) in [
+        ("template", &input.template.positions[..]),
+        ("neutral", input.neutral.unwrap_or_default()),
+        ("scan", &input.scan.positions),
+        ("landmarks", &targets),
+    ] {
+        if let Some(index) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(RegistrationError::NotFinite { what, index });
+        }
+    }
+    let range = |triangles: &[[u32; 3]], count: usize| {
+        let outside = |(triangle, t): (usize, &[u32; 3])| {
+            let index = *t.iter().find(|v| **v as usize >= count)?;
+            Some(MeshError::IndexOutOfRange { triangle, index, count }.to_string())
+        };
+        triangles.iter().enumerate().find_map(outside).map_or(Ok(()), Err)
+    };
+    range(&input.scan.triangles, input.scan.positions.len()).map_err(RegistrationError::Scan)?;
+    range(&input.template.triangulate().triangles, input.template.positions.len()).map_err(RegistrationError::Template)
 }
 
 struct Run {
@@ -537,6 +564,7 @@ impl Run {
             let record = StepRecord {
                 level: number,
                 step,
+                energy_before: summary.initial_energy,
                 energy: final_energy,
                 energies: problem.energies(x),
                 inliers: self.correspondences.inlier_share(),

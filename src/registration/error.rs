@@ -59,6 +59,14 @@ pub enum RegistrationError {
         /// The template's.
         template: usize,
     },
+    /// A coordinate is NaN or infinite.
+    #[error("{what}: number {index}, from 0, has coordinates that are not finite")]
+    NotFinite {
+        /// Whose.
+        what: &'static str,
+        /// Which vertex, or landmark.
+        index: usize,
+    },
     /// The model cannot move without blendshapes.
     #[error("model '{0}' needs blendshapes; give a rig")]
     NeedsShapes(String),
@@ -73,8 +81,9 @@ pub enum RegistrationError {
     Scan(String),
     /// Template and scan differ too much in size for a rigid start.
     #[error(
-        "by its landmarks the scan is {scale:.4} times the template's size; bring both to the same unit (millimetres), \
-         check that the landmarks name the right points, or set start = \"similarity\" in the schedule"
+        "by its landmarks the scan is {scale:.4} times the template's size{unit}; bring both to the same unit (millimetres), \
+         check that the landmarks name the right points, or set start = \"similarity\" in the schedule",
+        unit = unit(*scale)
     )]
     Scale {
         /// Scan over template.
@@ -82,8 +91,9 @@ pub enum RegistrationError {
     },
     /// Template and scan differ too much in size for a start to be searched.
     #[error(
-        "by the areas of their surfaces the scan is {ratio:.4} times the template's size, so the template cannot lie on it; \
-         bring both to the same unit (millimetres), give landmarks, or set start = \"similarity\" in the schedule"
+        "by the areas of their surfaces the scan is {ratio:.4} times the template's size{unit}, so the template cannot lie on it; \
+         bring both to the same unit (millimetres), give landmarks, or set start = \"similarity\" in the schedule",
+        unit = unit(*ratio)
     )]
     Size {
         /// Scan over template.
@@ -113,8 +123,9 @@ pub enum RegistrationError {
     },
     /// No vertex found a correspondence.
     #[error(
-        "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way; give landmarks, \
-         check that template and scan are in the same unit, and that the scan is not turned inside out"
+        "{level}: no vertex of the template has a scan surface within {cap} mm that faces the same way and is not its open boundary; \
+         give landmarks, check that template and scan are in the same unit, that the scan is not turned inside out, and that its \
+         triangles share their vertices"
     )]
     NoOverlap {
         /// Level, as schedules' messages name it: `level 1`, `then.level 2`.
@@ -140,6 +151,17 @@ pub enum RegistrationError {
         /// Step, from 1.
         step: usize,
     },
+}
+
+/// What a scan's size says of its unit, where the template's is the millimetre: scans of faces differ by less than units do.
+fn unit(scale: f64) -> &'static str {
+    match scale {
+        s if (3e-4..5e-3).contains(&s) => ", as if it were in metres",
+        s if (0.025..0.06).contains(&s) => ", as if it were in inches",
+        s if (0.06..0.3).contains(&s) => ", as if it were in centimetres",
+        s if s > 300.0 => ", as if it were in micrometres",
+        _ => "",
+    }
 }
 
 impl RegistrationError {

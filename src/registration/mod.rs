@@ -1,6 +1,7 @@
 //! Non-rigid registration: from a template, a model and a scan to the scan's shape in the template's topology.
 
 mod correspondence;
+mod doubt;
 mod driver;
 mod error;
 mod level_term;
@@ -16,6 +17,7 @@ mod surfels;
 mod terms;
 
 pub use correspondence::{Correspondences, VertexCoincidence};
+pub use doubt::Doubt;
 pub use driver::{
     NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start,
     register, register_with,

@@ -8,7 +8,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::{
-    NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
+    Doubt, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
     VertexMasks,
 };
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
@@ -129,6 +129,8 @@ pub struct Report {
     pub weak_directions: usize,
     /// How well the result fits.
     pub quality: Quality,
+    /// Signs that the result is wrong; none, usually.
+    pub doubts: Vec<Doubt>,
     /// Blendshape weights by name, with their standard deviations.
     pub weights: Vec<NamedWeight>,
     /// Every step.
@@ -136,9 +138,15 @@ pub struct Report {
 }
 
 impl Report {
-    /// The report of a result.
+    /// The report of a result, and of what makes it doubtful.
     #[must_use]
-    pub fn new(model: &str, inputs: Vec<InputFile>, result: &RegistrationResult, quality: Quality) -> Self {
+    pub fn new(
+        model: &str,
+        inputs: Vec<InputFile>,
+        result: &RegistrationResult,
+        quality: Quality,
+        doubts: Vec<Doubt>,
+    ) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             model: model.to_owned(),
@@ -152,6 +160,7 @@ impl Report {
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,
             quality,
+            doubts,
             weights: result.weights.clone(),
             history: result.history.clone(),
         }

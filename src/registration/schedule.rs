@@ -423,6 +423,9 @@ impl Level {
     }
 }
 
+/// Greatest count that a schedule may ask for.
+const MOST: usize = 1_000_000;
+
 fn one() -> f64 {
     1.0
 }
@@ -527,6 +530,8 @@ impl Schedule {
         let positive = |field: String, value: f64| check(field, value, value > 0.0, "positive and finite");
         let not_negative =
             |field: String, value: f64| check(field, value, value >= 0.0, "zero or positive, and finite");
+        // What only costs time or memory in numbers that no registration needs: a slip of the pen would seem to hang.
+        let count = |field: String, value: usize| check(field, value as f64, value <= MOST, "at most 1000000");
         positive("reference_size".into(), self.reference_size)?;
         positive("reference_vertices".into(), self.reference_vertices)?;
         for (prefix, graph, levels) in self.stages() {
@@ -535,6 +540,8 @@ impl Schedule {
             }
             positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
+            count(format!("{prefix}graph.nodes"), graph.nodes)?;
+            count(format!("{prefix}graph.influences"), graph.influences)?;
             if graph.node == NodeKind::Affine {
                 graph.require_no_rotation(&prefix, "these")?;
             }
@@ -548,7 +555,12 @@ impl Schedule {
         positive("search.least_share".into(), self.search.least_share)?;
         positive("search.greatest_loss".into(), self.search.greatest_loss)?;
         positive("search.greatest_rival".into(), self.search.greatest_rival)?;
+        count("search.rotations".into(), self.search.rotations)?;
+        count("search.coarse".into(), self.search.coarse)?;
+        count("search.fine".into(), self.search.fine)?;
+        count("scan.normal_smoothing".into(), self.scan.normal_smoothing)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
+        count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
         not_negative("seam.width".into(), self.seam.width)?;
         not_negative("seam.widest".into(), self.seam.widest)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
@@ -560,6 +572,7 @@ impl Schedule {
         for (place, level) in self.levels_by_name() {
             let name = |field: &str| format!("{place}: {field}");
             positive(name("steps"), level.steps as f64)?;
+            count(name("steps"), level.steps)?;
             not_negative(name("lambda_graph"), level.lambda_graph)?;
             not_negative(name("lambda_blend"), level.lambda_blend)?;
             not_negative(name("lambda_smooth"), level.lambda_smooth)?;

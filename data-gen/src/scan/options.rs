@@ -169,9 +169,13 @@ impl ScanOptions {
     /// Whether these options make sense for a rig.
     ///
     /// # Errors
-    /// When a number is out of its range, or the rig does not have an expression.
+    /// When a number is out of its range, or the rig does not have an expression or so many identity modes.
     pub fn validate(&self, rig: &FaceRig) -> Result<(), ScanError> {
         weights_by_name(rig, self.expressions.as_deref().unwrap_or_default())?;
+        let (given, modes) = (self.identity.as_ref().map_or(0, Vec::len), rig.identities.len());
+        if given > modes {
+            return Err(ScanError::Option(format!("identity: {given} weights for a rig of {modes} modes")));
+        }
         self.check()
     }
 

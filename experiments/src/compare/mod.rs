@@ -8,7 +8,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, say};
+use nonrigid::cli::{Failure, Stage, say, tell};
 use nonrigid::registration::ModelKind;
 
 use crate::scan_bench::LandmarkUse;
@@ -143,7 +143,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             row.peak_bytes.map(|bytes| format!("  {:.0} MB", row::megabytes(bytes))),
         ];
         let cost = cost.into_iter().flatten().collect::<String>();
-        eprintln!("{done}/{total}  {:8} {:20} {:16} {outcome}{cost}", row.group, row.name, row.case);
+        tell(format_args!("{done}/{total}  {:8} {:20} {:16} {outcome}{cost}", row.group, row.name, row.case));
         Ok(())
     };
     let program = this_program()?;

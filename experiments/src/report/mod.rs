@@ -82,7 +82,6 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
         return Ok(Vec::new());
     }
     let out = &options.out;
-    fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
     let clock = Instant::now();
     let threads = rayon::current_num_threads();
     let seconds: f64 = chosen.iter().map(|s| (s.seconds)(effort)).sum::<f64>() + generating(options, effort);
@@ -95,9 +94,10 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
     say(log, format!("page: {}, grows as results arrive\n\n", out.join("index.html").display()))?;
 
     let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
+    let data = read_data(options, effort, log)?;
+    fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
     forget_results(out, &tables)?;
     let measured = Measured { folder: out, tables: &tables };
-    let data = read_data(options, effort, log)?;
     write_manifest(options, effort, &data, &chosen)?;
     let about = about(options, effort, &data);
     let mut states: Vec<(&'static Study, State)> = chosen.iter().map(|s| (*s, State::Waiting)).collect();

@@ -13,7 +13,7 @@ use std::process::{Command, Stdio};
 use std::str::FromStr;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, say};
+use nonrigid::cli::{Failure, Stage, say, tell};
 use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
@@ -121,7 +121,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let program = this_program()?;
     let mut rows = Vec::new();
     for (k, configuration) in configurations.iter().enumerate() {
-        eprintln!("{}/{}  {}", k + 1, configurations.len(), describe(configuration));
+        tell(format_args!("{}/{}  {}", k + 1, configurations.len(), describe(configuration)));
         let row = run_apart(&program, configuration)?;
         say(&row)?;
         rows.push(row);
@@ -319,9 +319,9 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
     write_csv(&a.out.join("exponents.csv"), "study,quantity,series,exponent,from,to", csv)?;
     if !exponents.is_empty() {
         let header = ["study", "quantity", "series", "exponent", "from", "to"];
-        eprintln!("{}", table(&header, exponents.iter().map(fields)));
+        tell(format_args!("{}", table(&header, exponents.iter().map(fields))));
     }
-    eprintln!("tables and plots are in {}", a.out.display());
+    tell(format_args!("tables and plots are in {}", a.out.display()));
     Ok(())
 }
 

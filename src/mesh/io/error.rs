@@ -72,10 +72,10 @@ impl ReadError {
         Self::Io { path: path.to_owned(), source }
     }
 
-    /// A content error, for readers of other formats that stand on this floor.
+    /// A content error, for readers of other formats that stand on this floor. What a file says at great length is cut.
     #[must_use]
     pub fn malformed(path: &Path, place: Place, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Malformed { path: path.to_owned(), place, expected: expected.into(), found: found.into() }
+        Self::Malformed { path: path.to_owned(), place, expected: cut(expected.into()), found: cut(found.into()) }
     }
 }
 
@@ -115,6 +115,16 @@ pub enum WriteError {
 impl WriteError {
     pub(crate) fn data(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Data { path: path.to_owned(), expected: expected.into(), found: found.into() }
+    }
+}
+
+/// At most so many characters of what a message says of a file.
+const LONGEST: usize = 800;
+
+fn cut(text: String) -> String {
+    match text.char_indices().nth(LONGEST) {
+        None => text,
+        Some((end, _)) => format!("{}...", &text[..end]),
     }
 }
 

@@ -79,7 +79,26 @@ pub fn read_landmarks(
     template: &PolygonMesh,
     scan: Option<&TriangleMesh>,
 ) -> Result<Vec<Landmark>, ReadError> {
+    let bytes = read_file(target)?;
+    let names = names.map(|path| Ok::<_, ReadError>((read_file(path)?, path))).transpose()?;
+    parse_landmarks((&bytes, target), names.as_ref().map(|(bytes, path)| (&bytes[..], *path)), template, scan)
+}
+
+/// The bytes of a file, and its path, which is only named in errors.
+pub type Source<'a> = (&'a [u8], &'a Path);
+
+/// Parses the landmarks of `target`, resolved through `names` if there are any.
+///
+/// # Errors
+/// As [`read_landmarks`].
+pub fn parse_landmarks(
+    target: Source<'_>,
+    names: Option<Source<'_>>,
+    template: &PolygonMesh,
+    scan: Option<&TriangleMesh>,
+) -> Result<Vec<Landmark>, ReadError> {
     let targets = parse_targets(target, scan)?;
+    let target = target.1;
     let Some(names) = names else {
         if !targets.named {
             let expected = "named points, or a template landmark file that says which vertices the points belong to";
@@ -105,7 +124,8 @@ pub fn read_landmarks(
             })
             .collect();
     };
-    let known = read_template_landmarks(names, template)?;
+    let known = parse_template_landmarks(names, template)?;
+    let names = names.1;
     if !targets.named && targets.points.len() != known.len() {
         let expected = format!("{} points, as many as {} has", known.len(), names.display());
         return Err(ReadError::malformed(target, Place::File, expected, targets.points.len().to_string()));
@@ -130,7 +150,15 @@ pub fn read_landmarks(
 /// # Errors
 /// As [`read_landmarks`].
 pub fn read_template_landmarks(path: &Path, template: &PolygonMesh) -> Result<Vec<(String, TemplatePoint)>, ReadError> {
-    let entries = match parse_json(path)? {
+    parse_template_landmarks((&read_file(path)?, path), template)
+}
+
+fn parse_template_landmarks(
+    source: Source<'_>,
+    template: &PolygonMesh,
+) -> Result<Vec<(String, TemplatePoint)>, ReadError> {
+    let path = source.1;
+    let entries = match parse_json(source)? {
         Json::Object(entries) => unique(entries, path)?,
         Json::Array(items) => items.into_iter().enumerate().map(|(i, item)| (i.to_string(), item)).collect(),
         other => {
@@ -184,7 +212,8 @@ struct Targets {
     named: bool,
 }
 
-fn parse_targets(path: &Path, scan: Option<&TriangleMesh>) -> Result<Targets, ReadError> {
+fn parse_targets(source: Source<'_>, scan: Option<&TriangleMesh>) -> Result<Targets, ReadError> {
+    let path = source.1;
     let list = |items: Vec<Json>| -> Result<Targets, ReadError> {
         let mut points = Vec::with_capacity(items.len());
         for (i, item) in items.iter().enumerate() {
@@ -193,7 +222,7 @@ fn parse_targets(path: &Path, scan: Option<&TriangleMesh>) -> Result<Targets, Re
         }
         Ok(Targets { points, named: false })
     };
-    let mut entries = match parse_json(path)? {
+    let mut entries = match parse_json(source)? {
         Json::Array(items) => return list(items),
         Json::Object(entries) => unique(entries, path)?,
         other => {
@@ -264,8 +293,8 @@ fn unique(entries: Vec<(String, Json)>, path: &Path) -> Result<Vec<(String, Json
     Ok(entries)
 }
 
-fn parse_json(path: &Path) -> Result<Json, ReadError> {
-    serde_json::from_slice(&read_file(path)?).map_err(|error| {
+fn parse_json((bytes, path): Source<'_>) -> Result<Json, ReadError> {
+    serde_json::from_slice(bytes).map_err(|error| {
         let place = if error.line() == 0 { Place::File } else { Place::Line(error.line()) };
         ReadError::malformed(path, place, "JSON", error.to_string())
     })

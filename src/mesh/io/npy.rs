@@ -5,7 +5,7 @@
 //! Data come out in C order (last index fastest) whatever order the file has.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Write};
+use std::io::{BufReader, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use super::error::excerpt;
@@ -64,6 +64,14 @@ impl NpyArray<'static> {
 }
 
 impl<'a> NpyArray<'a> {
+    /// Reads the header of the bytes of an NPY file; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`NpyArray::open`].
+    pub fn parse(bytes: &'a [u8], path: &Path) -> Result<Self, ReadError> {
+        Self::from_reader(Box::new(bytes), Some(bytes.len() as u64), path)
+    }
+
     fn from_reader(mut reader: Box<dyn Read + 'a>, size: Option<u64>, path: &Path) -> Result<Self, ReadError> {
         let error =
             |byte, expected: &str, found: String| ReadError::malformed(path, Place::Byte(byte), expected, found);
@@ -425,12 +433,12 @@ pub fn read_npy_mask(path: &Path, length: Option<usize>) -> Result<Vec<bool>, Re
 }
 
 /// An NPZ archive: named arrays.
-pub struct Npz {
+pub struct Npz<R: Read + Seek = BufReader<File>> {
     path: PathBuf,
-    archive: npyz::npz::NpzArchive<BufReader<File>>,
+    archive: npyz::npz::NpzArchive<R>,
 }
 
-impl std::fmt::Debug for Npz {
+impl<R: Read + Seek> std::fmt::Debug for Npz<R> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Npz").field("path", &self.path).finish_non_exhaustive()
     }
@@ -443,7 +451,17 @@ impl Npz {
     /// When the file cannot be read or is not an archive.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let file = File::open(path).map_err(|source| ReadError::io(path, source))?;
-        match npyz::npz::NpzArchive::new(BufReader::new(file)) {
+        Self::from_reader(BufReader::new(file), path)
+    }
+}
+
+impl<R: Read + Seek> Npz<R> {
+    /// Opens an archive that is read from `reader`; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Npz::open`].
+    pub fn from_reader(reader: R, path: &Path) -> Result<Self, ReadError> {
+        match npyz::npz::NpzArchive::new(reader) {
             Ok(archive) => Ok(Self { path: path.to_owned(), archive }),
             Err(e) => Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", e.to_string())),
         }
@@ -467,7 +485,10 @@ impl Npz {
             let found = if names.is_empty() { "no arrays".to_owned() } else { names.join(", ") };
             return Err(ReadError::malformed(&self.path, Place::File, format!("an array {name:?}"), found));
         }
-        let inside = self.path.join(format!("{name}.npy"));
+        // Appended, not joined: a name may look like a path from the root.
+        let mut inside = self.path.clone().into_os_string();
+        inside.push(format!("/{name}.npy"));
+        let inside = PathBuf::from(inside);
         match self.archive.zip_archive().by_name(&npyz::npz::file_name_from_array_name(name)) {
             Ok(entry) => {
                 let size = entry.size();

@@ -396,6 +396,9 @@ impl<'a> Body<'a> {
         };
         let normal = find3("nx", "ny", "nz").or_else(|| find3("normal_x", "normal_y", "normal_z"));
         let color = find3("red", "green", "blue").or_else(|| find3("diffuse_red", "diffuse_green", "diffuse_blue"));
+        if u32::try_from(element.rows).is_err() {
+            return Err(self.error("fewer than 2^32 vertices", element.rows.to_string()));
+        }
         // rows are at least a byte long, so these cannot exceed a small multiple of the file
         ply.mesh.positions.reserve(element.rows);
         let mut normals = Vec::with_capacity(if normal.is_some() { element.rows } else { 0 });

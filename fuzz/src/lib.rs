@@ -1,0 +1,252 @@
+//! What is asked of every reader, whatever bytes it gets: no panic, no hang, no more memory than the bytes are worth, and
+//! either an error that names the file or something that keeps the reader's promises.
+//!
+//! The fuzz targets and the test `tests/corpus.rs` run these functions.
+
+use std::cell::RefCell;
+use std::fmt::Display;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use nonrigid::mesh::io::{NpyArray, Npz, parse_landmarks, parse_obj, parse_ply};
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::registration::Schedule;
+use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
+
+/// A target by its name: what runs it.
+pub const TARGETS: [(&str, fn(&[u8])); 7] = [
+    ("ply", ply),
+    ("obj", obj),
+    ("npy", npy),
+    ("npz", npz),
+    ("landmarks", landmarks),
+    ("rig", rig),
+    ("schedule", schedule),
+];
+
+/// An error says which file, and not the whole of it.
+fn check_error(error: impl Display, file: &str) {
+    let message = error.to_string();
+    assert!(message.contains(file), "{message}");
+    assert!(message.chars().count() < 2000, "{} bytes: {message}", message.len());
+}
+
+fn finite(points: &[Vec3]) -> bool {
+    points.iter().all(|p| p.iter().all(|x| x.is_finite()))
+}
+
+/// What readers promise of a mesh.
+fn check_mesh(mesh: &PolygonMesh) {
+    let vertices = mesh.positions.len();
+    assert!(vertices > 0 && finite(&mesh.positions));
+    assert!(mesh.starts[0] == 0 && mesh.starts.is_sorted() && mesh.starts.last() == Some(&(mesh.corners.len() as u32)));
+    assert!(mesh.corners.iter().all(|v| (*v as usize) < vertices));
+    assert!((0..mesh.polygon_count()).all(|f| mesh.polygon(f).len() >= 3));
+    let uvs = &mesh.metadata.corner_uvs;
+    assert!(uvs.is_empty() || uvs.len() == mesh.corners.len());
+    assert!(uvs.iter().all(|uv| *uv == u32::MAX || (*uv as usize) < mesh.metadata.uvs.len()));
+    assert_eq!(mesh.triangulate().triangles.len(), mesh.corners.len() - 2 * mesh.polygon_count());
+}
+
+/// PLY.
+pub fn ply(bytes: &[u8]) {
+    match parse_ply(bytes, Path::new("fuzz.ply")) {
+        Ok(ply) => {
+            check_mesh(&ply.mesh);
+            let vertices = ply.mesh.positions.len();
+            assert!(ply.normals.is_none_or(|n| n.len() == vertices && finite(&n)));
+            assert!(ply.colors.is_none_or(|c| c.len() == vertices));
+        }
+        Err(e) => check_error(e, "fuzz.ply"),
+    }
+}
+
+/// OBJ.
+pub fn obj(bytes: &[u8]) {
+    match parse_obj(bytes, Path::new("fuzz.obj")) {
+        Ok(mesh) => check_mesh(&mesh),
+        Err(e) => check_error(e, "fuzz.obj"),
+    }
+}
+
+/// NPY, read as numbers, as fewer rows of them and as truth values.
+pub fn npy(bytes: &[u8]) {
+    let parse = || NpyArray::parse(bytes, Path::new("fuzz.npy"));
+    let array = match parse() {
+        Ok(array) => array,
+        Err(e) => return check_error(e, "fuzz.npy"),
+    };
+    let items = if array.shape().contains(&0) { 0 } else { array.shape().iter().product() };
+    assert!(items <= bytes.len());
+    assert_eq!(array.read_f64().map(|read| read.len()).ok(), Some(items));
+    let rows = parse().and_then(|array| array.read_f32_rows(2));
+    assert!(rows.is_ok_and(|read| read.len() <= items));
+    match parse().and_then(NpyArray::read_bool) {
+        Ok(read) => assert_eq!(read.len(), items),
+        Err(e) => check_error(e, "fuzz.npy"),
+    }
+}
+
+/// NPZ: the bytes as an archive, or as the content of an entry of a sound one whose size is what the first bytes claim.
+pub fn npz(bytes: &[u8]) {
+    let archive = match bytes.split_first_chunk::<5>() {
+        Some(([b'e', size @ ..], content)) => zip_of("a.npy", content, u32::from_le_bytes(*size)),
+        _ => bytes.to_vec(),
+    };
+    let mut npz = match Npz::from_reader(Cursor::new(archive), Path::new("fuzz.npz")) {
+        Ok(npz) => npz,
+        Err(e) => return check_error(e, "fuzz.npz"),
+    };
+    for name in npz.names() {
+        if let Err(e) = npz.array(&name).and_then(NpyArray::read_f64) {
+            check_error(e, "fuzz.npz");
+        }
+    }
+    assert!(npz.array("no such name").is_err());
+}
+
+/// A zip archive of one stored entry that claims to be `size` bytes long, or to have its own length for 0.
+fn zip_of(name: &str, content: &[u8], size: u32) -> Vec<u8> {
+    let length = content.len() as u32;
+    let claimed = if size == 0 { length } else { size };
+    let crc = !content.iter().fold(!0u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
+    });
+    // Version, flags, method, time, date; then sizes and the lengths of name and extra field.
+    let mut common = Vec::new();
+    [20u16, 0, 0, 0, 33].iter().for_each(|v| common.extend(v.to_le_bytes()));
+    [crc, length, claimed].iter().for_each(|v| common.extend(v.to_le_bytes()));
+    [name.len() as u16, 0].iter().for_each(|v| common.extend(v.to_le_bytes()));
+    let mut zip = [b"PK\x03\x04", &common[..], name.as_bytes(), content].concat();
+    let directory = zip.len() as u32;
+    zip.extend([b"PK\x01\x02\x14\x00", &common[..], &[0; 14], name.as_bytes()].concat());
+    let end = zip.len() as u32;
+    zip.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
+    [end - directory, directory].iter().for_each(|v| zip.extend(v.to_le_bytes()));
+    zip.extend([0, 0]);
+    zip
+}
+
+/// The separator between the files of [`landmarks`] and [`rig`].
+const NEXT_FILE: &[u8] = b"\n===\n";
+
+/// Parts between [`NEXT_FILE`]s.
+fn files(bytes: &[u8]) -> Vec<&[u8]> {
+    let mut parts = Vec::new();
+    let mut rest = bytes;
+    while let Some(at) = rest.windows(NEXT_FILE.len()).position(|w| w == NEXT_FILE) {
+        parts.push(&rest[..at]);
+        rest = &rest[at + NEXT_FILE.len()..];
+    }
+    parts.push(rest);
+    parts
+}
+
+/// Landmarks, and after a separator what their names mean on the template.
+pub fn landmarks(bytes: &[u8]) {
+    let positions = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, 0.0)).to_vec();
+    let quad = PolygonMesh { positions, starts: vec![0, 4], corners: vec![0, 1, 2, 3], ..PolygonMesh::default() };
+    // Its second triangle is of another file: no reader lets it through, a caller may.
+    let scan = TriangleMesh { positions: quad.positions.clone(), triangles: vec![[0, 1, 2], [1, 2, 9]] };
+    let files = files(bytes);
+    let names = files.get(1).map(|bytes| (*bytes, Path::new("fuzz.names.json")));
+    for scan in [None, Some(&scan)] {
+        match parse_landmarks((files[0], Path::new("fuzz.json")), names, &quad, scan) {
+            Ok(all) => {
+                for landmark in all {
+                    assert!(finite(&[landmark.target, landmark.template.position(&quad.positions)]));
+                }
+            }
+            Err(e) => check_error(e, "fuzz."),
+        }
+    }
+}
+
+/// What the files of a rig folder are called: of arrays, and of meshes.
+const RIG_FILES: [&[&str]; 2] = [
+    &[
+        "template.obj",
+        "neutral.npy",
+        "expression_deltas.npy",
+        "expression_names.json",
+        "identity_deltas.npy",
+        "identity_names.json",
+        "landmarks_multipie68.json",
+        "regions.json",
+    ],
+    &["neutral.obj", "smile.obj", "jaw.ply", "template.obj", "rig.json", "regions.json"],
+];
+
+/// A folder in memory, where the system has one; removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        let memory = Path::new("/dev/shm");
+        let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
+        let name = format!("fuzz-rig-{}-{:?}", std::process::id(), std::thread::current().id());
+        let folder = parent.join(name);
+        std::fs::create_dir_all(&folder).expect("a folder to write to");
+        Self(folder)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0); // what is left is in memory and named after this program
+    }
+}
+
+/// A rig folder: after one byte that says of which layout, its files one after another; an empty one is missing.
+pub fn rig(bytes: &[u8]) {
+    thread_local!(static FOLDER: RefCell<Option<Folder>> = const { RefCell::new(None) });
+    let Some((layout, bytes)) = bytes.split_first() else { return };
+    let names = RIG_FILES[usize::from(layout & 1)];
+    FOLDER.with_borrow_mut(|folder| {
+        let folder = &folder.get_or_insert_with(Folder::new).0;
+        let files = files(bytes);
+        for (name, bytes) in names.iter().zip(&files).filter(|(_, bytes)| !bytes.is_empty()) {
+            std::fs::write(folder.join(name), bytes).expect("memory for a small file");
+        }
+        match Rig::read(folder, &RigReadOptions::default()) {
+            Ok((rig, _)) => check_rig(&rig),
+            Err(e) => {
+                let message = e.to_string();
+                assert!(!message.is_empty() && message.len() < 4000, "{} bytes: {message}", message.len());
+            }
+        }
+        for name in names.iter().take(files.len()) {
+            let _ = std::fs::remove_file(folder.join(name)); // an empty one was never there
+        }
+    });
+}
+
+fn check_rig(rig: &Rig) {
+    let vertices = rig.neutral().len();
+    assert!(finite(rig.neutral()) && rig.info().len() == rig.shapes().len());
+    for k in 0..rig.shapes().len() {
+        assert!(rig.deltas(k).len() == 3 * vertices && rig.deltas(k).iter().all(|d| d.is_finite()));
+        assert_eq!(rig.find(&rig.shapes()[k].name).ok(), Some(k));
+    }
+    assert!(rig.landmarks().is_none_or(|l| l.iter().all(|v| (*v as usize) < vertices)));
+    if let Some(regions) = rig.regions() {
+        let names: Vec<String> = regions.names().map(str::to_owned).collect();
+        assert_eq!(regions.mask(&names).map(|mask| mask.len()).ok(), Some(vertices));
+    }
+    let selection = ShapeSelection { identity_modes: 1, ..ShapeSelection::default() };
+    if let Ok(basis) = rig.select(selection) {
+        assert!(basis.is_empty() || basis.vertex_count() == vertices);
+    }
+}
+
+/// A schedule; one that is accepted reads back from what it is written as.
+pub fn schedule(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    match Schedule::from_toml(text) {
+        Ok(schedule) => {
+            let written = toml::to_string(&schedule).expect("a schedule is TOML");
+            assert_eq!(Schedule::from_toml(&written), Ok(schedule), "{written}");
+        }
+        Err(e) => assert!(!e.to_string().is_empty()),
+    }
+}

@@ -1,0 +1,49 @@
+//! The same files at 1, 2 and 4 threads and from run to run: every command of `nonrigid`, with every model.
+
+#[path = "support/repeats.rs"]
+mod repeats;
+mod support;
+
+use nonrigid::registration::ModelKind;
+use repeats::leaves_equal_files;
+use support::Bench;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_nonrigid");
+const OUTPUTS: &str = "--out OUT/r.obj --report OUT/r.json --picture OUT/r.png --threads THREADS";
+
+#[test]
+fn registrations_leave_the_same_files_with_every_model() {
+    let bench = Bench::new();
+    let fit = "register --template rig/template.obj --neutral case/neutral.npy --rig rig --target case/scan.ply";
+    for model in ModelKind::ALL {
+        let line = format!("{fit} --landmarks case/landmarks.json --model {model} {OUTPUTS}");
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 3, "{model}");
+    }
+    // With a start that is searched, identity modes and bounds.
+    let line = format!("{fit} --identity-modes 5 --expression-bounds 0,1 {OUTPUTS}");
+    assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 3);
+}
+
+#[test]
+fn all_other_commands_print_and_leave_the_same() {
+    let bench = Bench::new();
+    let eval = "eval --result case/neutral.npy --template rig/template.obj --json --heatmap OUT/h.png";
+    for line in [
+        format!("{eval} --truth case/truth.npy --observed case/observed.npy"),
+        format!("{eval} --target case/scan.ply"),
+    ] {
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 1);
+    }
+    assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), "rig info rig --json", true), 0);
+    for k in 0..6 {
+        bench.write(&format!("people/{k}.obj"), {
+            let height = |i: usize| ((k * i) as f64 * 0.37).sin();
+            let vertices = (0..2000).map(|i| format!("v {} {} {}\n", i % 40, i / 40, height(i)));
+            vertices.collect::<String>() + "f 1 2 42 41\n"
+        });
+    }
+    for align in ["rigid", "similarity", "none"] {
+        let line = format!("rig pca --meshes people --components 3 --align {align} --out OUT/rig --threads THREADS");
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 6, "{align}");
+    }
+}

@@ -1,0 +1,258 @@
+//! What befalls a program from outside: full disks, folders that cannot be written, Ctrl-C, a kill in the middle of a write.
+#![cfg(unix)]
+
+mod support;
+
+use std::fs;
+use std::io::Write;
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use nonrigid::mesh::io::{read_obj, write_atomically};
+use serde_json::Value;
+use support::{Bench, files_in};
+
+const FIT: &str = "register --template rig/template.obj --neutral case/neutral.npy --rig rig --target case/scan.ply \
+                   --landmarks case/landmarks.json";
+
+/// A schedule that does not end by itself for a long time.
+fn endless(bench: &Bench) {
+    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[graph]\nnodes = 60\n\
+                 [[level]]\nsteps = 1000000\nlambda_graph = 1.0\nlandmarks = 1.0\nkernel = \"none\"\n\
+                 distance_cap = 25.0\nnormal_angle = 60.0\n";
+    bench.write("endless.toml", steps);
+}
+
+fn start(bench: &Bench, arguments: &str) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+    command.args(arguments.split_whitespace()).current_dir(bench.path(""));
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+fn signal(child: &Child, name: &str) {
+    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// The end of a program that was told to end, within a minute.
+fn ended(mut child: Child) -> Output {
+    let begin = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "it does not end");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
+    let bench = Bench::new();
+    endless(&bench);
+    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json --picture r.png"));
+    std::thread::sleep(Duration::from_millis(1500));
+    signal(&child, "-INT");
+    let output = ended(child);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    let warnings: Vec<&str> = said.lines().filter(|l| l.starts_with("warning: interrupted: r.obj holds")).collect();
+    assert!(warnings.len() == 1 && !said.contains("error"), "{said}");
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let result = read_obj(&bench.path("r.obj")).unwrap();
+    assert_eq!(template.with_positions(result.positions.clone()), result);
+    let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    assert_eq!(report["stop"], "stopped_by_observer");
+    let steps = report["history"].as_array().unwrap().len();
+    assert!((1..1_000_000).contains(&steps), "{steps}");
+    assert!(text(&output.stdout).contains(&format!("hybrid: {steps} steps")), "{}", text(&output.stdout));
+    assert!(bench.read("r.png").len() > 1000);
+}
+
+#[test]
+fn a_second_ctrl_c_ends_it_there_and_then() {
+    let bench = Bench::new();
+    endless(&bench);
+    bench.write("r.obj", "from last week");
+    // Stopped, it cannot take the step that the first one waits for.
+    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj"));
+    std::thread::sleep(Duration::from_millis(1000));
+    signal(&child, "-STOP");
+    signal(&child, "-INT");
+    signal(&child, "-CONT");
+    signal(&child, "-INT");
+    let output = ended(child);
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    // Whole, whichever it is.
+    let old = bench.read("r.obj") == b"from last week";
+    assert!(old || read_obj(&bench.path("r.obj")).unwrap().positions.len() == bench.rig.neutral.len());
+}
+
+#[test]
+fn a_kill_at_any_time_leaves_the_old_file_or_the_new_one() {
+    let bench = Bench::new();
+    let line = format!("{FIT} --model rigid --out r.obj --report r.json --picture r.png");
+    let begin = Instant::now();
+    bench.done(&line);
+    let whole = begin.elapsed();
+    let names = ["r.obj", "r.json", "r.png"];
+    let new = names.map(|name| bench.read(name));
+    let mut found = [0, 0];
+    for k in 0..40u32 {
+        names.iter().for_each(|name| bench.write(name, "from last week"));
+        let mut child = start(&bench, &line);
+        std::thread::sleep(whole.mul_f64(f64::from(k) / 36.0));
+        let _ = child.kill(); // it may have ended
+        child.wait().unwrap();
+        for (name, new) in names.iter().zip(&new) {
+            let content = bench.read(name);
+            assert!(content == *new || content == b"from last week", "{name} after {k} of 36 parts of {whole:?}");
+            found[usize::from(content == *new)] += 1;
+        }
+    }
+    assert!(found[0] > 0 && found[1] > 0, "{found:?}: killed too late or too early every time");
+}
+
+/// The part of [`a_kill_in_mid_write_leaves_the_old_file`] that is killed: writes half of a file, says so, and waits.
+#[test]
+#[ignore = "runs in a process of its own"]
+fn half_a_file() {
+    let Some(path) = std::env::var_os("NONRIGID_HALF_A_FILE") else { return };
+    let written = write_atomically(Path::new(&path), |out| {
+        out.write_all(&[b'x'; 1 << 20])?;
+        println!("half");
+        std::thread::sleep(Duration::from_secs(60));
+        out.write_all(&[b'x'; 1 << 20])
+    });
+    written.unwrap();
+}
+
+#[test]
+fn a_kill_in_mid_write_leaves_the_old_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.txt");
+    fs::write(&path, "from last week").unwrap();
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", "half_a_file", "--ignored", "--nocapture"]).env("NONRIGID_HALF_A_FILE", &path);
+    let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
+    assert!(lines.any(|line| line.unwrap().contains("half")));
+    child.kill().unwrap();
+    assert_eq!(child.wait().unwrap().signal(), Some(9));
+    assert_eq!(fs::read(&path).unwrap(), b"from last week");
+    // What it had written stays behind under a name that nobody reads.
+    let names = files_in(folder.path());
+    assert!(names.len() == 2 && names[0].starts_with(".old.txt.") && names[0].ends_with(".tmp"), "{names:?}");
+    // And the next writer does not mind.
+    write_atomically(&path, |out| out.write_all(b"new")).unwrap();
+    assert_eq!(fs::read(&path).unwrap(), b"new");
+}
+
+/// A small disk of its own, if this process may have one.
+struct SmallDisk<'a>(&'a Path);
+
+impl<'a> SmallDisk<'a> {
+    fn mount(folder: &'a Path, options: &str) -> Option<Self> {
+        fs::create_dir_all(folder).unwrap();
+        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder).output();
+        if !mount.is_ok_and(|m| m.status.success()) {
+            println!("skipped: this process may not mount a disk");
+            return None;
+        }
+        Some(Self(folder))
+    }
+}
+
+impl Drop for SmallDisk<'_> {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(self.0).status(); // a test that fails has already said why
+    }
+}
+
+/// One clear error of writing.
+fn unwritten(bench: &Bench, line: &str, words: &[&str]) {
+    let run = bench.run(line);
+    assert_eq!(run.code, 3, "{line}\n{}", run.stderr);
+    assert_eq!(run.stderr.lines().filter(|l| l.starts_with("error: ")).count(), 1, "{line}\n{}", run.stderr);
+    for word in words {
+        assert!(run.stderr.contains(word), "{line}\n{}\nlacks {word:?}", run.stderr);
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_of_writing_and_leaves_old_files_whole() {
+    let bench = Bench::new();
+    let disk = bench.path("disk");
+    let Some(_disk) = SmallDisk::mount(&disk, "size=32k") else { return };
+    for name in ["r.obj", "r.json", "h.png"] {
+        bench.write(&format!("disk/{name}"), "from last week");
+    }
+    unwritten(&bench, &format!("{FIT} --model rigid --out disk/r.obj"), &["disk/r.obj", "No space left"]);
+    unwritten(&bench, &format!("{FIT} --out r.obj --report disk/r.json"), &["disk/r.json", "No space left"]);
+    let eval = "eval --result case/truth.npy --template rig/template.obj --truth case/truth.npy --heatmap disk/h.png";
+    unwritten(&bench, eval, &["disk/h.png", "No space left"]);
+    for k in 0..4 {
+        let weight = f64::from(k * k);
+        bench.write(
+            &format!("people/{k}.obj"),
+            (0..900).map(|i| format!("v {} {} {}\n", i % 30, i / 30, weight * f64::from(i % 7))).collect::<String>()
+                + "f 1 2 32 31\n",
+        );
+    }
+    unwritten(
+        &bench,
+        "rig pca --meshes people --components 1 --align none --out disk/rig",
+        &["disk/rig/", "No space left"],
+    );
+    for name in ["r.obj", "r.json", "h.png"] {
+        assert_eq!(bench.read(&format!("disk/{name}")), b"from last week", "{name}");
+    }
+    let others: Vec<String> = files_in(&disk).into_iter().filter(|n| n != "rig").collect();
+    assert_eq!(others, ["h.png", "r.json", "r.obj"], "nothing half is left");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_an_error_of_writing() {
+    let bench = Bench::new();
+    let folder = bench.path("closed");
+    // The permissions of a folder stop everybody but root, a disk that is mounted read-only stops root too.
+    let _disk = SmallDisk::mount(&folder, "ro");
+    fs::create_dir_all(&folder).unwrap();
+    let mut permissions = fs::metadata(&folder).unwrap().permissions();
+    permissions.set_readonly(true);
+    let _ = fs::set_permissions(&folder, permissions); // a read-only disk needs none
+    if fs::write(folder.join("probe"), "").is_ok() {
+        println!("skipped: nothing is closed to this process");
+        return;
+    }
+    unwritten(&bench, &format!("{FIT} --model rigid --out closed/r.obj"), &["closed/r.obj", "cannot be written"]);
+    unwritten(&bench, &format!("{FIT} --out r.obj --picture closed/r.png"), &["closed/r.png", "cannot be written"]);
+    assert!(files_in(&folder).is_empty());
+}
+
+#[test]
+fn nobody_reads_what_is_said() {
+    let bench = Bench::new();
+    for (line, code) in [
+        ("rig info rig", 0),
+        ("rig info missing", 4),
+        ("regsiter", 1),
+        (
+            "register --template rig/template.obj --target case/scan.ply --model graph --landmarks case/landmarks.json --out r.obj",
+            0,
+        ),
+    ] {
+        let pipe = || {
+            let (reader, writer) = std::io::pipe().unwrap();
+            drop(reader);
+            writer
+        };
+        let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+        command.args(line.split_whitespace()).current_dir(bench.path("")).stdout(pipe()).stderr(pipe());
+        assert_eq!(command.status().unwrap().code(), Some(code), "{line}");
+    }
+    assert!(read_obj(&bench.path("r.obj")).is_ok());
+}

@@ -1,0 +1,321 @@
+//! Everything that the program reads, broken in every way that a row of a table needs.
+#![allow(dead_code)] // every test binary uses its own part of this
+
+use data_gen::{FaceOptions, FaceRig, write_rig};
+use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::mesh::io::{NpyArray, PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
+
+use super::support::{Bench, landmarks_json};
+
+/// A schedule that works; rows break it.
+const SCHEDULE: &str = "reference_size = 67.0
+reference_vertices = 6706
+[graph]
+nodes = 60
+[[level]]
+steps = 2
+lambda_graph = 1.0
+point_to_plane = 1.0
+landmarks = 1.0
+kernel = { huber = { delta = 3.0 } }
+distance_cap = 25.0
+normal_angle = 60.0
+";
+
+/// A command with options that work.
+const REGISTER: &[(&str, &str)] = &[
+    ("--template", "rig/template.obj"),
+    ("--target", "case/scan.ply"),
+    ("--neutral", "case/neutral.npy"),
+    ("--rig", "rig"),
+    ("--landmarks", "case/landmarks.json"),
+    ("--config", "schedule.toml"),
+    ("--out", "OUT/r.obj"),
+    ("--report", "OUT/r.json"),
+    ("--picture", "OUT/r.png"),
+];
+const EVAL: &[(&str, &str)] = &[
+    ("--result", "case/truth.npy"),
+    ("--template", "rig/template.obj"),
+    ("--truth", "case/truth.npy"),
+    ("--observed", "case/observed.npy"),
+    ("--heatmap", "OUT/h.png"),
+];
+const MEASURE: &[(&str, &str)] = &[
+    ("--mesh", "rig/template.obj"),
+    ("--after", "case/truth.npy"),
+    ("--landmarks", "rig/landmarks_anthropometric.json"),
+    ("--rig", "rig"),
+    ("--mask", "ones.npy"),
+    ("--json", "OUT/m.json"),
+    ("--csv", "OUT/m.csv"),
+    ("--report", "OUT/page"),
+];
+const RIG_PCA: &[(&str, &str)] = &[("--meshes", "people"), ("--components", "2"), ("--out", "OUT/people_rig")];
+
+const MORPH: &[(&str, &str)] = &[
+    ("--mesh", "rig/template.obj"),
+    ("--landmarks", "rig/landmarks_multipie68.json"),
+    ("--recipe", "recipe.toml"),
+    ("--out", "OUT/morphed.obj"),
+    ("--masks", "OUT/masks"),
+    ("--report", "OUT/morph_page"),
+];
+
+/// A recipe that works; rows break it.
+const RECIPE: &str = "frame = { origin = [\"30\"], right = [\"36\", \"45\"], up = [\"8\", \"27\"] }
+[[step]]
+[[step.mask]]
+region = { circle = { centre = [0, 0], radius = 9 } }
+displacement = [0, 0, 1]
+";
+
+/// The command line of a row: `changes` are options with other values, or with `-` to leave them out.
+pub fn command_line(command: &str, changes: &str) -> String {
+    let mut options: Vec<(String, String)> = match command {
+        "register" => REGISTER,
+        "eval" => EVAL,
+        "measure" => MEASURE,
+        "morph" => MORPH,
+        "rig pca" => RIG_PCA,
+        _ => return format!("{command} {changes}"),
+    }
+    .iter()
+    .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+    .collect();
+    let words: Vec<&str> = changes.split_whitespace().collect();
+    for change in words.chunks(2) {
+        options.retain(|o| o.0 != change[0]);
+        if change[1] != "-" {
+            options.push((change[0].to_owned(), change[1].to_owned()));
+        }
+    }
+    let options: Vec<String> = options.into_iter().map(|(name, value)| format!("{name} {value}")).collect();
+    format!("{command} {}", options.join(" "))
+}
+
+/// The scan, the template and everything around them, broken in every way that a row needs.
+pub fn broken() -> Bench {
+    let bench = Bench::new();
+    bench.write("new/.keep", "");
+    for name in ["r.obj", "r.json", "r.timing.json", "r.png", "h.png", "m.json", "m.csv", "morphed.obj"] {
+        bench.write(&format!("old/{name}"), "from last week");
+    }
+    bench.write("schedule.toml", SCHEDULE);
+    bench.write("empty.ply", "");
+    bench.write("empty.obj", "");
+    bench.write("empty.json", "");
+    bench.write("empty.toml", "");
+    bench.write("garbage.ply", [0u8, 159, 146, 150, 10, 255, 0, 1]);
+    bench.write("garbage.obj", [0u8, 159, 146, 150, 10, 255, 0, 1]);
+    bench.write("garbage.npy", [7u8; 200]);
+    bench.write("garbage.json", "{\"1\": [oops");
+    bench.write("garbage.toml", "steps == many\n");
+    bench.write("scan.stl", "solid\n");
+    let scan = bench.read("case/scan.ply");
+    bench.write("truncated.ply", &scan[..scan.len() / 2]);
+
+    let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    bench.write("nan.ply", format!("{header}0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n"));
+    bench.write("past.ply", format!("{header}0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"));
+    bench.write("no_faces.ply", header.replace("face 1", "face 0") + "0 0 0\n1 0 0\n0 1 0\n");
+    bench.write("no_vertices.ply", header.replace("vertex 3", "vertex 0").replace("face 1", "face 0"));
+    bench.write("past.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n");
+    bench.write("nan.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n");
+    bench.write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    bench.write("triangle.obj", "v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n");
+    bench.write("one_point.obj", "v 5 5 5\nv 5 5 5\nv 5 5 5\nf 1 2 3\n");
+
+    // A scan of one triangle far from everything, and the whole scan moved away from its landmarks.
+    bench.write("lone.ply", format!("{header}900 0 0\n901 0 0\n900 1 0\n3 0 1 2\n"));
+    let mut away = bench.case.scan.clone();
+    away.positions.iter_mut().for_each(|p| p.y += 1000.0);
+    write_ply(&bench.path("away.ply"), &away, PlyOptions::default()).unwrap();
+    let mut inverted = bench.case.scan.clone();
+    inverted.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    write_ply(&bench.path("inverted.ply"), &inverted, PlyOptions::default()).unwrap();
+
+    let marks = &bench.case.landmarks;
+    bench.write("two.json", landmarks_json(&marks[..2]));
+    let mut past = marks.clone();
+    past[3].0 = 99_999;
+    bench.write("past.json", landmarks_json(&past));
+    let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
+    bench.write("line.json", landmarks_json(&line));
+    bench.write("nan.json", "{\"1\": [1, 2, 3], \"2\": [1, NaN, 3], \"5\": [0, 0, 1.5]}");
+    bench.write("huge.json", "{\"1\": [1, 2, 3], \"2\": [1, 1e999, 3], \"5\": [0, 0, 1.5]}");
+    bench.write("named.json", "{\"nose_tip\": [1.5, 2, 3], \"chin\": [0, -9.5, 1], \"wart\": [2, 0, 1.5]}");
+    bench.write("wrap.json", "{\"nose_tip\": [999999, 0.2, 0.3]}");
+    bench.write("nosion.json", "{\"nasion\": 1, \"nosion\": 2}");
+    bench.write("few_numbers.json", "[1, 2, 3]");
+    bench.write("both_names.json", "{\"menton\": 1, \"gnathion\": 2}");
+    bench.write("hairline.json", "{\"trichion\": 1}");
+    bench.write("past_nasion.json", "{\"nasion\": 99999, \"menton\": 5}");
+    bench.write("past_of_rig.json", "{\"nose\": [1, 99999]}");
+    bench.write("no_landmarks.json", "{}");
+    let shuffled = bench.rig.mesh.corners.iter().rev().copied().collect();
+    write_obj(
+        &bench.path("shuffled.obj"),
+        &PolygonMesh { corners: shuffled, metadata: Default::default(), ..bench.rig.mesh.clone() },
+    )
+    .unwrap();
+
+    bench.write("recipe.toml", RECIPE);
+    bench.write("far.toml", RECIPE.replace("[0, 0], radius", "[500, 0], radius"));
+    bench.write("frameless.toml", RECIPE.lines().skip(1).collect::<Vec<_>>().join("\n"));
+    bench.write("misspelt.toml", "[[step]]\nmodle = \"arap\"\n");
+    let region = "region = { circle = { centre = [0, 0], radius = 9 } }";
+    bench.write("picture.toml", RECIPE.replace(region, "png = \"garbage.obj\""));
+    bench.write("no_picture.toml", RECIPE.replace(region, "png = \"missing.png\""));
+    bench.write("short_weights.toml", RECIPE.replace(region, "weights = \"short_mask.npy\""));
+    bench.write("large_weights.toml", RECIPE.replace(region, "weights = \"large_mask.npy\""));
+    bench.write("past_pin.toml", format!("{RECIPE}[[step.pin]]\nvertex = 99999\nby = [0, 0, 1]\n"));
+
+    bench.write("vertices.json", "{\"nose_tip\": 99999, \"chin\": 3, \"wart\": 5}");
+
+    let vertices = bench.rig.neutral.len();
+    write_npy(&bench.path("flat.npy"), &[vertices, 2], &vec![0.0f32; 2 * vertices]).unwrap();
+    write_npy(&bench.path("short_mask.npy"), &[vertices - 1], &vec![true; vertices - 1]).unwrap();
+    write_npy_points(&bench.path("short.npy"), &bench.rig.neutral[1..]).unwrap();
+    for (name, value) in [("nan", f64::NAN), ("negative", -0.25), ("large", 1.5)] {
+        let mut mask = vec![1.0; vertices];
+        mask[9] = value;
+        write_npy(&bench.path(&format!("{name}_mask.npy")), &[vertices], &mask).unwrap();
+    }
+    write_npy(&bench.path("zeros.npy"), &[vertices], &vec![0.0f32; vertices]).unwrap();
+    write_npy(&bench.path("ones.npy"), &[vertices], &vec![1.0f32; vertices]).unwrap();
+    bench.write("cloud.ply", {
+        let normal = "property float nx\nproperty float ny\nproperty float nz\nelement face 0";
+        header.replace("element face 1", normal) + "0 0 0 0 0 0\n1 0 0 0 0 0\n0 1 0 0 0 nan\n"
+    });
+    let mut nan = bench.rig.neutral.clone();
+    nan[7].y = f64::NAN;
+    write_npy_points(&bench.path("nan.npy"), &nan).unwrap();
+
+    let other = FaceRig::generate(&FaceOptions { vertices: 1300, identity_modes: 0 });
+    write_rig(&bench.path("other_rig"), &other).unwrap();
+    write_rig(&bench.path("nameless"), &bench.rig).unwrap();
+    for (name, regions) in [
+        ("past_regions", "{\"nose\": [1, 99999]}"),
+        ("odd_regions", "[[1, 2], [3]]"),
+        ("twin_regions", "{\"nose\": [1], \"nose\": [2]}"),
+    ] {
+        write_rig(&bench.path(name), &bench.rig).unwrap();
+        bench.write(&format!("{name}/regions.json"), regions);
+    }
+    bench.write("nameless/expression_names.json", "[\"jawOpen\"]");
+    write_rig(&bench.path("nan_rig"), &bench.rig).unwrap();
+    let path = bench.path("nan_rig/expression_deltas.npy");
+    let mut deltas = NpyArray::open(&path).unwrap().read_f32().unwrap();
+    deltas[3 * vertices + 4] = f32::NAN;
+    write_npy(&path, &[bench.rig.expressions.len(), vertices, 3], &deltas).unwrap();
+    let person = |weights: [f64; 2]| -> String {
+        let vertex = |i: u32| {
+            let (x, y) = (f64::from(i % 3), f64::from(i / 3));
+            format!("v {} {} {}\n", 10.0 * x, 10.0 * y, weights[0] * x * x + weights[1] * (y - x * y))
+        };
+        (0..9).map(vertex).collect::<String>() + "f 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8\n"
+    };
+    let people = ["a", "b", "c", "d"].map(|name| format!("{name}.obj"));
+    for (folder, weights) in [
+        ("people", [[1.0, 0.0], [-0.5, 0.5], [0.3, 0.9], [0.0, -1.0]]),
+        ("one_way", [[1.0, 0.0], [-0.5, 0.0], [0.3, 0.0], [0.0, 0.0]]),
+        ("nearly_one_way", [[1.0, 0.0], [-0.5, 1e-9], [0.3, 1e-9], [0.0, -1e-9]]),
+        ("clones", [[1.0, 0.5]; 4]),
+    ] {
+        people.iter().zip(weights).for_each(|(name, w)| bench.write(&format!("{folder}/{name}"), person(w)));
+    }
+    bench.write("alone/a.obj", person([1.0, 0.0]));
+    let odd = person([0.2, 0.1]);
+    for (folder, mesh) in [
+        ("odd_vertices", format!("v 1 2 3\n{odd}")),
+        ("odd_polygons", odd.replace("f 2 3 6 5\n", "f 2 3 6\nf 2 6 5\n")),
+        ("odd_order", odd.replace("f 2 3 6 5\n", "f 3 6 5 2\n")),
+        ("odd_nan", odd.replace("v 0 10 ", "v 0 nan ")),
+        ("odd_huge", odd.replace("v 0 10 ", "v 0 1e200 ")),
+        ("odd_empty", String::new()),
+        ("odd_line", (0..9).map(|i| format!("v {i} 0 0\n")).collect::<String>() + &odd[odd.find('f').unwrap()..]),
+    ] {
+        bench.write(&format!("{folder}/a.obj"), person([1.0, 0.0]));
+        bench.write(&format!("{folder}/b.obj"), person([0.0, 1.0]));
+        bench.write(&format!("{folder}/c.obj"), mesh);
+    }
+    for name in ["folder.obj", "folder.json", "folder.png"] {
+        bench.write(&format!("{name}/.keep"), "");
+    }
+    let vertices = "element vertex 1000000000000";
+    bench.write("huge.ply", header.replace("element vertex 3", vertices));
+    bench.write(
+        "huge_binary.ply",
+        header.replace("element vertex 3", vertices).replace("ascii", "binary_little_endian"),
+    );
+    bench.write("huge.npy", {
+        let shape = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3), }\n";
+        [b"\x93NUMPY\x01\x00", &(shape.len() as u16).to_le_bytes()[..], shape.as_bytes()].concat()
+    });
+    bench.write("nothing/readme.txt", "no rig here");
+    bench.write("mixed/readme.txt", "");
+    write_obj(&bench.path("mixed/neutral.obj"), &bench.rig.mesh).unwrap();
+    bench.write("mixed/smile.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    bench.write("odd_kind/rig.json", "{\"kind\": \"halves\"}");
+    write_obj(&bench.path("odd_kind/neutral.obj"), &bench.rig.mesh).unwrap();
+
+    for (name, from, to) in [
+        ("unknown_key", "steps = 2", "steps = 2\nstepps = 3"),
+        ("unknown_table", "[graph]", "[grahp]"),
+        ("negative_lambda", "lambda_graph = 1.0", "lambda_graph = -1.0"),
+        ("empty_bounds", "[graph]", "[bounds]\nexpression = [1.0, 0.0]\n[graph]"),
+        ("nan_bounds", "[graph]", "[bounds]\nidentity = [nan, 3.0]\n[graph]"),
+        ("one_bound", "[graph]", "[bounds]\nexpression = [1.0]\n[graph]"),
+        ("unknown_bounds", "[graph]", "[bounds]\nexpresion = [0.0, 1.0]\n[graph]"),
+        ("no_steps", "steps = 2", "steps = 0"),
+        ("negative_steps", "steps = 2", "steps = -2"),
+        ("nan_cap", "distance_cap = 25.0", "distance_cap = nan"),
+        ("infinite_weight", "point_to_plane = 1.0", "point_to_plane = inf"),
+        ("wide_angle", "normal_angle = 60.0", "normal_angle = 200.0"),
+        ("no_nodes", "nodes = 60", "nodes = 0"),
+        ("affine_quaternion", "nodes = 60", "node = \"affine\"\nrotation = \"quaternion\""),
+        ("quaternion", "nodes = 60", "rotation = \"quaternion\""),
+        ("unknown_rotation", "nodes = 60", "rotation = \"euler\""),
+        ("unknown_algorithm", "[graph]", "[solver]\nalgorithm = \"gradient\"\n[graph]"),
+        ("reference", "[graph]", "[solver]\nlinearisation = \"reference\"\n[graph]"),
+        ("no_size", "reference_size = 67.0", "reference_size = 0.0"),
+        ("bad_kernel", "delta = 3.0", "delta = -3.0"),
+        ("unknown_kernel", "huber", "hubert"),
+        ("text_for_number", "steps = 2", "steps = \"two\""),
+        ("no_levels", &SCHEDULE[SCHEDULE.find("[[level]]").unwrap()..], "level = []\n"),
+    ] {
+        assert!(SCHEDULE.contains(from), "{name}");
+        // An empty list of levels is a key of the top table.
+        let text = if name == "no_levels" {
+            format!("level = []\n{}", SCHEDULE.replace(from, ""))
+        } else {
+            SCHEDULE.replacen(from, to, 1)
+        };
+        bench.write(&format!("{name}.toml"), text);
+    }
+    let level = SCHEDULE[SCHEDULE.find("[[level]]").unwrap()..].replace("[[level]]", "[[then.level]]");
+    let then = format!("[then]\nmodel = \"graph\"\n[then.graph]\nnodes = 60\n{level}{level}");
+    bench.write("two_stages.toml", format!("{SCHEDULE}{then}"));
+    let last = then.rfind("[[then.level]]").unwrap();
+    let in_last = |from: &str, to: &str| format!("{}{}", &then[..last], then[last..].replace(from, to));
+    for (name, then) in [
+        ("then_negative", in_last("lambda_graph = 1.0", "lambda_graph = -1.0")),
+        ("then_kernel", in_last("delta = 3.0", "delta = -3.0")),
+        ("then_unknown_key", in_last("steps = 2", "stepps = 2")),
+        ("then_no_levels", "[then]\nmodel = \"graph\"\nlevel = []\n".to_owned()),
+        ("then_no_model", then.replace("model = \"graph\"\n", "")),
+        ("then_unknown_model", then.replace("\"graph\"", "\"grahp\"")),
+        ("then_shapes", then.replace("\"graph\"", "\"hybrid\"")),
+        ("then_no_nodes", then.replace("nodes = 60", "nodes = 0")),
+        ("then_start", then.replace("[then.graph]", "start = \"rigid\"\n[then.graph]")),
+        ("then_then_no_steps", then.clone() + &then.replace("[then", "[then.then").replace("steps = 2", "steps = 0")),
+        ("unknown_node", String::new()),
+    ] {
+        let first =
+            if name == "unknown_node" { SCHEDULE.replace("nodes = 60", "node = \"round\"") } else { SCHEDULE.into() };
+        bench.write(&format!("{name}.toml"), first + &then);
+    }
+    bench
+}
