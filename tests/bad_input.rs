@@ -283,7 +283,7 @@ const ROWS: &[Row] = &[
     ("morph", "--recipe empty.toml", LOADING, &["empty.toml", "[[step]]"]),
     ("morph", "--recipe garbage.toml", LOADING, &["garbage.toml: line 1"]),
     ("morph", "--recipe misspelt.toml", LOADING, &["misspelt.toml: line 2", "unknown field `modle`"]),
-    ("morph", "--recipe schedule.toml", LOADING, &["schedule.toml: line 1"]),
+    ("morph", "--recipe schedule.toml", LOADING, &["schedule.toml: line 3", "unknown field"]),
     ("morph", "--recipe far.toml", COMPUTATION, &["far.toml: line 2", "nothing is left to move"]),
     ("morph", "--recipe frameless.toml", COMPUTATION, &["frameless.toml: line 2", "frame"]),
     ("morph", "--recipe picture.toml", LOADING, &["garbage.obj"]),

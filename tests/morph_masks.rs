@@ -117,6 +117,7 @@ fn wrong_regions_are_named() {
     let fine = circle(5.0, 5.0, 2.0);
     assert!(matches!(fine.rasterize(0, 5, Coordinates::Pixels), Err(MorphError::TextureSize { .. })));
     assert!(matches!(fine.rasterize(5, 1 << 20, Coordinates::Pixels), Err(MorphError::TextureSize { .. })));
+    assert!(matches!(fine.rasterize(1 << 15, 1 << 15, Coordinates::Pixels), Err(MorphError::TextureSize { .. })));
     assert!(matches!(fine.rasterize_with(5, 5, Coordinates::Unit, 0), Err(MorphError::SubRows { found: 0 })));
     let covered = Coordinates::Box { low: [0.0, 1.0], high: [1.0, 1.0] };
     assert!(matches!(fine.rasterize(5, 5, covered), Err(MorphError::Covered { .. })));
@@ -340,6 +341,10 @@ fn recipes_may_hold_regions_and_blurs() {
     let three: Region = serde_json::from_str(three).unwrap();
     assert_eq!(three.bounds(), [[-2.0, -1.0], [12.0, 10.0]]);
     assert!(matches!(three, Region::Union(..)));
+    // A long list is no deep tree.
+    let one = r#"{"circle": {"centre": [1, 2], "radius": 3}}"#;
+    let many = format!("{{\"subtract\": [{}]}}", vec![one; 100_000].join(", "));
+    assert_eq!(serde_json::from_str::<Region>(&many).unwrap().bounds(), [[-2.0, -1.0], [4.0, 5.0]]);
     for (wrong, said) in [
         (r#"{"circle": {"centre": [1, 2], "radios": 3}}"#, "radios"),
         (r#"{"circel": {"centre": [1, 2], "radius": 3}}"#, "unknown variant `circel`"),

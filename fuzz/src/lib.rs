@@ -10,11 +10,12 @@ use std::path::{Path, PathBuf};
 
 use nonrigid::mesh::io::{NpyArray, Npz, parse_landmarks, parse_obj, parse_ply};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::morph::Recipe;
 use nonrigid::registration::Schedule;
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 
 /// A target by its name: what runs it.
-pub const TARGETS: [(&str, fn(&[u8])); 7] = [
+pub const TARGETS: [(&str, fn(&[u8])); 8] = [
     ("ply", ply),
     ("obj", obj),
     ("npy", npy),
@@ -22,6 +23,7 @@ pub const TARGETS: [(&str, fn(&[u8])); 7] = [
     ("landmarks", landmarks),
     ("rig", rig),
     ("schedule", schedule),
+    ("recipe", recipe),
 ];
 
 /// An error says which file, and not the whole of it.
@@ -248,5 +250,19 @@ pub fn schedule(bytes: &[u8]) {
             assert_eq!(Schedule::from_toml(&written), Ok(schedule), "{written}");
         }
         Err(e) => assert!(!e.to_string().is_empty()),
+    }
+}
+
+/// A recipe of a morph.
+pub fn recipe(bytes: &[u8]) {
+    match Recipe::from_text(&String::from_utf8_lossy(bytes), "fuzz.toml") {
+        Ok(recipe) => {
+            assert!(!recipe.step.is_empty() && recipe.amount.is_finite());
+            assert!(recipe.step.iter().all(|step| !step.get_ref().mask.is_empty()));
+        }
+        Err(e) => {
+            check_error(&e, "fuzz.toml");
+            assert!(!e.to_string().contains('\n'), "{e}");
+        }
     }
 }

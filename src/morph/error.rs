@@ -8,7 +8,11 @@ use crate::mesh::{MeshError, Vec3};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MorphError {
     /// A texture without pixels, or with more than can be addressed.
-    #[error("a texture of {width} x {height} pixels; both must be from 1 to {}", super::MAX_TEXTURE_SIDE)]
+    #[error(
+        "a texture of {width} x {height} pixels; both must be from 1 to {}, their product at most {}",
+        super::MAX_TEXTURE_SIDE,
+        super::MAX_TEXTURE_PIXELS
+    )]
     TextureSize {
         /// Width, pixels.
         width: usize,

@@ -54,8 +54,8 @@ pub enum Shape {
 
 /// A shape, or a combination of regions.
 ///
-/// In files a shape stands by itself, `{ circle = { centre = [0, 0], radius = 9 } }`, and combinations are lists, taken together from
-/// the first to the last: `{ subtract = [A, B, C] }`.
+/// In files a shape stands by itself, `{ circle = { centre = [0, 0], radius = 9 } }`, and combinations are lists, `{ subtract = [A, B, C] }`
+/// what is in A and neither in B nor in C.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Region {

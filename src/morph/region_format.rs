@@ -25,22 +25,41 @@ impl<'de> Visitor<'de> for OneEntry {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Region, A::Error> {
         let key: String = map.next_key()?.ok_or_else(|| A::Error::custom("a region without a shape"))?;
-        let combine = match key.as_str() {
-            "union" => Region::union,
-            "subtract" => Region::subtract,
-            "intersect" => Region::intersect,
-            _ => {
-                let shape = MapAccessDeserializer::new(AfterKey { key: Some(key), map });
-                return Shape::deserialize(shape).map(Region::Shape);
-            }
-        };
-        let parts: Vec<Region> = map.next_value()?;
+        if !["union", "subtract", "intersect"].contains(&key.as_str()) {
+            let shape = MapAccessDeserializer::new(AfterKey { key: Some(key), map });
+            return Shape::deserialize(shape).map(Region::Shape);
+        }
+        let mut parts: Vec<Region> = map.next_value()?;
         if let Some(second) = map.next_key::<String>()? {
             return Err(A::Error::custom(format!("one region has both '{key}' and '{second}'")));
         }
-        let combined = parts.into_iter().reduce(combine);
+        let combined = match key.as_str() {
+            "union" => in_pairs(parts, Region::union),
+            "intersect" => in_pairs(parts, Region::intersect),
+            _ if parts.is_empty() => None,
+            _ => {
+                let rest = in_pairs(parts.split_off(1), Region::union);
+                parts.pop().map(|first| rest.into_iter().fold(first, Region::subtract))
+            }
+        };
         combined.ok_or_else(|| A::Error::custom(format!("'{key}' of no regions")))
     }
+}
+
+/// Regions taken together two by two, so that a long list makes no deep tree.
+fn in_pairs(mut parts: Vec<Region>, combine: fn(Region, Region) -> Region) -> Option<Region> {
+    while parts.len() > 1 {
+        let mut halved = Vec::with_capacity(parts.len().div_ceil(2));
+        let mut rest = parts.into_iter();
+        while let Some(first) = rest.next() {
+            halved.push(match rest.next() {
+                Some(second) => combine(first, second),
+                None => first,
+            });
+        }
+        parts = halved;
+    }
+    parts.pop()
 }
 
 /// A map whose first key has been read.

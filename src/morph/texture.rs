@@ -13,6 +13,9 @@ use crate::mesh::io::{Place, ReadError, WriteError, write_atomically};
 /// Longest side of a texture, pixels.
 pub const MAX_TEXTURE_SIDE: usize = 1 << 15;
 
+/// Most pixels of a texture: half a gigabyte of them.
+pub const MAX_TEXTURE_PIXELS: usize = 1 << 26;
+
 /// Grey values from 0 to 1, row by row from the **top** row, as image files have them.
 ///
 /// Values are `f64`: forty blurs then keep sums to 1e-10, and the speed of a blur is that of arithmetic on 8 columns at a time
@@ -63,10 +66,7 @@ impl Texture {
     /// # Errors
     /// When there are no or too many pixels, the number of values is another, or one is not from 0 to 1.
     pub fn new(width: usize, height: usize, mut grey: Vec<f64>) -> Result<Self, MorphError> {
-        let side = 1..=MAX_TEXTURE_SIDE;
-        if !(side.contains(&width) && side.contains(&height)) {
-            return Err(MorphError::TextureSize { width, height });
-        }
+        Self::check_size(width, height)?;
         if grey.len() != width * height {
             return Err(MorphError::TextureLength { found: grey.len(), width, height });
         }
@@ -82,8 +82,16 @@ impl Texture {
     /// # Errors
     /// When there are no or too many pixels.
     pub fn blank(width: usize, height: usize) -> Result<Self, MorphError> {
-        let pixels = if width.max(height) > MAX_TEXTURE_SIDE { 0 } else { width * height };
-        Self::new(width, height, vec![0.0; pixels])
+        Self::check_size(width, height)?;
+        Self::new(width, height, vec![0.0; width * height])
+    }
+
+    fn check_size(width: usize, height: usize) -> Result<(), MorphError> {
+        let side = 1..=MAX_TEXTURE_SIDE;
+        if side.contains(&width) && side.contains(&height) && width * height <= MAX_TEXTURE_PIXELS {
+            return Ok(());
+        }
+        Err(MorphError::TextureSize { width, height })
     }
 
     /// Reads a PNG. Grey is taken as it is, colour through `weights` (3), and what is transparent counts as painted over black.

@@ -2,8 +2,8 @@
 #![allow(dead_code)] // every test binary uses its own part of this
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::mesh::io::{NpyArray, PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
+use nonrigid::mesh::{PolygonMesh, Vec3};
 
 use super::support::{Bench, landmarks_json};
 
