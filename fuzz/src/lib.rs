@@ -14,8 +14,11 @@ use nonrigid::morph::Recipe;
 use nonrigid::registration::Schedule;
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 
+/// What a target does with bytes.
+pub type Target = fn(&[u8]);
+
 /// A target by its name: what runs it.
-pub const TARGETS: [(&str, fn(&[u8])); 8] = [
+pub const TARGETS: [(&str, Target); 8] = [
     ("ply", ply),
     ("obj", obj),
     ("npy", npy),

@@ -86,7 +86,7 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     out.push_str("<h2 id=\"claims\">What the papers claim</h2>\n");
     for paper in PAPERS {
         let of_paper: Vec<&Judged> = page.verdicts.iter().filter(|j| j.paper == paper.name).collect();
-        write!(out, "<h3>{}</h3>\n", paper.name)?;
+        writeln!(out, "<h3>{}</h3>", paper.name)?;
         write_claims(&mut out, &of_paper)?;
     }
     out.push_str(

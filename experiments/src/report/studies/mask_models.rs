@@ -120,8 +120,12 @@ fn speed(setting: &Setting<'_>) -> Result<Vec<Block>> {
             Ok(())
         })?;
         let texture = drawn.context("nothing was drawn")?;
-        let weigh =
-            |visibility| median(|| Ok(drop(projector.weights(&mesh, &texture, Sampling::Bilinear, visibility)?)));
+        let weigh = |visibility| {
+            median(|| {
+                projector.weights(&mesh, &texture, Sampling::Bilinear, visibility)?;
+                Ok(())
+            })
+        };
         let (through, visible) = (weigh(Visibility::Through)?, weigh(Visibility::default())?);
         let weights = projector.weights(&mesh, &texture, Sampling::Bilinear, Visibility::default())?;
         let pairs = vec![MaskedDisplacement { weights, displacement: Vec3::new(0.0, 1.0, 3.0) }];
