@@ -13,8 +13,11 @@ use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::Schedule;
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 
-/// A target by its name: what runs it.
-pub const TARGETS: [(&str, fn(&[u8])); 7] = [
+/// What is asked of a reader.
+pub type Target = fn(&[u8]);
+
+/// All of them, by name.
+pub const TARGETS: [(&str, Target); 7] = [
     ("ply", ply),
     ("obj", obj),
     ("npy", npy),
