@@ -277,7 +277,7 @@ pub fn faulty_scans(vertices: usize, people: u64, models: &[ModelKind], seed: u6
 /// Runs the command.
 ///
 /// # Errors
-/// A [`Failure`] of writing, and of the computation when a wrong result came without a warning.
+/// A [`Failure`] of writing, or when a scan cannot be made.
 pub fn run(a: &Arguments) -> Result<()> {
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let rows = faulty_scans(a.vertices as usize, u64::from(a.people), &a.models, a.seed)?;

@@ -14,10 +14,10 @@ use nonrigid::morph::Recipe;
 use nonrigid::registration::Schedule;
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 
-/// What a target does with bytes.
+/// What is asked of a reader.
 pub type Target = fn(&[u8]);
 
-/// A target by its name: what runs it.
+/// All of them, by name.
 pub const TARGETS: [(&str, Target); 8] = [
     ("ply", ply),
     ("obj", obj),

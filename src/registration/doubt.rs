@@ -15,9 +15,9 @@ pub enum Doubt {
     Start {
         /// Poses tried.
         tried: usize,
-        /// Share of the template's surface that the best of them matches, and how well, millimetres.
+        /// Share of the template's surface that the best of them matches.
         share: f64,
-        /// Root mean square distance of the matched part.
+        /// Root mean square distance of the matched part, millimetres.
         residual: f64,
         /// [`StartSearch::rival`].
         rival: f64,

@@ -23,10 +23,13 @@ fn files_below(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>
     }
 }
 
+/// What a run leaves: files by name, and what it printed.
+type Left = (BTreeMap<PathBuf, Vec<u8>>, Vec<u8>);
+
 /// Runs `program` in `folder` with `line`, whose word `OUT` is a new folder of each run and `THREADS` the number of threads,
 /// and compares all files that it leaves and, where `stdout` holds, what it prints. Says how many files there are.
 pub fn leaves_equal_files(program: &str, folder: &Path, line: &str, stdout: bool) -> usize {
-    let mut first: Option<(BTreeMap<PathBuf, Vec<u8>>, Vec<u8>)> = None;
+    let mut first: Option<Left> = None;
     for threads in ["1", "2", "4"] {
         for _ in 0..2 {
             let out = folder.join("OUT");
@@ -36,7 +39,7 @@ pub fn leaves_equal_files(program: &str, folder: &Path, line: &str, stdout: bool
             command.args(line.replace("THREADS", threads).split_whitespace());
             let run = command.current_dir(folder).env("RAYON_NUM_THREADS", threads).output().unwrap();
             assert!(run.status.success(), "{line}\n{}", String::from_utf8_lossy(&run.stderr));
-            let mut found = (BTreeMap::new(), if stdout { run.stdout } else { Vec::new() });
+            let mut found: Left = (BTreeMap::new(), if stdout { run.stdout } else { Vec::new() });
             files_below(&out, &out, &mut found.0);
             let Some(first) = &first else {
                 first = Some(found);
