@@ -91,12 +91,12 @@ impl<'a> Subject<'a> {
         let changes = self.after.map(|after| Changes::new(&self.mesh.positions, after, &triangles));
 
         let values = DEFINITIONS.iter().enumerate().map(|(k, definition)| {
-            let (value, after) = (&before.values[k], after.as_ref().and_then(|a| a.values[k].as_ref().ok()));
+            let (before, after) = (before.values[k].clone(), after.as_ref().map(|a| a.values[k].clone()).transpose());
             Measurement {
                 definition: *definition,
-                before: value.as_ref().ok().copied(),
-                after: after.copied(),
-                missing: value.as_ref().err().cloned(),
+                before: before.as_ref().ok().copied(),
+                after: after.as_ref().ok().copied().flatten(),
+                missing: before.err().or(after.err()),
             }
         });
         let values: Vec<Measurement> = if self.landmarks.is_empty() { Vec::new() } else { values.collect() };
@@ -123,7 +123,6 @@ impl<'a> Subject<'a> {
         let regions = std::iter::once(region(WHOLE, &whole)).chain(parts).collect();
         Ok(Measurements {
             version: env!("CARGO_PKG_VERSION"),
-            landmarks: self.landmarks.names().collect(),
             values,
             regions,
             before: before.into_state(),
@@ -184,7 +183,7 @@ impl Face {
         let placed = landmarks.placed(positions)?;
         let frame = FacialFrame::of(&placed);
         let mesh = TriangleMesh { positions: positions.to_vec(), triangles: triangles.to_vec() };
-        let start = start.or(frame.map(|f| f.plane));
+        let start = frame.map(|f| f.plane).or(start);
         let symmetry = Symmetry::find(&mesh, start, &SymmetryOptions::default(), what)?;
         let values = evaluate(&placed, frame.as_ref());
         Ok(Self { placed, frame, values, symmetry })
@@ -201,8 +200,6 @@ impl Face {
 pub struct Measurements {
     /// Version of this library.
     pub version: &'static str,
-    /// Landmarks that were given.
-    pub landmarks: Vec<&'static str>,
     /// In the order of [`DEFINITIONS`]; empty without landmarks.
     pub values: Vec<Measurement>,
     /// The whole surface, then each region.
@@ -222,7 +219,7 @@ pub struct Measurement {
     pub before: Option<f64>,
     /// The same after.
     pub after: Option<f64>,
-    /// Why there is none.
+    /// Why there is none, before or after.
     pub missing: Option<Missing>,
 }
 
