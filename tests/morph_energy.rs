@@ -1,5 +1,8 @@
 //! The mask morph as a constrained energy: what is held, pinned, free and drawn, on every model.
 
+#[path = "support/awkward.rs"]
+mod awkward;
+
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig};
@@ -358,4 +361,35 @@ fn impossible_morphs_are_named() {
     let mut mesh = face.mesh.clone();
     mesh.triangles.push([0, 1, u32::MAX]);
     assert!(MorphEnergy::new(&mesh, &step, &none, MorphModel::Free, &no_shapes, &options).is_err());
+}
+
+#[test]
+fn awkward_meshes_give_finite_results_and_keep_what_is_held() {
+    let (mut moved_somewhere, mut refused) = (0, Vec::new());
+    for (name, polygons) in awkward::awkward() {
+        let mesh = polygons.triangulate();
+        let weight = |i: usize| [0.0, 1.0, 0.4, 0.0, 0.9][i % 5];
+        let weights = Weights::new((0..mesh.positions.len()).map(weight).collect()).unwrap();
+        let size = bounding_box_diagonal(&mesh.positions);
+        let pairs = vec![MaskedDisplacement { weights, displacement: Vec3::new(0.01, 0.02, 0.05) * size }];
+        let step = MorphStep { pairs, ..MorphStep::default() };
+        for model in [MorphModel::Free, MorphModel::Arap, MorphModel::Graph] {
+            let (none, options) = (Constraints::default(), EnergyOptions::default());
+            let energy = MorphEnergy::new(&mesh, &step, &none, model, &ShapeBasis::none(), &options);
+            match energy.and_then(|mut energy| energy.solve()) {
+                Ok((moved, _)) => {
+                    let moves = step.moves(moved.len()).unwrap();
+                    for (v, (p, q)) in mesh.positions.iter().zip(&moved).enumerate() {
+                        assert!(q.iter().all(|c| c.is_finite()) && (moves[v] || p == q), "{name}, {model:?}: {v}");
+                        assert!((p - q).norm() <= size + 1e-9, "{name}, {model:?}: {v} by {}", (p - q).norm());
+                    }
+                    moved_somewhere += usize::from(moved != mesh.positions);
+                }
+                Err(error) => refused.push(format!("{name}, {model:?}: {error}")),
+            }
+        }
+    }
+    println!("{}", refused.join("\n"));
+    assert!(moved_somewhere >= 50, "{moved_somewhere}");
+    assert!(refused.iter().all(|r| r.starts_with("empty") || r.contains("minimised")), "{refused:#?}");
 }

@@ -78,6 +78,10 @@ impl NodeGraph {
 
         let sampled = farthest_point_sampling_from(&graph, &components, &counts, &rim).nodes;
         let mut at: Vec<u32> = sampled.into_iter().filter(|v| !held[*v as usize]).collect();
+        if at.is_empty() {
+            // Nothing but vertices of no triangle can move: each by itself.
+            at.extend((0..held.len() as u32).filter(|v| !held[*v as usize]));
+        }
         let free = at.len();
         at.extend(rim);
         let nearest = nearest_sources(&graph, &at, REGION_INFLUENCES + 1);

@@ -255,39 +255,34 @@ impl Stage<'_> {
     ) -> Result<(Option<Texture>, Vec<Weights>), RecipeError> {
         let mask = spec.get_ref();
         let fail = |error: MorphError| self.recipe.impossible(spec, error);
-        let plane = || frame.map(LandmarkFrame::mirror_plane).ok_or_else(|| fail(MorphError::NoFrame));
-        let given = if let Some(path) = &mask.weights {
-            Some(Weights::read_npy(&self.recipe.file(path), self.mesh.positions.len())?)
+        let project = |projector: &Projector, texture: &Texture| {
+            projector.weights(&self.triangles, texture, mask.sampling, mask.visibility)
+        };
+        let (texture, projector, weights) = if let Some(path) = &mask.weights {
+            (None, None, Weights::read_npy(&self.recipe.file(path), self.mesh.positions.len())?)
         } else if !mask.parts.is_empty() {
             let weights = self.subject.regions.mask(&mask.parts).map_err(|e| fail(MorphError::Parts(e.to_string())))?;
-            Some(Weights::new(weights).map_err(fail)?)
+            (None, None, Weights::new(weights).map_err(fail)?)
         } else {
-            None
+            let picture = mask.png.as_ref().map(|path| Texture::read_png(&self.recipe.file(path), mask.grey));
+            let Drawing { texture, projector } = self.drawing(mask, picture.transpose()?, frame).map_err(fail)?;
+            let texture = mask.blur.apply(&texture).map_err(fail)?;
+            let weights = match &projector {
+                Some(projector) => project(projector, &texture),
+                None => uv_weights(self.mesh, &texture, mask.sampling),
+            };
+            (Some(texture), projector, weights.map_err(fail)?)
         };
-        if let Some(weights) = given {
-            let mirrored = mask.mirror.then(plane).transpose()?;
-            let mirrored = mirrored.map(|plane| weights.mirrored(&self.triangles, &plane)).transpose().map_err(fail)?;
-            return Ok((None, [weights].into_iter().chain(mirrored).collect()));
+        let mut all = vec![weights];
+        if mask.mirror {
+            let plane = frame.ok_or_else(|| fail(MorphError::NoFrame))?.mirror_plane();
+            let mirrored = match (&projector, &texture) {
+                (Some(projector), Some(texture)) => project(&projector.mirrored(&plane), texture),
+                _ => all[0].mirrored(&self.triangles, &plane),
+            };
+            all.push(mirrored.map_err(fail)?);
         }
-        let picture =
-            mask.png.as_ref().map(|path| Texture::read_png(&self.recipe.file(path), mask.grey)).transpose()?;
-        let Drawing { texture, projector } = self.drawing(mask, picture, frame).map_err(fail)?;
-        let texture = mask.blur.apply(&texture).map_err(fail)?;
-        let weights = match projector {
-            None => {
-                let weights = uv_weights(self.mesh, &texture, mask.sampling).map_err(fail)?;
-                let mirrored = mask.mirror.then(plane).transpose()?;
-                let mirrored = mirrored.map(|plane| weights.mirrored(&self.triangles, &plane)).transpose();
-                [weights].into_iter().chain(mirrored.map_err(fail)?).collect()
-            }
-            Some(projector) => {
-                let mirrored = mask.mirror.then(plane).transpose()?.map(|plane| projector.mirrored(&plane));
-                let projectors = [projector].into_iter().chain(mirrored);
-                let weights = |p: Projector| p.weights(&self.triangles, &texture, mask.sampling, mask.visibility);
-                projectors.map(weights).collect::<Result<_, _>>().map_err(fail)?
-            }
-        };
-        Ok((Some(texture), weights))
+        Ok((texture, all))
     }
 
     /// The texture before it is blurred, and how it meets the mesh.
