@@ -298,6 +298,8 @@ const ROWS: &[Row] = &[
     ("morph", "--out nowhere/m.obj", WRITING, &["nowhere/m.obj", "no folder"]),
     ("morph", "--masks schedule.toml", WRITING, &["schedule.toml", "not a folder"]),
     ("morph", "--report nowhere/page", WRITING, &["nowhere/page", "no folder"]),
+    ("morph", "--out rig/template.obj", ARGUMENTS, &["--out rig/template.obj", "would overwrite", "mesh"]),
+    ("measure", "--json rig/landmarks_anthropometric.json", ARGUMENTS, &["--json", "would overwrite", "landmarks"]),
     ("morph", "--threads 0", ARGUMENTS, &["--threads", "0"]),
 ];
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::inputs::read_mask;
-use super::{Failure, check_output, check_output_folder, on_threads, say};
+use super::{Failure, check_output, check_output_folder, on_threads, refuse_overwriting, say};
 use crate::measurement::{Landmarks, MeasurementError, NamedRegion, Subject, glossary, report};
 use crate::mesh::io::{self, write_atomically};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
@@ -72,6 +72,11 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.json.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
     a.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    let mut inputs = vec![("mesh", before.to_owned())];
+    inputs.extend(a.landmarks.iter().map(|path| ("landmarks", path.clone())));
+    let others = [("after", &a.after), ("regions", &a.regions), ("mask", &a.mask)];
+    inputs.extend(others.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
+    refuse_overwriting(&[("--json", a.json.as_ref()), ("--csv", a.csv.as_ref())], &inputs)?;
     let mesh = io::read_polygon_mesh(before).map_err(Failure::loading)?;
     let vertices = mesh.positions.len();
     let mut after = a.after.as_deref().map(|path| read_after(path, &mesh)).transpose()?;

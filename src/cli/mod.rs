@@ -12,7 +12,7 @@ mod rig;
 mod rig_pca;
 
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -85,6 +85,19 @@ fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
         return Err(Failure::writing(format!("{}: cannot be written: it is a folder, not a file", path.display())));
     }
     check_parent(path)
+}
+
+/// Refuses outputs that would overwrite what is read: options with their files, roles with theirs.
+fn refuse_overwriting(outputs: &[(&str, Option<&PathBuf>)], inputs: &[(&str, PathBuf)]) -> Result<(), Failure> {
+    for (option, path) in outputs.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
+        let Ok(file) = path.canonicalize() else { continue }; // it is not there yet
+        let read = inputs.iter().find(|(_, input)| input.canonicalize().is_ok_and(|i| i == file));
+        if let Some((role, _)) = read {
+            let message = format!("{option} {}: would overwrite a file that is read ({role})", path.display());
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+    }
+    Ok(())
 }
 
 /// Refuses a folder for outputs that is something else, or that would take more than one new folder.

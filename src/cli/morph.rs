@@ -6,7 +6,7 @@ use clap::{ArgGroup, Args};
 
 use super::inputs::{RigArguments, bounds};
 use super::measure::{self, named_regions};
-use super::{Failure, Stage, check_output, check_output_folder, on_threads, say, warn, write_json};
+use super::{Failure, Stage, check_output, check_output_folder, on_threads, refuse_overwriting, say, warn, write_json};
 use crate::measurement::{Landmarks, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
 use crate::mesh::io::{self, TemplatePoint};
@@ -101,6 +101,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
     check_output(out, &["obj", "ply"])?;
+    let inputs = [("mesh", Some(mesh)), ("recipe", a.recipe.as_ref()), ("landmarks", a.landmarks.as_ref())];
+    let inputs: Vec<_> = inputs.into_iter().filter_map(|(role, path)| Some((role, path?.clone()))).collect();
+    refuse_overwriting(&[("--out", Some(out))], &inputs)?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
     let before = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::inputs::{MaskArguments, RigArguments, bounds};
 use super::interrupt::Interrupt;
-use super::{Failure, Stage, check_output, on_threads, say, warn, write_json};
+use super::{Failure, Stage, check_output, on_threads, refuse_overwriting, say, warn, write_json};
 use crate::mesh::io;
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
@@ -183,16 +183,8 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     check_output(&a.out, &["obj", "ply"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
-    let given = [("--out", Some(&a.out)), ("--report", a.report.as_ref()), ("--picture", a.picture.as_ref())];
-    for (option, path) in given.into_iter().filter_map(|(option, path)| Some((option, path?))) {
-        let Ok(file) = path.canonicalize() else { continue }; // it is not there yet
-        let read = input_paths(a)?.into_iter().find(|(_, input)| input.canonicalize().is_ok_and(|i| i == file));
-        if let Some((role, _)) = read {
-            let message = format!("{option} {}: would overwrite a file that is read ({role})", path.display());
-            return Err(Failure::new(Stage::Arguments, message));
-        }
-    }
-    Ok(())
+    let outputs = [("--out", Some(&a.out)), ("--report", a.report.as_ref()), ("--picture", a.picture.as_ref())];
+    refuse_overwriting(&outputs, &input_paths(a)?)
 }
 
 /// Every file that is read, with what it is read as.
