@@ -122,7 +122,7 @@ pub const LI: &[Claim] = &[
         rule: "With the Gaussian as wide as the mean, the mean reaches more (by at least 0.1 %).",
         rules: &[ratio(
             pick("blurred-morphs", &[("blur", "mean")], "reached", First),
-            pick("blurred-morphs", &[("blur", "gaussian of equal variance")], "reached", First),
+            pick("blurred-morphs", &[("blur", "wide gaussian")], "reached", First),
             AtLeast(1.001),
         )],
         remark: "Twenty means are all but a Gaussian: the central limit theorem.",

@@ -8,7 +8,7 @@ use nonrigid::morph::{
     Blur, Constraints, Coordinates, EnergyOptions, MaskedDisplacement, MorphEnergy, MorphModel, MorphStep, Projector,
     Region, ReplayOptions, Sampling, Shape, Texture, Visibility, preset,
 };
-use nonrigid::render::{Camera, Frame, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, ColourMap, ColourScale, Frame, Scene, Sheet, Style, View, render};
 use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
 use crate::generated::face;
@@ -60,7 +60,8 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
     let mut table = Table::new(&[&["mask", "model"][..], &columns].concat());
     let headings = MorphModel::ALL.map(MorphModel::name);
     let mut sheet = Sheet::new("").columns(&headings);
-    let (mut shaded, mut wired) = (Vec::new(), Vec::new());
+    let (mut shaded, mut coloured) = (Vec::new(), Vec::new());
+    let scale = ColourScale::new(ColourMap::Viridis, 0.0, 1.0, "displacement", "of asked");
     for ((name, _, model), outcome) in jobs.iter().zip(outcomes) {
         let outcome = outcome.with_context(|| format!("{name} on model {}", model.name()))?;
         let (report, change) = (&outcome.report, outcome.report.change);
@@ -82,19 +83,22 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
             patient.mesh.positions.iter().zip(&coverage).filter(|(_, g)| **g > 0.05).map(|(p, _)| *p).collect();
         let frame = Frame::of(&covered).scaled(1.3);
         let camera = Camera::framing(&frame, View::Angles { yaw: 50.0, pitch: 5.0 }, [PANEL; 2]);
-        let mesh = patient.mesh.with_positions(outcome.positions);
-        let scene = Scene::new().mesh(&mesh.triangulate(), Style::Clay);
-        shaded.push(render(&scene, &camera, [PANEL; 2]));
-        wired.push(render(&scene.wireframe(&mesh), &camera, [PANEL; 2]));
+        let moved = patient.mesh.positions.iter().zip(&outcome.positions).map(|(a, b)| (b - a).norm() / report.asked);
+        let moved = Style::Values(moved.collect(), scale.clone());
+        let mesh = patient.mesh.with_positions(outcome.positions).triangulate();
+        let picture = |style| render(&Scene::new().mesh(&mesh, style), &camera, [PANEL; 2]);
+        shaded.push(picture(Style::Clay));
+        coloured.push(picture(moved));
     }
     table.write(setting.out, "mask-models")?;
     let count = MorphModel::ALL.len();
     for (m, (name, amount)) in MASKS.iter().enumerate() {
         let row = m * count..(m + 1) * count;
-        sheet = sheet.row(&format!("{name} {amount} mm"), shaded[row.clone()].to_vec()).row("", wired[row].to_vec());
+        sheet = sheet.row(&format!("{name} {amount} mm"), shaded[row.clone()].to_vec()).row("", coloured[row].to_vec());
     }
-    let caption = "The same mask on every model. Direct is the paper's own.";
-    let picture = setting.picture("mask-models", &sheet.render(), caption)?;
+    let caption =
+        "The same mask on every model, and how far each vertex went of what was asked. Direct is the paper's own.";
+    let picture = setting.picture("mask-models", &sheet.colour_bar(&scale).render(), caption)?;
     let caption = "The same in numbers: jumps across edges in millimetres, edges' length after over before.";
     Ok(vec![picture, Block::Table { table, caption: caption.into(), file: "mask-models.csv".into() }])
 }

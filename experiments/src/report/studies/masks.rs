@@ -46,7 +46,7 @@ fn blurs() -> [(&'static str, Blur); 4] {
     [
         ("mean", of(BlurKind::Mean)),
         ("gaussian", of(BlurKind::Gaussian { sigma: None })),
-        ("gaussian of equal variance", wide),
+        ("wide gaussian", wide),
         ("median", of(BlurKind::Median)),
     ]
 }
@@ -146,12 +146,11 @@ fn selections(setting: &Setting<'_>, picture: &Picture<'_>, landmarks: &[Vec3]) 
 /// Table 1: the blurs of a disc.
 fn table_1(setting: &Setting<'_>) -> Result<Vec<Block>> {
     let hard = drawn(&disc([f64::from(SIDE) / 2.0; 2], RADIUS))?;
-    let columns = ITERATIONS.map(|n| format!("n = {n}"));
-    let mut sheet = Sheet::new("").columns(&columns.each_ref().map(String::as_str));
+    let mut sheet = Sheet::new("").columns(&blurs().map(|b| b.0));
     let mut table = Table::new(&["blur", "iterations", "highest", "mean", "steepest"]);
-    for (name, blur) in blurs() {
+    for iterations in ITERATIONS {
         let mut panels = Vec::new();
-        for iterations in ITERATIONS {
+        for (name, blur) in blurs() {
             let soft = Blur { iterations, ..blur }.apply(&hard)?;
             let mean = soft.grey().iter().sum::<f64>() / soft.grey().len() as f64;
             let highest = soft.grey().iter().copied().fold(0.0, f64::max);
@@ -159,11 +158,12 @@ fn table_1(setting: &Setting<'_>) -> Result<Vec<Block>> {
             table.push(std::iter::once(name.to_owned()).chain(numbers).collect());
             panels.push(soft.picture());
         }
-        sheet = sheet.row(name, panels);
+        sheet = sheet.row("", panels);
     }
     table.write(setting.out, "blurs")?;
     let caption = format!(
-        "Table 1 as pictures: a disc of {RADIUS} pixels on {SIDE} x {SIDE}, kernel {KERNEL} x {KERNEL}, blurred n times."
+        "Table 1 as pictures: a disc of {RADIUS} pixels on {SIDE} x {SIDE}, kernel {KERNEL} x {KERNEL}, blurred 0, 20 and 40 times \
+         (from top to bottom)."
     );
     let picture = setting.picture("blurs", &sheet.render(), caption)?;
     let caption = "Table 1 in numbers: the highest grey (1 before), the mean (kept by mean and Gaussian), the largest difference of \
