@@ -36,11 +36,11 @@ pub struct Arguments {
     neutral: Option<PathBuf>,
     #[command(flatten)]
     rig: RigArguments,
-    /// Landmarks (.json): template vertex or name -> point on the scan, or Wrap's [triangle, u, v]. With fewer than three, the
-    /// start is searched all over the scan; where nothing fits, or several poses fit alike, that is an error
+    /// Landmarks: template vertex or name -> point on the scan, in any format that 'nonrigid landmarks' reads. With fewer than
+    /// three, the start is searched all over the scan; where nothing fits, or several poses fit alike, that is an error
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
-    /// What the landmarks' names mean on the template (.json)
+    /// What the landmarks' names mean on the template, in any of those formats
     #[arg(long, value_name = "FILE", requires = "landmarks")]
     template_landmarks: Option<PathBuf>,
     #[command(flatten)]

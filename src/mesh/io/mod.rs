@@ -7,15 +7,21 @@ mod landmarks;
 mod npy;
 mod obj;
 mod ply;
+mod unit;
 
 use std::path::Path;
 
 pub use atomic::write_atomically;
 pub use error::{Place, ReadError, WriteError};
-pub use landmarks::{Landmark, TemplatePoint, read_landmarks, read_template_landmarks};
+pub use landmarks::{
+    Landmark, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, OnSurface, PatientSpace,
+    PlaceKind, PlacedLandmark, TemplatePoint, parse_landmark_set, read_landmark_set, read_landmarks,
+    read_template_landmarks, write_landmark_set,
+};
 pub use npy::{NpyArray, NpyItem, Npz, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use obj::{parse_obj, read_obj, write_obj};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
+pub use unit::LengthUnit;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};
 use error::extension;
