@@ -25,10 +25,10 @@ use crate::render::{registration_sheet, save_png};
     --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png"
 )]
 pub struct Arguments {
-    /// Template mesh (.obj or .ply); the result keeps its vertex order, polygons, UVs, groups and materials
+    /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
-    /// Scan (.obj or .ply), millimetres: a mesh, or a point cloud whose vertices have normals (.ply: nx, ny, nz)
+    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz), millimetres: a mesh, or a point cloud with normals (.ply, .off, .xyz)
     #[arg(long, value_name = "MESH")]
     target: PathBuf,
     /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
