@@ -31,7 +31,7 @@ pub struct Arguments {
     /// volumes are also those of the head's motion
     #[arg(long, requires = "after")]
     align: bool,
-    /// Landmarks on the mesh (.json), once or more; names stand before numbers, later files before earlier ones
+    /// Landmarks on the mesh, in any format that 'nonrigid landmarks' reads, once or more; names stand before numbers, later files before earlier ones
     #[arg(long, value_name = "FILE", required_unless_present = "list")]
     landmarks: Vec<PathBuf>,
     /// Regions (.json): {"name": [vertex, ...], ...} [default: the groups of an .obj]

@@ -4,6 +4,7 @@ mod eval;
 mod failure;
 mod inputs;
 mod interrupt;
+mod landmarks;
 mod measure;
 mod morph;
 mod output;
@@ -43,6 +44,9 @@ enum Command {
     Morph(Box<morph::Arguments>),
     /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
     Measure(measure::Arguments),
+    /// Convert landmark files, check landmarks on a mesh, carry them to another one.
+    #[command(subcommand)]
+    Landmarks(landmarks::Command),
     /// Look into a blendshape rig, or make one from meshes.
     #[command(subcommand)]
     Rig(rig::Command),
@@ -60,6 +64,7 @@ pub fn main() -> ExitCode {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),
+        Command::Landmarks(command) => landmarks::run(&command),
         Command::Rig(command) => rig::run(&command),
     };
     match outcome {

@@ -43,8 +43,8 @@ pub struct Arguments {
     /// Print a preset's recipe
     #[arg(long, value_name = "PRESET", group = "what")]
     print: Option<String>,
-    /// Landmarks of the mesh (.json): [vertex, ...], or name -> vertex, [triangle, u, v] or [x, y, z]; presets need the 68 of
-    /// Multi-PIE, by number [default: the rig's]
+    /// Landmarks of the mesh, in any format that 'nonrigid landmarks' reads; presets need the 68 of Multi-PIE, by number
+    /// [default: the rig's]
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
     #[command(flatten)]

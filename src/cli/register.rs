@@ -26,10 +26,10 @@ use crate::render::{registration_sheet, save_png};
     --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png"
 )]
 pub struct Arguments {
-    /// Template mesh (.obj or .ply); the result keeps its vertex order, polygons, UVs, groups and materials
+    /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
-    /// Scan (.obj or .ply), millimetres: a mesh, or a point cloud whose vertices have normals (.ply: nx, ny, nz)
+    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz), millimetres: a mesh, or a point cloud with normals (.ply, .off, .xyz)
     #[arg(long, value_name = "MESH")]
     target: PathBuf,
     /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
@@ -37,11 +37,11 @@ pub struct Arguments {
     neutral: Option<PathBuf>,
     #[command(flatten)]
     rig: RigArguments,
-    /// Landmarks (.json): template vertex or name -> point on the scan, or Wrap's [triangle, u, v]. With fewer than three, the
-    /// start is searched all over the scan; where nothing fits, or several poses fit alike, that is an error
+    /// Landmarks: template vertex or name -> point on the scan, in any format that 'nonrigid landmarks' reads. With fewer than
+    /// three, the start is searched all over the scan; where nothing fits, or several poses fit alike, that is an error
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
-    /// What the landmarks' names mean on the template (.json)
+    /// What the landmarks' names mean on the template, in any of those formats
     #[arg(long, value_name = "FILE", requires = "landmarks")]
     template_landmarks: Option<PathBuf>,
     #[command(flatten)]

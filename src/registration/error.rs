@@ -28,8 +28,8 @@ pub enum RegistrationError {
     EmptyTemplate,
     /// The scan has neither triangles nor normals.
     #[error(
-        "the scan has no triangles and no normals, so its surface is not known; give a mesh, or a PLY file whose vertices have \
-         normals nx, ny, nz (point cloud programs compute them)"
+        "the scan has no triangles and no normals, so its surface is not known; give a mesh, or points that have normals: \
+         nx, ny, nz in PLY, columns 4 to 6 in XYZ (point cloud programs compute them)"
     )]
     EmptyScan,
     /// A mask is no share.

@@ -3,24 +3,49 @@
 
 mod atomic;
 mod error;
+mod gzip;
 mod landmarks;
 mod npy;
 mod obj;
+mod off;
 mod ply;
+mod stl;
+mod unit;
+mod xyz;
 
 use std::path::Path;
 
 pub use atomic::write_atomically;
 pub use error::{Place, ReadError, WriteError};
-pub use landmarks::{Landmark, Source, TemplatePoint, parse_landmarks, read_landmarks, read_template_landmarks};
+pub use landmarks::{
+    Landmark, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, OnSurface, PatientSpace,
+    PlaceKind, PlacedLandmark, Source, TemplatePoint, parse_landmark_set, parse_landmarks, read_landmark_set,
+    read_landmarks, read_template_landmarks, write_landmark_set,
+};
 pub use npy::{NpyArray, NpyItem, Npz, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use obj::{parse_obj, read_obj, write_obj};
+pub use off::parse_off;
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
+pub use stl::parse_stl;
+pub use unit::LengthUnit;
+pub use xyz::parse_xyz;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};
 use error::extension;
 
-const SUPPORTED: &str = ".obj and .ply";
+const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz";
+const WRITTEN: &str = ".obj and .ply";
+
+/// What a mesh file holds.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MeshFile {
+    /// Vertices and polygons, in the file's unit; no polygons for a point cloud.
+    pub mesh: PolygonMesh,
+    /// A normal per vertex as in the file, not normalised; zero where the file has none that is finite.
+    pub normals: Option<Vec<Vec3>>,
+    /// Red, green, blue per vertex, 0-255.
+    pub colors: Option<Vec<[u8; 3]>>,
+}
 
 /// A scanned surface or point cloud, millimetres.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -33,30 +58,45 @@ pub struct Scan {
     pub colors: Option<Vec<[u8; 3]>>,
 }
 
-/// Reads a polygon mesh by extension: `.obj` or `.ply`. There is at least one vertex, coordinates are finite, and faces
-/// index vertices.
+/// Reads a mesh file by extension: `.obj`, `.ply`, `.stl`, `.off` or `.xyz`, packed if `.gz` follows. There is at least one
+/// vertex, coordinates are finite, and faces index vertices.
 ///
 /// # Errors
 /// When the file cannot be read or is malformed, or for another extension.
-pub fn read_polygon_mesh(path: &Path) -> Result<PolygonMesh, ReadError> {
-    match extension(path).as_str() {
-        "obj" => read_obj(path),
-        "ply" => Ok(read_ply(path)?.mesh),
-        found => Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: SUPPORTED }),
+pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
+    let parse: fn(&[u8], &Path) -> Result<MeshFile, ReadError> = match gzip::inner_extension(path).as_str() {
+        "obj" => |bytes, path| parse_obj(bytes, path).map(MeshFile::from),
+        "ply" => parse_ply,
+        "stl" => |bytes, path| parse_stl(bytes, path).map(MeshFile::from),
+        "off" => parse_off,
+        "xyz" => parse_xyz,
+        found => return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: READ }),
+    };
+    parse(&gzip::read_unpacked(path)?, path)
+}
+
+impl From<PolygonMesh> for MeshFile {
+    fn from(mesh: PolygonMesh) -> Self {
+        Self { mesh, normals: None, colors: None }
     }
 }
 
-/// Reads a scan by extension: `.obj` or `.ply`. There is at least one vertex, coordinates are finite, and triangles index
-/// vertices; other flaws of real scans (unreferenced vertices, zero-area and duplicate triangles) are left as they are.
+/// Reads a polygon mesh by extension.
 ///
 /// # Errors
-/// As [`read_polygon_mesh`].
+/// As [`read_mesh_file`].
+pub fn read_polygon_mesh(path: &Path) -> Result<PolygonMesh, ReadError> {
+    Ok(read_mesh_file(path)?.mesh)
+}
+
+/// Reads a scan by extension. Flaws of real scans (unreferenced vertices, zero-area and duplicate triangles) are left as they
+/// are.
+///
+/// # Errors
+/// As [`read_mesh_file`].
 pub fn read_scan(path: &Path) -> Result<Scan, ReadError> {
-    if extension(path) == "ply" {
-        let Ply { mesh, normals, colors } = read_ply(path)?;
-        return Ok(Scan { mesh: mesh.into_triangles(), normals, colors });
-    }
-    Ok(Scan { mesh: read_polygon_mesh(path)?.into_triangles(), normals: None, colors: None })
+    let MeshFile { mesh, normals, colors } = read_mesh_file(path)?;
+    Ok(Scan { mesh: mesh.into_triangles(), normals, colors })
 }
 
 /// Writes a polygon mesh by extension: `.obj` (everything) or `.ply` (positions, as 64 bits, and polygons).
@@ -70,6 +110,6 @@ pub fn write_polygon_mesh(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteEr
             let options = PlyOptions { precision: PlyPrecision::Double, ..PlyOptions::default() };
             write_ply_polygons(path, mesh, options)
         }
-        found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: SUPPORTED }),
+        found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }

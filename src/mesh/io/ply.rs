@@ -12,19 +12,11 @@ use std::io::Write;
 use std::path::Path;
 
 use super::error::{excerpt, read_file};
-use super::{Place, ReadError, WriteError, write_atomically};
+use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
-/// What a PLY file holds.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Ply {
-    /// Vertices and polygons; no polygons for a point cloud.
-    pub mesh: PolygonMesh,
-    /// A normal per vertex as in the file, not normalised; one that is not finite is read as zero.
-    pub normals: Option<Vec<Vec3>>,
-    /// Red, green, blue per vertex, 0-255. Colours stored as floats are taken as 0-1, as 16 bits as 0-65535.
-    pub colors: Option<Vec<[u8; 3]>>,
-}
+/// What a PLY file holds. Colours stored as floats are taken as 0-1, as 16 bits as 0-65535.
+pub type Ply = MeshFile;
 
 /// Reads a PLY file.
 ///

@@ -1,0 +1,251 @@
+//! `nonrigid landmarks`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use super::{Failure, Stage, check_parent, say, warn};
+use crate::mesh::PolygonMesh;
+use crate::mesh::io::{
+    self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkSet, LengthUnit, PatientSpace, PlaceKind,
+};
+
+/// `nonrigid landmarks` and its subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Write landmarks in another format
+    #[command(after_help = FORMATS)]
+    Convert(Convert),
+    /// See whether landmarks fit a mesh: off the surface, coinciding, left and right swapped
+    #[command(after_help = FORMATS)]
+    Check(Check),
+    /// Carry landmarks to another mesh, of the same polygons or one that such a mesh was registered onto
+    #[command(after_help = FORMATS)]
+    Transfer(Transfer),
+}
+
+const FORMATS: &str = "Landmark files, by extension and content:\n  \
+    .json     this project's own; plain {\"name\": vertex, [triangle, u, v] or [x, y, z]}, as Wrap's; Scalismo's\n  \
+    .mrk.json 3D Slicer's markups\n  .fcsv     3D Slicer's fiducials\n  .csv      Scalismo's: name,x,y,z\n  \
+    .pp       MeshLab's picked points\n  .pts      Menpo's or IDAV Landmark's\n  .lm3      Bosphorus'\n  \
+    .ljson    Menpo's, versions 1 to 3\n  .txt      template vertex or name, x y z\n\n\
+    Positions of files that say RAS are brought to LPS, as 3D Slicer writes meshes.";
+
+/// Arguments of `nonrigid landmarks convert`.
+#[derive(Debug, Args)]
+pub struct Convert {
+    /// Landmark file
+    input: PathBuf,
+    #[command(flatten)]
+    output: Output,
+    /// The mesh that the landmarks are on: needed where formats differ in vertices, triangles and points
+    #[arg(long, value_name = "MESH")]
+    mesh: Option<PathBuf>,
+    /// Unit of a file that states none: mm, cm or m; the output is in millimetres then
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<LengthUnit>,
+    /// Space of the output, whatever the format says of it: as meshes in LPS or in RAS need it [default: LPS if the input
+    /// says one]
+    #[arg(long, value_enum)]
+    space: Option<Space>,
+}
+
+#[derive(Debug, Args)]
+struct Output {
+    /// Landmark file to write
+    output: PathBuf,
+    /// Its format: native, points, wrap, scalismo, csv, mrk.json, fcsv, pp, pts, lm3, ljson or txt [default: by its extension]
+    #[arg(long)]
+    format: Option<LandmarkFormat>,
+    /// Whether landmarks are vertices, points of triangles or positions [default: as they are, if the format holds that]
+    #[arg(long = "as", value_enum)]
+    kind: Option<Kind>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
+enum Space {
+    Lps,
+    Ras,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Kind {
+    Vertex,
+    Face,
+    Position,
+}
+
+/// Arguments of `nonrigid landmarks check`.
+#[derive(Debug, Args)]
+pub struct Check {
+    /// Landmark file
+    input: PathBuf,
+    /// The mesh that the landmarks are on
+    #[arg(long, value_name = "MESH")]
+    mesh: PathBuf,
+    /// Millimetres off the surface that are allowed
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    tolerance: f64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Arguments of `nonrigid landmarks transfer`.
+#[derive(Debug, Args)]
+pub struct Transfer {
+    /// Landmark file
+    input: PathBuf,
+    #[command(flatten)]
+    output: Output,
+    /// The mesh that the landmarks are on
+    #[arg(long, value_name = "MESH")]
+    from: PathBuf,
+    /// The mesh that they are carried to
+    #[arg(long, value_name = "MESH")]
+    to: PathBuf,
+    /// One of the two registered onto the other, when their polygons differ
+    #[arg(long, value_name = "MESH")]
+    registered: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(command: &Command) -> Result<(), Failure> {
+    match command {
+        Command::Convert(arguments) => convert(arguments),
+        Command::Check(arguments) => check(arguments),
+        Command::Transfer(arguments) => transfer(arguments),
+    }
+}
+
+fn convert(a: &Convert) -> Result<(), Failure> {
+    let format = a.output.format()?;
+    let mesh = a.mesh.as_deref().map(io::read_polygon_mesh).transpose().map_err(Failure::loading)?;
+    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    if let Some(unit) = a.unit {
+        if set.unit.is_some_and(|stated| stated != unit) {
+            let message = format!("--unit {unit}: {} says otherwise; leave --unit out", a.input.display());
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+        if set.unit.is_none() {
+            set.scale(unit.millimetres());
+            set.unit = Some(unit);
+        }
+    }
+    let mut moved = 0.0;
+    if let Some((kind, mesh)) = a.output.kind(&set, format).zip(mesh.as_ref()) {
+        let positions = set.positions_on(&a.input, mesh).map_err(Failure::loading)?;
+        (set, moved) = set.placed_as(kind, &positions, mesh).map_err(Failure::loading)?;
+    } else if a.output.kind.is_some() {
+        return Err(Failure::new(Stage::Arguments, "--as needs --mesh"));
+    }
+    let read = describe(&set);
+    if let Some(space) = a.space {
+        let keeps = matches!(format, LandmarkFormat::SlicerJson | LandmarkFormat::SlicerFcsv);
+        let space = if space == Space::Ras { PatientSpace::Ras } else { PatientSpace::Lps };
+        set.space = Some(space);
+        if !keeps {
+            set.map_positions(|p| space.to_lps(p));
+        }
+    } else if set.space.is_some() {
+        set.space = Some(PatientSpace::Lps);
+    }
+    write(&a.output, &set, format)?;
+    let moved = if moved > 0.0 { format!("; moved to the mesh by at most {moved:.3} mm") } else { String::new() };
+    say(format_args!("{read} -> {format}{moved}"))
+}
+
+fn check(a: &Check) -> Result<(), Failure> {
+    if a.tolerance.is_nan() || a.tolerance < 0.0 {
+        return Err(Failure::new(Stage::Arguments, "--tolerance: expected millimetres of at least 0"));
+    }
+    let mesh = io::read_polygon_mesh(&a.mesh).map_err(Failure::loading)?;
+    let set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let positions = set.positions_on(&a.input, &mesh).map_err(Failure::loading)?;
+    let check = LandmarkCheck::new(&set, &positions, &mesh, a.tolerance)
+        .map_err(|e| Failure::loading(format!("{}: {e}", a.mesh.display())))?;
+    if a.json {
+        say(serde_json::to_string_pretty(&check).map_err(Failure::computation)?)?;
+    } else {
+        say(describe(&set))?;
+        say(&check)?;
+    }
+    match check.problems() {
+        0 => Ok(()),
+        n => Err(Failure::loading(format!("{}: {n} problems with {}", a.input.display(), a.mesh.display()))),
+    }
+}
+
+fn transfer(a: &Transfer) -> Result<(), Failure> {
+    let format = a.output.format()?;
+    let read = |path: &Path| io::read_polygon_mesh(path).map_err(Failure::loading);
+    let (from, to) = (read(&a.from)?, read(&a.to)?);
+    let via = a.registered.as_deref().map(read).transpose()?;
+    let set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let (carried, moved) = set.transfer(&a.input, &from, via.as_ref(), &to).map_err(|e| match e {
+        LandmarkError::Landmarks(e) => Failure::loading(e),
+        e => Failure::loading(format!("{}: {e}", a.to.display())),
+    })?;
+    let carried = a.output.on(carried, format, &to)?;
+    write(&a.output, &carried, format)?;
+    say(format_args!("{} -> {format}; moved to a surface by at most {moved:.3} mm", describe(&set)))
+}
+
+impl Output {
+    /// The format, for an output that can be written.
+    fn format(&self) -> Result<LandmarkFormat, Failure> {
+        check_parent(&self.output)?;
+        self.format.or_else(|| LandmarkFormat::of_path(&self.output)).ok_or_else(|| {
+            let message = format!("{}: no landmark format has this extension; give --format", self.output.display());
+            Failure::new(Stage::Arguments, message)
+        })
+    }
+
+    /// As what landmarks have to be written, if not as they are.
+    fn kind(&self, set: &LandmarkSet, format: LandmarkFormat) -> Option<PlaceKind> {
+        match self.kind {
+            Some(Kind::Vertex) => Some(PlaceKind::Vertex),
+            Some(Kind::Face) => Some(PlaceKind::Face),
+            Some(Kind::Position) => Some(PlaceKind::Position),
+            None if set.landmarks.iter().all(|l| format.holds(&l.place)) => None,
+            None if format == LandmarkFormat::Wrap => Some(PlaceKind::Face),
+            None => Some(PlaceKind::Position),
+        }
+    }
+
+    fn on(&self, set: LandmarkSet, format: LandmarkFormat, mesh: &PolygonMesh) -> Result<LandmarkSet, Failure> {
+        let Some(kind) = self.kind(&set, format) else { return Ok(set) };
+        let positions = set.positions_on(&self.output, mesh).map_err(Failure::loading)?;
+        Ok(set.placed_as(kind, &positions, mesh).map_err(Failure::loading)?.0)
+    }
+}
+
+/// Writes landmarks and says what the format leaves out.
+fn write(output: &Output, set: &LandmarkSet, format: LandmarkFormat) -> Result<(), Failure> {
+    io::write_landmark_set(&output.output, set, format).map_err(Failure::writing)?;
+    let lost = |what: &str| warn(format!("{}: {format} holds no {what}", output.output.display()));
+    if !set.missing.is_empty() {
+        warn(format!("not placed, and left out: {}", set.missing.join(", ")));
+    }
+    if !format.holds_sigma() && set.landmarks.iter().any(|l| l.sigma.is_some()) {
+        lost("standard deviations");
+    }
+    if !format.holds_names() && set.landmarks.iter().zip(0..).any(|(l, i): (_, usize)| l.name != i.to_string()) {
+        lost("names; its points are numbered in their order");
+    }
+    if set.unit.is_none() && matches!(format, LandmarkFormat::SlicerJson | LandmarkFormat::SlicerFcsv) {
+        warn("the landmarks state no unit; 3D Slicer takes them as millimetres (give --unit)");
+    }
+    Ok(())
+}
+
+/// Number, format, unit and space of what was read.
+fn describe(set: &LandmarkSet) -> String {
+    let unit = set.unit.map_or_else(|| "no unit stated".to_owned(), |unit| format!("unit {unit}"));
+    let space = match set.space {
+        Some(PatientSpace::Ras) => ", RAS brought to LPS",
+        Some(PatientSpace::Lps) => ", LPS",
+        None => "",
+    };
+    format!("{} landmarks, {}, {unit}{space}", set.landmarks.len(), set.format)
+}

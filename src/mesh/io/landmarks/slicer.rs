@@ -1,0 +1,139 @@
+//! 3D Slicer's markups: `.mrk.json` (schema 1.0.0 to 1.0.3) and `.fcsv`, both of
+//! <https://slicer.readthedocs.io/en/latest/developer_guide/modules/markups.html>.
+//!
+//! Slicer keeps points in the patient's LPS or RAS space (towards left, posterior, superior; right, anterior, superior),
+//! which differ in the signs of x and y, and the file says which. Meshes that Slicer writes are in LPS, and so are the
+//! positions here, whatever the file has. Units are millimetres unless a `.mrk.json` says micrometres. Points whose
+//! position is not defined are missing.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::json::Json;
+use super::lines::{Lines, field, split_quoted};
+use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, Place, PlacedLandmark, ReadError};
+
+const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
+const COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID";
+/// Codes of the column after those: not defined, and missing (`vtkMRMLMarkupsNode::PositionStatus`).
+const NOT_PLACED: [&str; 2] = ["0", "3"];
+
+pub(super) fn is(json: &Json) -> bool {
+    json.get("markups").is_some_and(|m| m.array().is_some_and(|m| m.iter().all(|m| matches!(m, Json::Object(_)))))
+}
+
+pub(super) fn parse_json(json: &Json, path: &Path) -> Result<LandmarkSet, ReadError> {
+    let wrong = |expected: &str, found: &Json| {
+        let found = found.text().map_or_else(|| found.kind(), |t| format!("{t:?}"));
+        ReadError::malformed(path, Place::File, expected, found)
+    };
+    let mut set = LandmarkSet { format: LandmarkFormat::SlicerJson, named: true, ..LandmarkSet::default() };
+    for markup in json.get("markups").and_then(Json::array).unwrap_or_default() {
+        let space = match markup.get("coordinateSystem") {
+            None => PatientSpace::Lps,
+            Some(stated) => match stated.text() {
+                Some("LPS") => PatientSpace::Lps,
+                Some("RAS") => PatientSpace::Ras,
+                _ => return Err(wrong("\"coordinateSystem\" LPS or RAS", stated)),
+            },
+        };
+        let unit = match markup.get("coordinateUnits") {
+            None => LengthUnit::Millimetre,
+            Some(stated) => match stated.array().and_then(<[Json]>::first).unwrap_or(stated).text() {
+                Some("mm") => LengthUnit::Millimetre,
+                Some("um") => LengthUnit::Micrometre,
+                _ => return Err(wrong("\"coordinateUnits\" mm or um", stated)),
+            },
+        };
+        (set.space, set.unit) = (Some(space), Some(unit));
+        for point in markup.get("controlPoints").and_then(Json::array).unwrap_or_default() {
+            let text = |key: &str| point.get(key).and_then(Json::text).filter(|t| !t.is_empty());
+            let number = || (set.landmarks.len() + set.missing.len()).to_string();
+            let name = text("label").or(text("id")).map_or_else(number, str::to_owned);
+            if text("positionStatus").is_some_and(|s| s == "undefined" || s == "missing") {
+                set.missing.push(name);
+                continue;
+            }
+            let position = point.get("position").unwrap_or(&Json::Null).point(path, &name, "a position [x, y, z]")?;
+            let place = LandmarkPlace::Position(space.to_lps(position) * unit.millimetres());
+            set.landmarks.push(PlacedLandmark { name, place, sigma: None });
+        }
+    }
+    if set.space.is_none() {
+        return Err(ReadError::malformed(path, Place::File, "a markup", "none"));
+    }
+    Ok(set)
+}
+
+pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadError> {
+    let mut set = LandmarkSet {
+        format: LandmarkFormat::SlicerFcsv,
+        named: true,
+        unit: Some(LengthUnit::Millimetre),
+        ..LandmarkSet::default()
+    };
+    let mut columns = split_quoted(COLUMNS);
+    for line in Lines::new(text, path) {
+        if let Some(comment) = line.text.strip_prefix('#') {
+            match comment.split_once('=').map(|(key, value)| (key.trim(), value.trim())) {
+                Some(("CoordinateSystem", "LPS" | "1")) => set.space = Some(PatientSpace::Lps),
+                Some(("CoordinateSystem", "RAS" | "0")) => set.space = Some(PatientSpace::Ras),
+                Some(("CoordinateSystem", _)) => return Err(line.wrong("`# CoordinateSystem = ` LPS, RAS, 1 or 0")),
+                Some(("columns", names)) => columns = split_quoted(names),
+                _ => {}
+            }
+            continue;
+        }
+        let Some(space) = set.space else {
+            return Err(line.error("a line `# CoordinateSystem = LPS` or RAS first", "a point"));
+        };
+        let fields = split_quoted(line.text);
+        let column = |name: &str| columns.iter().position(|c| c == name).and_then(|i| fields.get(i));
+        let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
+            return Err(line.error(format!("columns {}", columns.join(",")), format!("{} fields", fields.len())));
+        };
+        let named = column("label").or(column("id")).filter(|n| !n.is_empty()).cloned();
+        let name = named.unwrap_or_else(|| (set.landmarks.len() + set.missing.len()).to_string());
+        let status = fields.get(columns.len());
+        if status.is_some_and(|s| NOT_PLACED.contains(&s.as_str())) {
+            set.missing.push(name);
+            continue;
+        }
+        let place = LandmarkPlace::Position(space.to_lps(line.point(&[x, y, z])?));
+        set.landmarks.push(PlacedLandmark { name, place, sigma: None });
+    }
+    Ok(set)
+}
+
+pub(super) fn render_json(set: &LandmarkSet) -> String {
+    let space = set.space.unwrap_or(PatientSpace::Lps);
+    let mut out = format!(
+        "{{\n  \"@schema\": \"{SCHEMA}\",\n  \"markups\": [{{\n    \"type\": \"Fiducial\",\n    \
+         \"coordinateSystem\": \"{space}\",\n    \"coordinateUnits\": \"mm\",\n    \"controlPoints\": ["
+    );
+    for (i, (landmark, p)) in set.positions().enumerate() {
+        let name = super::quoted(&landmark.name);
+        let position = space.to_lps(p);
+        let comma = if i == 0 { "" } else { "," };
+        let _ = write!(
+            out,
+            "{comma}\n      {{\"id\": \"{}\", \"label\": {name}, \"position\": {:?}, \"positionStatus\": \"defined\"}}",
+            i + 1,
+            position.as_slice()
+        );
+    }
+    out.push_str("\n    ]\n  }]\n}\n");
+    out
+}
+
+pub(super) fn render_fcsv(set: &LandmarkSet) -> String {
+    let space = set.space.unwrap_or(PatientSpace::Lps);
+    let mut out =
+        format!("# Markups fiducial file version = 4.13\n# CoordinateSystem = {space}\n# columns = {COLUMNS}\n");
+    for (i, (landmark, p)) in set.positions().enumerate() {
+        let p = space.to_lps(p);
+        let name = field(&landmark.name);
+        let _ = writeln!(out, "{},{},{},{},0,0,0,1,1,1,0,{name},,", i + 1, p.x, p.y, p.z);
+    }
+    out
+}
