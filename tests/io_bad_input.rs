@@ -118,8 +118,8 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
         ("overflow.json", b"{\"1\": [1e999, 2, 3]}".to_vec(), &["overflow.json"]),
         ("unnamed.json", b"[[1, 2, 3]]".to_vec(), &["template landmark file"]),
         ("no_scan.json", b"{\"1\": [0, 0.2, 0.3]}".to_vec(), &["scan with triangles"]),
-        ("mesh.stl", vec![], &["\"stl\"", ".obj and .ply"]),
-        ("mesh", vec![], &["extension", ".obj and .ply"]),
+        ("mesh.stl", vec![], &["\"stl\"", ".obj, .ply, .glb and .gltf"]),
+        ("mesh", vec![], &["extension", ".obj, .ply, .glb and .gltf"]),
     ];
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes, hints) in table {

@@ -100,7 +100,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (Some(mesh), Some(out)) = (&a.mesh, &a.out) else {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
-    check_output(out, &["obj", "ply"])?;
+    check_output(out, &["obj", "ply", "glb"])?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
     let before = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;
