@@ -8,7 +8,10 @@ mod morph;
 mod output;
 mod register;
 mod rig;
+mod rig_convert;
+mod rig_fit;
 mod rig_pca;
+mod rig_transfer;
 
 use std::io::Write as _;
 use std::path::Path;
@@ -42,7 +45,7 @@ enum Command {
     Morph(Box<morph::Arguments>),
     /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
     Measure(measure::Arguments),
-    /// Look into a blendshape rig, or make one from meshes.
+    /// Look into a blendshape rig, make or convert one, fit its weights.
     #[command(subcommand)]
     Rig(rig::Command),
 }
