@@ -276,16 +276,6 @@ fn malformed_documents_are_refused_with_a_reason() {
     let mut nan = square();
     nan["buffers"][0]["uri"] = json!(data_uri(&[255; 96]));
     assert!(parse(&nan).unwrap_err().contains("finite"));
-    let mut many = square();
-    many["accessors"][2]["sparse"] = json!(null);
-    let primitive = many["meshes"][0]["primitives"][0].clone();
-    let target = primitive["targets"][0].clone();
-    many["meshes"][0]["primitives"][0]["targets"] = vec![target; 3_000_000].into();
-    many["meshes"][0]["extras"] = json!(null);
-    many["meshes"][0]["primitives"] = vec![many["meshes"][0]["primitives"][0].clone(); 1].into();
-    many["nodes"] = (0..9).map(|_| json!({ "mesh": 0 })).collect();
-    many["scenes"][0]["nodes"] = (0..9).collect();
-    assert!(parse(&many).unwrap_err().contains("numbers in all meshes"));
 }
 
 #[test]

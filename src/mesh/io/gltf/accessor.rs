@@ -5,8 +5,7 @@ use std::cell::Cell;
 use super::document::{Loaded, SparsePart};
 use crate::mesh::io::ReadError;
 
-/// Numbers that all accessors of a file may have together, each counted as often as it is used: about 100 million
-/// coordinates. A file of some kilobytes can name the same data any number of times.
+/// Numbers that all accessors of a file may have together, each counted as often as it is used: 400 million, 3 GB. A file of some kilobytes can name the same data any number of times.
 const MOST_NUMBERS: usize = 3 << 27;
 
 /// Where elements lie: each `size` bytes, `stride` apart.
