@@ -71,7 +71,9 @@ pub enum RigError {
         known: String,
     },
     /// No weight lies between the bounds, or the regularisation is negative.
-    #[error("bounds of the weights {bounds:?} and regularisation {regularisation}: expected two numbers in order and one from 0")]
+    #[error(
+        "bounds of the weights {bounds:?} and regularisation {regularisation}: expected two numbers in order and one from 0"
+    )]
     Weights {
         /// Lower and upper.
         bounds: [f64; 2],

@@ -14,9 +14,7 @@ use nalgebra::{Matrix3, Rotation3};
 
 use super::{RigError, ShapeBasis};
 use crate::mesh::{Pose, PoseError, PoseKind, Vec3, closest_pose};
-use crate::nlls::{
-    BlockStructure, BorderBounds, Minimizer, NormalEquations, Options, Problem, StopReason, Workspace,
-};
+use crate::nlls::{BlockStructure, BorderBounds, Minimizer, NormalEquations, Options, Problem, StopReason, Workspace};
 
 /// How to fit weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -181,7 +179,9 @@ impl Fit {
         let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(self.frame.iter().copied()).collect();
         let pose = match self.pose {
             None => Pose { translation: self.centroid, ..Pose::identity() },
-            Some(kind) => closest_pose(&pairs, kind).map_err(|source: PoseError| RigError::Fit { reason: source.to_string() })?,
+            Some(kind) => {
+                closest_pose(&pairs, kind).map_err(|source: PoseError| RigError::Fit { reason: source.to_string() })?
+            }
         };
         let mut x = vec![pose.scale];
         x.extend(pose.rotation.iter());

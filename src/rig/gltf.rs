@@ -61,7 +61,8 @@ impl Rig {
         let family = |k: usize| extras.families.get(k).copied().unwrap_or(Family::Other);
         let shapes = target_names.into_iter().enumerate().map(|(k, name)| Shape { name, family: family(k) }).collect();
         let neutral = mesh.positions.clone();
-        let (mut rig, warnings) = Rig::new(neutral, Some(mesh).filter(|m| m.polygon_count() > 0), shapes, target_deltas)?;
+        let (mut rig, warnings) =
+            Rig::new(neutral, Some(mesh).filter(|m| m.polygon_count() > 0), shapes, target_deltas)?;
         if let Some(v) = extras.landmarks.iter().flatten().find(|&&v| v as usize >= count) {
             return Err(malformed(&format!("landmarks below {count}"), v.to_string()).into());
         }

@@ -19,7 +19,7 @@ mod write;
 
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
-pub use fit::{FittedFrame, WeightFitter, WeightFitOptions};
+pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
 pub use pca::ShapePca;
 pub use population::{Population, PopulationError};
 pub(crate) use read::mesh_files;

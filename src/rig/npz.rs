@@ -33,14 +33,18 @@ impl Rig {
                 .with_text(&format!("{stem}_names"), &names);
         }
         if let Some(mesh) = &self.mesh {
-            contents = contents
-                .with("polygon_starts", &[mesh.starts.len()], &mesh.starts)
-                .with("corners", &[mesh.corners.len()], &mesh.corners);
+            contents = contents.with("polygon_starts", &[mesh.starts.len()], &mesh.starts).with(
+                "corners",
+                &[mesh.corners.len()],
+                &mesh.corners,
+            );
             if !mesh.metadata.corner_uvs.is_empty() {
                 let uvs = &mesh.metadata.uvs;
-                contents = contents
-                    .with("uvs", &[uvs.len(), 2], uvs.as_flattened())
-                    .with("corner_uvs", &[mesh.corners.len()], &mesh.metadata.corner_uvs);
+                contents = contents.with("uvs", &[uvs.len(), 2], uvs.as_flattened()).with(
+                    "corner_uvs",
+                    &[mesh.corners.len()],
+                    &mesh.metadata.corner_uvs,
+                );
             }
         }
         if let Some(landmarks) = &self.landmarks {
@@ -80,7 +84,8 @@ impl Rig {
             let array = npz.array(name)?;
             array.expect_shape(&[None])?;
             let values = array.read_f64()?;
-            let fits = |v: &f64| v.fract() == 0.0 && *v >= 0.0 && (*v < limit as f64 || none && *v == f64::from(u32::MAX));
+            let fits =
+                |v: &f64| v.fract() == 0.0 && *v >= 0.0 && (*v < limit as f64 || none && *v == f64::from(u32::MAX));
             match values.iter().find(|v| !fits(v)) {
                 None => Ok(values.into_iter().map(|v| v as u32).collect()),
                 Some(v) => {
@@ -114,7 +119,10 @@ impl Rig {
             array.expect_shape(&[None, Some(2)])?;
             let uvs: Vec<[f64; 2]> = array.read_f64()?.as_chunks().0.to_vec();
             let known = |uv: &u32| *uv == u32::MAX || (*uv as usize) < uvs.len();
-            if corner_uvs.len() != mesh.corners.len() || !corner_uvs.iter().all(known) || !uvs.iter().flatten().all(|x| x.is_finite()) {
+            if corner_uvs.len() != mesh.corners.len()
+                || !corner_uvs.iter().all(known)
+                || !uvs.iter().flatten().all(|x| x.is_finite())
+            {
                 let expected = format!("corner_uvs of {} corners that index finite uvs", mesh.corners.len());
                 return Err(ReadError::malformed(path, Place::File, expected, "others").into());
             }

@@ -58,7 +58,9 @@ impl Rig {
                 "npz" => Self::read_npz(path, options.identity_modes)?,
                 found => {
                     let supported = "folders, .npz, .glb and .gltf";
-                    return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported }.into());
+                    return Err(
+                        ReadError::UnknownExtension { path: path.into(), found: found.into(), supported }.into()
+                    );
                 }
             };
             rig.keep_identity_modes(options.identity_modes);

@@ -95,7 +95,8 @@ impl Rig {
         let pose = closest_pose(&pairs, PoseKind::Similarity)?;
         let source: Vec<Vec3> = self.neutral.iter().map(|&p| pose.apply(p)).collect();
         let diagonal = bounding_box_diagonal(subject);
-        let elements = elements(&mesh.triangulate().triangles, &source, subject, DEGENERATE_SHARE * diagonal * diagonal);
+        let elements =
+            elements(&mesh.triangulate().triangles, &source, subject, DEGENERATE_SHARE * diagonal * diagonal);
 
         let mut anchors = vec![0.0; subject.len()];
         for Element { corners, area, .. } in &elements {
@@ -212,7 +213,9 @@ mod tests {
 
     /// Two bumpy sheets, unconnected, and a vertex of no triangle.
     fn rig() -> Rig {
-        let bumpy = |x0: f64| sheet(9, 7, move |x, y| Vec3::new(x0 + 5.0 * x, 5.0 * y, 3.0 * (0.7 * x).sin() * (0.5 * y).cos()));
+        let bumpy = |x0: f64| {
+            sheet(9, 7, move |x, y| Vec3::new(x0 + 5.0 * x, 5.0 * y, 3.0 * (0.7 * x).sin() * (0.5 * y).cos()))
+        };
         let mut both = side_by_side(&bumpy(0.0), &bumpy(60.0));
         both.positions.push(Vec3::new(7.0, 8.0, 90.0));
         let mesh = PolygonMesh::from(both);

@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Family, Rig};
-use crate::mesh::{PolygonMesh, Vec3};
 use crate::mesh::io::{WriteError, write_atomically, write_npy, write_npy_points, write_obj};
+use crate::mesh::{PolygonMesh, Vec3};
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
@@ -58,10 +58,18 @@ impl Rig {
             !file || name.contains(['/', '\\', ':', '\0']) || name.starts_with('.')
         };
         if let Some(shape) = self.shapes.iter().find(|s| bad(&s.name)) {
-            return Err(WriteError::data(folder, "shapes whose names can be those of files", format!("{:?}", shape.name)));
+            return Err(WriteError::data(
+                folder,
+                "shapes whose names can be those of files",
+                format!("{:?}", shape.name),
+            ));
         }
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(WriteError::data(folder, "names that differ by more than case", format!("{:?} twice", pair[0])));
+            return Err(WriteError::data(
+                folder,
+                "names that differ by more than case",
+                format!("{:?} twice", pair[0]),
+            ));
         }
         let mesh = match &self.mesh {
             Some(mesh) => mesh.with_positions(self.neutral.clone()),

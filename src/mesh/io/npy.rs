@@ -199,7 +199,12 @@ impl<'a> NpyArray<'a> {
         let mut header = Header { kind: Kind::Unsigned, size: 4, length: count.saturating_mul(letters), ..self.header };
         header.shape.insert(if header.fortran { 0 } else { header.shape.len() }, letters);
         if header.fortran && header.shape.len() > 2 {
-            return Err(ReadError::malformed(&self.path, Place::File, "a list of text", shape_text(&header.shape[1..])));
+            return Err(ReadError::malformed(
+                &self.path,
+                Place::File,
+                "a list of text",
+                shape_text(&header.shape[1..]),
+            ));
         }
         header.fortran = false;
         let codes = Self { path: self.path, header, reader: self.reader }.read_with(usize::MAX, |b| {
@@ -593,7 +598,8 @@ pub fn write_npy<T: NpyItem>(path: &Path, shape: &[usize], items: &[T]) -> Resul
 pub(super) fn npy_start(descr: &str, shape: &[usize]) -> Vec<u8> {
     let comma = if shape.len() == 1 { "," } else { "" };
     let lengths: Vec<String> = shape.iter().map(usize::to_string).collect();
-    let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", lengths.join(", "));
+    let mut header =
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", lengths.join(", "));
     // data start at a multiple of 64
     while !(10 + header.len() + 1).is_multiple_of(64) {
         header.push(' ');

@@ -5,7 +5,8 @@ use std::cell::Cell;
 use super::document::{Loaded, SparsePart};
 use crate::mesh::io::ReadError;
 
-/// Numbers that all accessors of a file may have together, each counted as often as it is used: 400 million, 3 GB. A file of some kilobytes can name the same data any number of times.
+/// Numbers that all accessors of a file may have together, each counted as often as it is used: 400 million,
+/// 3 GB. A file of some kilobytes can name the same data any number of times.
 const MOST_NUMBERS: usize = 3 << 27;
 
 /// Where elements lie: each `size` bytes, `stride` apart.
@@ -68,7 +69,8 @@ impl<'a> Accessors<'a> {
         // Without a view there are only zeros, however many are claimed.
         let bytes: usize = file.buffers.iter().map(|b| b.len()).sum();
         if accessor.buffer_view.is_none() && count > bytes {
-            return file.malformed(format!("{name} with at most as many elements as bytes, {bytes}"), count.to_string());
+            return file
+                .malformed(format!("{name} with at most as many elements as bytes, {bytes}"), count.to_string());
         }
         let mut values = match accessor.buffer_view {
             None => {
@@ -101,7 +103,9 @@ impl<'a> Accessors<'a> {
         }
         match values.iter().position(|v| !v.is_finite()) {
             None => Ok(values),
-            Some(i) => file.malformed(format!("{name} with finite numbers"), format!("{} at element {}", values[i], i / width)),
+            Some(i) => {
+                file.malformed(format!("{name} with finite numbers"), format!("{} at element {}", values[i], i / width))
+            }
         }
     }
 
@@ -148,7 +152,8 @@ impl<'a> Accessors<'a> {
         let end = view_of.byte_offset.checked_add(view_of.byte_length);
         let Some(bytes) = end.and_then(|end| buffer.get(view_of.byte_offset..end)) else {
             let expected = format!("buffer view {view} inside the {} bytes of buffer {}", buffer.len(), view_of.buffer);
-            return file.malformed(expected, format!("bytes from {}, {} long", view_of.byte_offset, view_of.byte_length));
+            return file
+                .malformed(expected, format!("bytes from {}, {} long", view_of.byte_offset, view_of.byte_length));
         };
         let size = component.size * width;
         let stride = view_of.byte_stride.unwrap_or(size);

@@ -91,8 +91,7 @@ impl<'a> Loaded<'a> {
             let place = if binary.is_some() { Place::File } else { Place::Line(e.line().max(1)) };
             ReadError::malformed(path, place, expected, e.to_string())
         })?;
-        let malformed =
-            |expected: &str, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
+        let malformed = |expected: &str, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
         if !document.asset.version.starts_with("2.") {
             return malformed("asset.version 2", format!("{:?}", document.asset.version));
         }
@@ -132,12 +131,13 @@ impl<'a> Loaded<'a> {
 
 /// The JSON and the binary chunk of a container.
 fn chunks<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]>), ReadError> {
-    let fail =
-        |at, expected: &str, found: String| Err(ReadError::malformed(path, Place::Byte(at), expected, found));
+    let fail = |at, expected: &str, found: String| Err(ReadError::malformed(path, Place::Byte(at), expected, found));
     let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     match word(4) {
         Some(2) => {}
-        found => return fail(4, "version 2 of the container", found.map_or("the end of the file".into(), |v| v.to_string())),
+        found => {
+            return fail(4, "version 2 of the container", found.map_or("the end of the file".into(), |v| v.to_string()));
+        }
     }
     let length = word(8).unwrap_or(0) as usize;
     if length < 12 || length > bytes.len() {
@@ -175,7 +175,8 @@ fn load(path: &Path, index: usize, uri: &str, length: usize) -> Result<Vec<u8>, 
     }
     let expected = "a data uri or the relative path of a file";
     let name = PathBuf::from(percent_decoded(uri).ok_or_else(|| malformed(expected))?);
-    let relative = name.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir | Component::ParentDir));
+    let relative =
+        name.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir | Component::ParentDir));
     if !relative || uri.contains("://") || name.as_os_str().is_empty() {
         return Err(malformed(expected));
     }

@@ -9,8 +9,8 @@ use super::accessor::Accessors;
 use super::document::{Document, Loaded, Mesh, Node, Primitive};
 use super::topology::{Note, Restored, Triangles, restore, weld};
 use super::{GltfMesh, MILLIMETRES_PER_METRE};
-use crate::mesh::io::{Place, ReadError};
 use crate::mesh::io::error::read_file;
+use crate::mesh::io::{Place, ReadError};
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 
 /// Reads a `.glb` or `.gltf` file, with its buffers inside or beside it. There is at least one vertex, numbers are finite,
@@ -146,7 +146,8 @@ fn read_part(
                 let expected = "extras.nonrigid of this mesh (without it, the file is read as it stands)";
                 ReadError::malformed(file.path, Place::File, expected, found)
             };
-            let mut note: Note = serde::Deserialize::deserialize(note).map_err(|e: serde_json::Error| foreign(e.to_string()))?;
+            let mut note: Note =
+                serde::Deserialize::deserialize(note).map_err(|e: serde_json::Error| foreign(e.to_string()))?;
             let extras = std::mem::take(&mut note.extras);
             (restore(&all, note).map_err(foreign)?, extras)
         }
@@ -180,7 +181,8 @@ fn target_names(file: &Loaded<'_>, mesh: &Mesh, count: usize) -> Result<Vec<Stri
                 Some(names) => names,
                 None => {
                     let expected = format!("extras.targetNames with the names of {count} morph targets");
-                    let found = stated.as_array().map_or("something else".to_owned(), |a| format!("{} entries", a.len()));
+                    let found =
+                        stated.as_array().map_or("something else".to_owned(), |a| format!("{} entries", a.len()));
                     return file.malformed(expected, found);
                 }
             }

@@ -130,10 +130,15 @@ fn check(path: &Path, mesh: &PolygonMesh, names: &[&str], deltas: &[f32]) -> Res
         return fail(format!("a texture index for each of {} corners", mesh.corners.len()), of_corners.to_string());
     }
     if deltas.len() != 3 * vertices * names.len() {
-        return fail(format!("displacements of {vertices} vertices in {} targets", names.len()), deltas.len().to_string());
+        return fail(
+            format!("displacements of {vertices} vertices in {} targets", names.len()),
+            deltas.len().to_string(),
+        );
     }
     match deltas.iter().position(|d| !d.is_finite()) {
-        Some(i) => fail(format!("finite displacements in target {:?}", names[i / (3 * vertices)]), deltas[i].to_string()),
+        Some(i) => {
+            fail(format!("finite displacements in target {:?}", names[i / (3 * vertices)]), deltas[i].to_string())
+        }
         None => Ok(()),
     }
 }
