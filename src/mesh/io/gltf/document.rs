@@ -136,7 +136,11 @@ fn chunks<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]
     match word(4) {
         Some(2) => {}
         found => {
-            return fail(4, "version 2 of the container", found.map_or("the end of the file".into(), |v| v.to_string()));
+            return fail(
+                4,
+                "version 2 of the container",
+                found.map_or("the end of the file".into(), |v| v.to_string()),
+            );
         }
     }
     let length = word(8).unwrap_or(0) as usize;
