@@ -9,7 +9,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("nlls", &[]),
     ("mesh", &[]),
     ("page", &[]),
-    ("rig", &["mesh"]),
+    ("rig", &["mesh", "nlls"]),
     ("energy", &["mesh", "nlls"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
     ("term", &["energy", "mesh", "nlls"]),

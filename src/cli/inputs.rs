@@ -13,7 +13,7 @@ use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelec
 /// The rig and which of its shapes to use.
 #[derive(Debug, Args)]
 pub struct RigArguments {
-    /// Blendshape rig: a folder of .npy deltas with names, or a folder of .obj/.ply shapes
+    /// Blendshape rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf
     #[arg(long, value_name = "DIR")]
     pub rig: Option<PathBuf>,
     /// Expression shapes to use, by name [default: all]

@@ -10,7 +10,10 @@ mod morph;
 mod output;
 mod register;
 mod rig;
+mod rig_convert;
+mod rig_fit;
 mod rig_pca;
+mod rig_transfer;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -47,7 +50,7 @@ enum Command {
     /// Convert landmark files, check landmarks on a mesh, carry them to another one.
     #[command(subcommand)]
     Landmarks(landmarks::Command),
-    /// Look into a blendshape rig, or make one from meshes.
+    /// Look into a blendshape rig, make or convert one, fit its weights.
     #[command(subcommand)]
     Rig(rig::Command),
 }

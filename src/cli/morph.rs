@@ -100,7 +100,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (Some(mesh), Some(out)) = (&a.mesh, &a.out) else {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
-    check_output(out, &["obj", "ply"])?;
+    check_output(out, &["obj", "ply", "glb"])?;
     let inputs = [("mesh", Some(mesh)), ("recipe", a.recipe.as_ref()), ("landmarks", a.landmarks.as_ref())];
     let inputs: Vec<_> = inputs.into_iter().filter_map(|(role, path)| Some((role, path?.clone()))).collect();
     refuse_overwriting(&[("--out", Some(out))], &inputs)?;

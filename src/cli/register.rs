@@ -180,7 +180,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
 
 /// Outputs that could not be written, or would overwrite what is read, are refused before the work is done.
 fn check_outputs(a: &Arguments) -> Result<(), Failure> {
-    check_output(&a.out, &["obj", "ply"])?;
+    check_output(&a.out, &["obj", "ply", "glb"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     let outputs = [("--out", Some(&a.out)), ("--report", a.report.as_ref()), ("--picture", a.picture.as_ref())];
@@ -196,7 +196,9 @@ fn input_paths(a: &Arguments) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
     files.extend(a.masks.mask.clone().map(|p| ("mask", p)));
     files.extend(a.masks.free_mask.clone().map(|p| ("free mask", p)));
     files.extend(a.config.clone().map(|p| ("schedule", p)));
-    if let Some(folder) = &a.rig.rig {
+    if let Some(folder) = a.rig.rig.as_ref().filter(|p| p.is_file()) {
+        files.push(("rig", folder.clone()));
+    } else if let Some(folder) = &a.rig.rig {
         let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));
         let mut inside: Vec<PathBuf> = std::fs::read_dir(folder)
             .and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect())

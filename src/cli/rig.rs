@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 
 use super::inputs::{ShapeKindArgument, read_rig};
-use super::{Failure, rig_pca, say};
+use super::{Failure, rig_convert, rig_fit, rig_pca, rig_transfer, say};
 
 /// `nonrigid rig` and its subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// List a rig's shapes: family, how many vertices each moves, and how far
     Info {
-        /// The rig: a folder of .npy deltas with names, or a folder of .obj/.ply shapes
+        /// The rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf
         #[arg(value_name = "DIR")]
         folder: PathBuf,
         /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
@@ -24,6 +24,12 @@ pub enum Command {
     },
     /// Make a rig of identity modes from meshes of one topology: the principal components of how they differ
     Pca(rig_pca::Arguments),
+    /// Write a rig in another form: a folder of .npy deltas, a folder of .obj shapes, .npz or .glb
+    Convert(rig_convert::Arguments),
+    /// Give a rig's shapes to a subject: a personal rig from one registered neutral scan
+    Transfer(rig_transfer::Arguments),
+    /// Find the weights of a sequence of registered meshes
+    Fit(rig_fit::Arguments),
 }
 
 /// Runs the command.
@@ -31,6 +37,9 @@ pub fn run(command: &Command) -> Result<(), Failure> {
     match command {
         Command::Info { folder, shape_kind, json } => info(folder, *shape_kind, *json),
         Command::Pca(arguments) => rig_pca::run(arguments),
+        Command::Convert(arguments) => rig_convert::run(arguments),
+        Command::Transfer(arguments) => rig_transfer::run(arguments),
+        Command::Fit(arguments) => rig_fit::run(arguments),
     }
 }
 

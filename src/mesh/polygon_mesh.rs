@@ -41,6 +41,29 @@ pub enum ObjStatement {
     Smoothing(String),
 }
 
+impl ObjStatement {
+    /// Keyword and what follows it.
+    pub(crate) fn parts(&self) -> (&'static str, &str) {
+        match self {
+            Self::Object(rest) => ("o", rest),
+            Self::Group(rest) => ("g", rest),
+            Self::Material(rest) => ("usemtl", rest),
+            Self::Smoothing(rest) => ("s", rest),
+        }
+    }
+
+    /// The statement of a keyword, if it is one of the four.
+    pub(crate) fn from_parts(keyword: &str, rest: String) -> Option<Self> {
+        match keyword {
+            "o" => Some(Self::Object(rest)),
+            "g" => Some(Self::Group(rest)),
+            "usemtl" => Some(Self::Material(rest)),
+            "s" => Some(Self::Smoothing(rest)),
+            _ => None,
+        }
+    }
+}
+
 impl PolygonMesh {
     /// Number of polygons.
     #[must_use]

@@ -70,6 +70,22 @@ pub enum RigError {
         /// All names.
         known: String,
     },
+    /// No weight lies between the bounds, or the regularisation is negative.
+    #[error(
+        "bounds of the weights {bounds:?} and regularisation {regularisation}: expected two numbers in order and one from 0"
+    )]
+    Weights {
+        /// Lower and upper.
+        bounds: [f64; 2],
+        /// Share of the largest squared shape.
+        regularisation: f64,
+    },
+    /// Weights of a mesh were not found.
+    #[error("the weights cannot be found: {reason}")]
+    Fit {
+        /// Why.
+        reason: String,
+    },
     /// Fewer identity modes than asked for.
     #[error("{asked} identity modes asked for, the rig has {found}")]
     IdentityModes {

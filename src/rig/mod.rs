@@ -2,23 +2,30 @@
 //! b_i(w) = n_i + sum_k w_k (s_i^k - n_i).
 //!
 //! A [`Rig`] is what the files hold, in 32 bits; [`Rig::select`] takes out the shapes that a fit uses, as the slab of
-//! 64-bit numbers that the solver reads. Identity modes come from a [`Population`] of meshes by [`ShapePca`]. Stands on
-//! [`crate::mesh`].
+//! 64-bit numbers that the solver reads. Identity modes come from a [`Population`] of meshes by [`ShapePca`]; [`Rig::transfer`] makes a
+//! personal rig, [`WeightFitter`] finds the weights of registered meshes. Stands on [`crate::mesh`] and [`crate::nlls`].
 
 mod basis;
 mod error;
+mod fit;
+mod gltf;
+mod npz;
 mod pca;
 mod population;
 mod read;
 mod regions;
+mod transfer;
 mod write;
 
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
+pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
 pub use pca::ShapePca;
 pub use population::{Population, PopulationError};
+pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
 pub use regions::Regions;
+pub use transfer::{TransferError, TransferOptions};
 
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
@@ -27,7 +34,7 @@ use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 pub const MOTIONLESS_SHARE: f64 = 1e-6;
 
 /// What a shape describes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
     /// A facial expression: weight 0 is the neutral, 1 the full expression.

@@ -1,4 +1,4 @@
-//! Rigs from folders, of two layouts.
+//! Rigs from folders, of two layouts, and from files.
 //!
 //! **Arrays**: `neutral.npy` (V, 3) and/or `template.obj` or `.ply`; `expression_deltas.npy` (K, V, 3) with
 //! `expression_names.json`, `identity_deltas.npy` with `identity_names.json`, either of which may be absent;
@@ -8,7 +8,9 @@
 //! if only one of them is there it does both. The others are whole shapes, or differences: option, or `rig.json` with
 //! `{"kind": "full"}` or `{"kind": "delta"}`.
 //!
-//! Either may have `regions.json`, `{"name": [vertex, ...], ...}`.
+//! **Files**: `.glb` or `.gltf`, whose morph targets are the shapes, or `.npz` with the arrays under the same names.
+//!
+//! A folder of either layout may have `regions.json`, `{"name": [vertex, ...], ...}`.
 
 use std::path::{Path, PathBuf};
 
@@ -44,12 +46,27 @@ impl Default for RigReadOptions {
 }
 
 impl Rig {
-    /// Reads a rig from a folder of either layout. Shapes that move nothing are dropped and reported.
+    /// Reads a rig from a folder of either layout, or from a file. Shapes that move nothing are dropped and reported.
     ///
     /// # Errors
     /// When a file is missing or malformed, numbers of vertices or shapes do not fit together (the message has both), or
     /// a coordinate is not finite.
-    pub fn read(folder: &Path, options: &RigReadOptions) -> Result<(Self, Vec<RigWarning>), RigError> {
+    pub fn read(path: &Path, options: &RigReadOptions) -> Result<(Self, Vec<RigWarning>), RigError> {
+        if path.is_file() {
+            let (mut rig, warnings) = match extension(path).as_str() {
+                "glb" | "gltf" => Self::read_gltf(path)?,
+                "npz" => Self::read_npz(path, options.identity_modes)?,
+                found => {
+                    let supported = "folders, .npz, .glb and .gltf";
+                    return Err(
+                        ReadError::UnknownExtension { path: path.into(), found: found.into(), supported }.into()
+                    );
+                }
+            };
+            rig.keep_identity_modes(options.identity_modes);
+            return Ok((rig, warnings));
+        }
+        let folder = path;
         let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
         let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
             read_arrays(folder, options)?
@@ -62,6 +79,30 @@ impl Rig {
         }
         Ok((rig, warnings))
     }
+
+    /// Drops all identity modes but the first `most`.
+    fn keep_identity_modes(&mut self, most: usize) {
+        let width = 3 * self.neutral.len();
+        let mut modes = 0;
+        let keep = |shape: &Shape| {
+            modes += usize::from(shape.family == Family::Identity);
+            shape.family != Family::Identity || modes <= most
+        };
+        let keep: Vec<bool> = self.shapes.iter().map(keep).collect();
+        let mut kept = 0;
+        for k in (0..keep.len()).filter(|&k| keep[k]) {
+            self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
+            self.shapes.swap(k, kept);
+            kept += 1;
+        }
+        self.deltas.truncate(kept * width);
+        self.shapes.truncate(kept);
+    }
+}
+
+/// The extension in lower case, empty if there is none.
+fn extension(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 fn read_arrays(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigWarning>), RigError> {
@@ -196,13 +237,12 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
 }
 
 /// The OBJ and PLY files of a folder, each with its name without the extension, sorted.
-pub(super) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
+pub(crate) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
     let fail = |source| ReadError::Io { path: folder.to_owned(), source };
     let mut files: Vec<(String, PathBuf)> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        if let (Some("obj" | "ply"), Some(stem)) = (extension.as_deref(), path.file_stem()) {
+        if let ("obj" | "ply", Some(stem)) = (extension(&path).as_str(), path.file_stem()) {
             files.push((stem.to_string_lossy().into_owned(), path.clone()));
         }
     }

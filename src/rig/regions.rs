@@ -7,8 +7,9 @@ use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
 use super::RigError;
 use super::read::read_json;
+use super::write::write_json;
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{Place, ReadError};
+use crate::mesh::io::{Place, ReadError, WriteError};
 
 /// Sets of a template's vertices by name. A vertex may belong to any number of them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -24,6 +25,18 @@ impl Regions {
     /// When the file cannot be read or is not of the form above, a name comes twice, or there is no such vertex.
     pub fn read(path: &Path, vertex_count: usize) -> Result<Self, ReadError> {
         let File(regions) = read_json(path, "{\"name\": [vertex, ...], ...}")?;
+        Self::checked(path, regions, vertex_count)
+    }
+
+    /// Regions of a file.
+    ///
+    /// # Errors
+    /// When a name comes twice or there is no such vertex.
+    pub(super) fn checked(
+        path: &Path,
+        regions: Vec<(String, Vec<u32>)>,
+        vertex_count: usize,
+    ) -> Result<Self, ReadError> {
         let malformed = |expected: String, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
         for (i, (name, vertices)) in regions.iter().enumerate() {
             if regions[..i].iter().any(|r| r.0 == *name) {
@@ -56,6 +69,19 @@ impl Regions {
         Self { vertex_count: mesh.positions.len(), regions }
     }
 
+    /// Writes the file that [`Regions::read`] reads.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        write_json(path, &InOrder(&self.regions))
+    }
+
+    /// Names and vertices, in the order of the file.
+    pub(super) fn entries(&self) -> &[(String, Vec<u32>)] {
+        &self.regions
+    }
+
     /// Names, in the order of the file.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.regions.iter().map(|r| r.0.as_str())
@@ -84,6 +110,15 @@ impl Regions {
             vertices.iter().for_each(|&v| mask[v as usize] = 1.0);
         }
         Ok(mask)
+    }
+}
+
+/// Regions as an object whose entries keep their order.
+struct InOrder<'a>(&'a [(String, Vec<u32>)]);
+
+impl serde::Serialize for InOrder<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(name, vertices)| (name, vertices)))
     }
 }
 

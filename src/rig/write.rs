@@ -1,14 +1,15 @@
-//! Rigs to folders, in the layout of arrays that [`Rig::read`] describes.
+//! Rigs to folders, in the layouts that [`Rig::read`] describes.
 
 use std::io::Write;
 use std::path::Path;
 
 use super::{Family, Rig};
 use crate::mesh::io::{WriteError, write_atomically, write_npy, write_npy_points, write_obj};
+use crate::mesh::{PolygonMesh, Vec3};
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
-    /// deltas and names; shapes of no known family go with the expressions. The folder has to be there. Other files in it
+    /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. The folder has to be there. Other files in it
     /// are left alone.
     ///
     /// # Errors
@@ -21,12 +22,10 @@ impl Rig {
         if let Some(landmarks) = &self.landmarks {
             write_json(&folder.join("landmarks_multipie68.json"), landmarks)?;
         }
-        for (stem, identity) in [("expression", false), ("identity", true)] {
-            let chosen: Vec<usize> =
-                (0..self.shapes.len()).filter(|&k| (self.shapes[k].family == Family::Identity) == identity).collect();
-            if chosen.is_empty() {
-                continue;
-            }
+        if let Some(regions) = &self.regions {
+            regions.write(&folder.join("regions.json"))?;
+        }
+        for (stem, chosen) in self.stems() {
             let names: Vec<&str> = chosen.iter().map(|&k| self.shapes[k].name.as_str()).collect();
             let deltas: Vec<f32> = chosen.iter().flat_map(|&k| self.deltas(k)).copied().collect();
             let shape = [chosen.len(), self.neutral.len(), 3];
@@ -35,9 +34,59 @@ impl Rig {
         }
         Ok(())
     }
+
+    /// Shapes by the files that they go to, without empty ones; shapes of no known family go with the expressions.
+    pub(super) fn stems(&self) -> impl Iterator<Item = (&'static str, Vec<usize>)> {
+        [("expression", false), ("identity", true)].into_iter().filter_map(|(stem, identity)| {
+            let of_stem = |k: &usize| (self.shapes[*k].family == Family::Identity) == identity;
+            let chosen: Vec<usize> = (0..self.shapes.len()).filter(of_stem).collect();
+            (!chosen.is_empty()).then_some((stem, chosen))
+        })
+    }
+
+    /// Writes one OBJ file a shape, named after it, whole shapes, with `neutral.obj`, `rig.json` and, if there are any,
+    /// `regions.json`. Families and landmarks are not kept. The folder has to be there.
+    ///
+    /// # Errors
+    /// When a name is none for a file, or differs from another by case alone, or a file cannot be written.
+    pub fn write_meshes(&self, folder: &Path) -> Result<(), WriteError> {
+        let mut names: Vec<String> = self.shapes.iter().map(|s| s.name.to_lowercase()).collect();
+        names.extend(["neutral", "template"].map(str::to_owned));
+        names.sort_unstable();
+        let bad = |name: &str| {
+            let file = Path::new(name).file_name().is_some_and(|f| f == name);
+            !file || name.contains(['/', '\\', ':', '\0']) || name.starts_with('.')
+        };
+        if let Some(shape) = self.shapes.iter().find(|s| bad(&s.name)) {
+            return Err(WriteError::data(
+                folder,
+                "shapes whose names can be those of files",
+                format!("{:?}", shape.name),
+            ));
+        }
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(WriteError::data(
+                folder,
+                "names that differ by more than case",
+                format!("{:?} twice", pair[0]),
+            ));
+        }
+        let mesh = match &self.mesh {
+            Some(mesh) => mesh.with_positions(self.neutral.clone()),
+            None => PolygonMesh { positions: self.neutral.clone(), starts: vec![0], ..PolygonMesh::default() },
+        };
+        write_obj(&folder.join("neutral.obj"), &mesh)?;
+        for (k, shape) in self.shapes.iter().enumerate() {
+            let moved = |(n, d): (&Vec3, &[f32])| n + Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
+            let positions = self.neutral.iter().zip(self.deltas(k).chunks_exact(3)).map(moved).collect();
+            write_obj(&folder.join(format!("{}.obj", shape.name)), &mesh.with_positions(positions))?;
+        }
+        write_json(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
+        self.regions.as_ref().map_or(Ok(()), |regions| regions.write(&folder.join("regions.json")))
+    }
 }
 
-fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
+pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
     write_atomically(path, |w| {
         serde_json::to_writer(&mut *w, value)?;
         w.write_all(b"\n")
@@ -49,7 +98,6 @@ mod tests {
     use super::super::{RigReadOptions, Shape};
     use super::*;
     use crate::mesh::testing::{noise, sheet};
-    use crate::mesh::{PolygonMesh, Vec3};
 
     #[test]
     fn what_is_written_is_read_back() {

@@ -113,7 +113,9 @@ pub enum WriteError {
 }
 
 impl WriteError {
-    pub(crate) fn data(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> Self {
+    /// Data that do not fit, for writers of other formats that stand on this floor.
+    #[must_use]
+    pub fn data(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Data { path: path.to_owned(), expected: expected.into(), found: found.into() }
     }
 }

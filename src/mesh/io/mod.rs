@@ -3,9 +3,11 @@
 
 mod atomic;
 mod error;
+mod gltf;
 mod gzip;
 mod landmarks;
 mod npy;
+mod npz;
 mod obj;
 mod off;
 mod ply;
@@ -17,12 +19,14 @@ use std::path::Path;
 
 pub use atomic::write_atomically;
 pub use error::{Place, ReadError, WriteError};
+pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
 pub use landmarks::{
     Landmark, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, OnSurface, PatientSpace,
     PlaceKind, PlacedLandmark, Source, TemplatePoint, parse_landmark_set, parse_landmarks, read_landmark_set,
     read_landmarks, read_template_landmarks, write_landmark_set,
 };
 pub use npy::{NpyArray, NpyItem, Npz, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
+pub use npz::NpzContents;
 pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
@@ -33,8 +37,8 @@ pub use xyz::parse_xyz;
 use super::{PolygonMesh, TriangleMesh, Vec3};
 use error::extension;
 
-const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz";
-const WRITTEN: &str = ".obj and .ply";
+const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz, .glb and .gltf";
+const WRITTEN: &str = ".obj, .ply and .glb";
 
 /// What a mesh file holds.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -58,12 +62,15 @@ pub struct Scan {
     pub colors: Option<Vec<[u8; 3]>>,
 }
 
-/// Reads a mesh file by extension: `.obj`, `.ply`, `.stl`, `.off` or `.xyz`, packed if `.gz` follows. There is at least one
-/// vertex, coordinates are finite, and faces index vertices.
+/// Reads a mesh file by extension: `.obj`, `.ply`, `.stl`, `.off` or `.xyz`, packed if `.gz` follows, `.glb` or `.gltf` (without its
+/// morph targets). There is at least one vertex, coordinates are finite, and faces index vertices.
 ///
 /// # Errors
 /// When the file cannot be read or is malformed, or for another extension.
 pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
+    if matches!(extension(path).as_str(), "glb" | "gltf") {
+        return Ok(read_gltf(path)?.mesh.into());
+    }
     let parse: fn(&[u8], &Path) -> Result<MeshFile, ReadError> = match gzip::inner_extension(path).as_str() {
         "obj" => |bytes, path| parse_obj(bytes, path).map(MeshFile::from),
         "ply" => parse_ply,
@@ -99,7 +106,8 @@ pub fn read_scan(path: &Path) -> Result<Scan, ReadError> {
     Ok(Scan { mesh: mesh.into_triangles(), normals, colors })
 }
 
-/// Writes a polygon mesh by extension: `.obj` (everything) or `.ply` (positions, as 64 bits, and polygons).
+/// Writes a polygon mesh by extension: `.obj` (everything), `.glb` (everything, positions as 32 bits) or `.ply` (positions, as 64
+/// bits, and polygons).
 ///
 /// # Errors
 /// When the file cannot be written, or for another extension.
@@ -110,6 +118,7 @@ pub fn write_polygon_mesh(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteEr
             let options = PlyOptions { precision: PlyPrecision::Double, ..PlyOptions::default() };
             write_ply_polygons(path, mesh, options)
         }
+        "glb" => write_glb(path, mesh, &[], &[], &serde_json::Map::new()),
         found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }

@@ -12,6 +12,9 @@ use super::error::excerpt;
 use super::{Place, ReadError, WriteError, write_atomically};
 use crate::mesh::Vec3;
 
+/// Length of a text at most.
+const MOST_LETTERS: usize = 4096;
+
 /// Type of the items of an array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -19,6 +22,7 @@ enum Kind {
     Signed,
     Unsigned,
     Float,
+    Text,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -144,6 +148,7 @@ impl<'a> NpyArray<'a> {
     /// # Errors
     /// When the data cannot be read.
     pub fn read_f64(self) -> Result<Vec<f64>, ReadError> {
+        self.expect_numbers()?;
         let decode = decoder(&self.header);
         self.read_with(usize::MAX, decode)
     }
@@ -162,6 +167,7 @@ impl<'a> NpyArray<'a> {
     /// # Errors
     /// When the data cannot be read.
     pub fn read_f32_rows(self, rows: usize) -> Result<Vec<f32>, ReadError> {
+        self.expect_numbers()?;
         if self.header.kind == Kind::Float && self.header.size == 4 {
             let big = self.header.big;
             return self.read_with(rows, move |b| {
@@ -178,11 +184,54 @@ impl<'a> NpyArray<'a> {
     /// # Errors
     /// When the data cannot be read, or are floats.
     pub fn read_bool(self) -> Result<Vec<bool>, ReadError> {
+        self.expect_numbers()?;
         if self.header.kind == Kind::Float {
             let found = format!("type {}", self.header.descr);
             return Err(ReadError::malformed(&self.path, Place::File, "an array of bool or integers", found));
         }
         self.read_with(usize::MAX, |b| b.iter().any(|&byte| byte != 0))
+    }
+
+    /// All items of an array of text (`U`), C order.
+    ///
+    /// # Errors
+    /// When the data cannot be read, are numbers, or are no Unicode.
+    pub fn read_text(self) -> Result<Vec<String>, ReadError> {
+        let malformed = |expected: &str, found: String| ReadError::malformed(&self.path, Place::File, expected, found);
+        if self.header.kind != Kind::Text {
+            return Err(malformed("an array of text, U", format!("type {}", self.header.descr)));
+        }
+        let (big, letters, count) = (self.header.big, self.header.size / 4, self.header.length);
+        let not_unicode = malformed("Unicode", "something else".into());
+        // letters as numbers along a further axis
+        let mut header = Header { kind: Kind::Unsigned, size: 4, length: count.saturating_mul(letters), ..self.header };
+        header.shape.insert(if header.fortran { 0 } else { header.shape.len() }, letters);
+        if header.fortran && header.shape.len() > 2 {
+            return Err(ReadError::malformed(
+                &self.path,
+                Place::File,
+                "a list of text",
+                shape_text(&header.shape[1..]),
+            ));
+        }
+        header.fortran = false;
+        let codes = Self { path: self.path, header, reader: self.reader }.read_with(usize::MAX, |b| {
+            let bytes = [b[0], b[1], b[2], b[3]];
+            if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
+        })?;
+        let text = |item: &[u32]| -> Option<String> {
+            let end = item.iter().rposition(|&c| c != 0).map_or(0, |last| last + 1);
+            item[..end].iter().map(|&c| char::from_u32(c)).collect()
+        };
+        codes.chunks_exact(letters).map(text).collect::<Option<_>>().ok_or(not_unicode)
+    }
+
+    fn expect_numbers(&self) -> Result<(), ReadError> {
+        if self.header.kind != Kind::Text {
+            return Ok(());
+        }
+        let found = format!("type '{}'", self.header.descr);
+        Err(ReadError::malformed(&self.path, Place::File, "an array of bool, i1-i8, u1-u8, f4 or f8", found))
     }
 
     fn read_with<T: Copy>(mut self, rows: usize, decode: impl Fn(&[u8]) -> T) -> Result<Vec<T>, ReadError> {
@@ -252,7 +301,7 @@ fn decoder(header: &Header) -> impl Fn(&[u8]) -> f64 + use<> {
         }
         let bits = u64::from_le_bytes(bytes);
         match kind {
-            Kind::Bool | Kind::Unsigned => bits as f64,
+            Kind::Bool | Kind::Unsigned | Kind::Text => bits as f64,
             Kind::Signed => {
                 let unused = 64 - 8 * size as u32;
                 (((bits << unused) as i64) >> unused) as f64
@@ -301,6 +350,7 @@ fn parse_header(text: &[u8]) -> Result<Header, (usize, &'static str, String)> {
         Some((">", code)) => (true, code),
         _ => return Err(unsupported(&descr)),
     };
+    let letters = code.strip_prefix('U').and_then(|n| n.parse().ok()).filter(|n| (1..=MOST_LETTERS).contains(n));
     let (kind, size) = match code {
         "b1" => (Kind::Bool, 1),
         "i1" => (Kind::Signed, 1),
@@ -313,6 +363,7 @@ fn parse_header(text: &[u8]) -> Result<Header, (usize, &'static str, String)> {
         "u8" => (Kind::Unsigned, 8),
         "f4" => (Kind::Float, 4),
         "f8" => (Kind::Float, 8),
+        _ if letters.is_some() => (Kind::Text, 4 * letters.unwrap_or(0)),
         _ => return Err(unsupported(&descr)),
     };
     let length = if shape.contains(&0) { Some(0) } else { shape.iter().try_fold(1usize, |a, &b| a.checked_mul(b)) };
@@ -529,6 +580,13 @@ impl NpyItem for f64 {
     }
 }
 
+impl NpyItem for u32 {
+    const DESCR: &'static str = "<u4";
+    fn append(self, bytes: &mut Vec<u8>) {
+        bytes.extend_from_slice(&self.to_le_bytes());
+    }
+}
+
 impl NpyItem for bool {
     const DESCR: &'static str = "|b1";
     fn append(self, bytes: &mut Vec<u8>) {
@@ -544,19 +602,9 @@ pub fn write_npy<T: NpyItem>(path: &Path, shape: &[usize], items: &[T]) -> Resul
     if shape.iter().try_fold(1usize, |a, &b| a.checked_mul(b)) != Some(items.len()) || shape.len() > 32 {
         return Err(WriteError::data(path, format!("items for shape {}", shape_text(shape)), items.len().to_string()));
     }
-    let comma = if shape.len() == 1 { "," } else { "" };
-    let lengths: Vec<String> = shape.iter().map(usize::to_string).collect();
-    let mut header =
-        format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}{comma}), }}", T::DESCR, lengths.join(", "));
-    // data start at a multiple of 64
-    while !(10 + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
+    let start = npy_start(T::DESCR, shape);
     write_atomically(path, |w| {
-        w.write_all(b"\x93NUMPY\x01\x00")?;
-        w.write_all(&(header.len() as u16).to_le_bytes())?;
-        w.write_all(header.as_bytes())?;
+        w.write_all(&start)?;
         let mut bytes = Vec::with_capacity(1 << 16);
         for chunk in items.chunks(1 << 13) {
             bytes.clear();
@@ -565,6 +613,20 @@ pub fn write_npy<T: NpyItem>(path: &Path, shape: &[usize], items: &[T]) -> Resul
         }
         Ok(())
     })
+}
+
+/// Everything before the items: at most 32 axes.
+pub(super) fn npy_start(descr: &str, shape: &[usize]) -> Vec<u8> {
+    let comma = if shape.len() == 1 { "," } else { "" };
+    let lengths: Vec<String> = shape.iter().map(usize::to_string).collect();
+    let mut header =
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", lengths.join(", "));
+    // data start at a multiple of 64
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat()
 }
 
 /// Writes points as an N x 3 array of `f64`.

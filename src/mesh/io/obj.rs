@@ -254,12 +254,7 @@ pub fn write_obj(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
 }
 
 fn write_statement(w: &mut impl Write, statement: &ObjStatement) -> std::io::Result<()> {
-    let (keyword, rest) = match statement {
-        ObjStatement::Object(rest) => ("o", rest),
-        ObjStatement::Group(rest) => ("g", rest),
-        ObjStatement::Material(rest) => ("usemtl", rest),
-        ObjStatement::Smoothing(rest) => ("s", rest),
-    };
+    let (keyword, rest) = statement.parts();
     if rest.is_empty() { writeln!(w, "{keyword}") } else { writeln!(w, "{keyword} {rest}") }
 }
 

@@ -1,0 +1,147 @@
+//! `nonrigid rig fit`.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::inputs::{ShapeKindArgument, bounds, read_positions, read_rig};
+use super::{Failure, Stage, check_output, say, warn, write_json};
+use crate::mesh::PoseKind;
+use crate::mesh::io::{read_polygon_mesh, write_atomically};
+use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
+
+/// Arguments of `nonrigid rig fit`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Frames are meshes of the rig's topology, such as registered scans. .csv: frame, rms_mm, max_mm and a column for each\n\
+    shape; .json has the poses too.\n\n\
+    Example:\n  nonrigid rig fit --rig me.glb --meshes registered --out weights.csv"
+)]
+pub struct Arguments {
+    /// The rig: a folder, .npz, .glb or .gltf
+    #[arg(long, value_name = "DIR|FILE")]
+    rig: PathBuf,
+    /// Shapes to use, by name [default: all but identity modes]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    shapes: Option<Vec<String>>,
+    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
+    #[arg(long, value_enum)]
+    shape_kind: Option<ShapeKindArgument>,
+    /// The frames: every .obj and .ply in this folder, by name
+    #[arg(long, value_name = "DIR")]
+    meshes: PathBuf,
+    /// The subject's own neutral (.npy N x 3 or a mesh) [default: the rig's]
+    #[arg(long, value_name = "FILE")]
+    neutral: Option<PathBuf>,
+    /// What else moves: the head, usually
+    #[arg(long, value_enum, default_value_t = Align::Rigid)]
+    align: Align,
+    /// Smallest and largest weight
+    #[arg(long, value_name = "MIN,MAX", value_parser = bounds, default_value = "0,1", allow_hyphen_values = true)]
+    bounds: [f64; 2],
+    /// Weights of the frames: .csv or .json
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// What is fitted beside the weights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Align {
+    /// Rotation and translation
+    Rigid,
+    /// Rotation, translation and size
+    Similarity,
+    /// Nothing: the meshes lie as the neutral does
+    None,
+}
+
+#[derive(serde::Serialize)]
+struct Sequence {
+    shapes: Vec<String>,
+    frames: Vec<Frame>,
+}
+
+#[derive(serde::Serialize)]
+struct Frame {
+    name: String,
+    #[serde(flatten)]
+    fitted: FittedFrame,
+}
+
+/// Runs the command.
+pub fn run(a: &Arguments) -> Result<(), Failure> {
+    check_output(&a.out, &["csv", "json"])?;
+    if !a.bounds.iter().all(|b| b.is_finite()) {
+        return Err(Failure::new(Stage::Arguments, "--bounds: give two finite numbers"));
+    }
+    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind)?;
+    let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.display()));
+    let basis = rig.select(ShapeSelection { names: a.shapes.as_deref(), identity_modes: 0 }).map_err(at_rig)?;
+    if basis.is_empty() {
+        return Err(Failure::loading(format!("{}: no shapes to fit", a.rig.display())));
+    }
+    let neutral = match &a.neutral {
+        Some(path) => read_positions(path)?,
+        None => rig.neutral().to_vec(),
+    };
+    let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
+    if files.is_empty() {
+        return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
+    }
+    let pose = match a.align {
+        Align::Rigid => Some(PoseKind::Rigid),
+        Align::Similarity => Some(PoseKind::Similarity),
+        Align::None => None,
+    };
+    let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
+    let options = WeightFitOptions { bounds: a.bounds, pose, ..WeightFitOptions::default() };
+    let mut fitter = WeightFitter::new(&neutral, basis, &options)
+        .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig).display())))?;
+    let mut frames = Vec::with_capacity(files.len());
+    for (name, path) in files {
+        let positions = read_polygon_mesh(&path).map_err(Failure::loading)?.positions;
+        if positions.len() != neutral.len() {
+            let (found, expected) = (positions.len(), neutral.len());
+            return Err(Failure::loading(format!("{}: found {found} vertices, expected {expected}", path.display())));
+        }
+        let fitted = fitter.fit(&positions).map_err(|e| Failure::computation(format!("{}: {e}", path.display())))?;
+        if !fitted.converged {
+            warn(format_args!("{}: the weights have not settled", path.display()));
+        }
+        frames.push(Frame { name, fitted });
+    }
+    let sequence = Sequence { shapes, frames };
+    if a.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        write_json(&a.out, &sequence)?;
+    } else {
+        let text = csv(&sequence);
+        write_atomically(&a.out, |w| w.write_all(text.as_bytes())).map_err(Failure::writing)?;
+    }
+    let frames = sequence.frames.iter();
+    let rms = (frames.clone().map(|f| f.fitted.rms.powi(2)).sum::<f64>() / frames.len() as f64).sqrt();
+    let max = frames.clone().map(|f| f.fitted.max).fold(0.0, f64::max);
+    let (count, shapes) = (frames.len(), sequence.shapes.len());
+    say(format_args!("{count} frames, {shapes} shapes: {rms:.4} mm rms, {max:.4} mm at most"))?;
+    say(format_args!("wrote {}", a.out.display()))
+}
+
+fn csv(sequence: &Sequence) -> String {
+    let quoted = |name: &str| {
+        let plain = !name.contains([',', '"', '\n', '\r']);
+        if plain { name.to_owned() } else { format!("\"{}\"", name.replace('"', "\"\"")) }
+    };
+    let mut text = "frame,rms_mm,max_mm".to_owned();
+    sequence.shapes.iter().for_each(|name| text.extend([",", &quoted(name)]));
+    text.push('\n');
+    for Frame { name, fitted } in &sequence.frames {
+        // writing to a string cannot fail
+        let _ = write!(text, "{},{},{}", quoted(name), fitted.rms, fitted.max);
+        for weight in &fitted.weights {
+            let _ = write!(text, ",{weight}");
+        }
+        text.push('\n');
+    }
+    text
+}

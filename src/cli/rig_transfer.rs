@@ -1,0 +1,61 @@
+//! `nonrigid rig transfer`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::inputs::{ShapeKindArgument, read_positions, read_rig};
+use super::rig_convert::RigOutput;
+use super::{Failure, Stage, on_threads, warn};
+use crate::rig::{TransferError, TransferOptions};
+
+/// Arguments of `nonrigid rig transfer`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Deformation transfer (Sumner & Popovic 2004): triangles of the subject deform as those of the rig do. Identity modes\n\
+    are left out. The subject is a registered neutral scan: the rig's template after `nonrigid register`.\n\n\
+    Example:\n  nonrigid register --template rig/template.obj --rig rig --identity-modes 40 --target neutral.ply --out me.obj\n  \
+    nonrigid rig transfer --rig rig --subject me.obj --out me.glb"
+)]
+pub struct Arguments {
+    /// The rig, with polygons: a folder, .npz, .glb or .gltf
+    #[arg(long, value_name = "DIR|FILE")]
+    rig: PathBuf,
+    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
+    #[arg(long, value_enum)]
+    shape_kind: Option<ShapeKindArgument>,
+    /// The subject's neutral, with the vertices of the rig: .obj, .ply, .glb, .gltf or .npy N x 3
+    #[arg(long, value_name = "FILE")]
+    subject: PathBuf,
+    /// How much vertices keep to their own displacement instead of their triangles' deformation, above 0
+    #[arg(long, value_name = "A", default_value_t = TransferOptions::default().anchor)]
+    anchor: f64,
+    /// Threads [default: all cores]; the result does not depend on them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    #[command(flatten)]
+    output: RigOutput,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+}
+
+fn run_here(a: &Arguments) -> Result<(), Failure> {
+    a.output.check(&a.rig)?;
+    let rig = read_rig(&a.rig, 0, a.shape_kind)?;
+    let subject = read_positions(&a.subject)?;
+    let transferred = rig.transfer(&subject, &TransferOptions { anchor: a.anchor });
+    let (personal, warnings) = transferred.map_err(|e| {
+        let (stage, at) = match &e {
+            TransferError::Anchor(_) => (Stage::Arguments, "--anchor".to_owned()),
+            TransferError::NoPolygons => (Stage::Loading, a.rig.display().to_string()),
+            TransferError::Rig(_) => (Stage::Loading, a.subject.display().to_string()),
+            _ => (Stage::Computation, a.subject.display().to_string()),
+        };
+        Failure::new(stage, format!("{at}: {e}"))
+    })?;
+    warnings.iter().for_each(warn);
+    a.output.write(&personal)
+}
