@@ -225,7 +225,7 @@ fn malformed_documents_are_refused_with_a_reason() {
     #[rustfmt::skip]
     let table: Vec<(Value, &str)> = vec![
         (json!({}), "asset.version"),
-        (json!([]), "2.0"),
+        (json!([]), "asset.version 2"),
         (with("/asset/version", json!("1.0")), "asset.version 2"),
         (with("/extensionsRequired", json!(["KHR_draco_mesh_compression"])), "KHR_draco_mesh_compression"),
         (with("/scene", json!(7)), "one of 1 scenes"),
@@ -250,9 +250,9 @@ fn malformed_documents_are_refused_with_a_reason() {
         (with("/accessors/0/componentType", json!(5130)), "component type"),
         (with("/accessors/0/type", json!("VEC4")), "of type VEC3"),
         (with("/accessors/0/bufferView", json!(8)), "one of 4 buffer views"),
-        (with("/accessors/0/count", json!(5)), "vertex indices below 5"),
+        (with("/accessors/0/count", json!(5)), "displacements for each of 5 vertices"),
         (with("/accessors/1/count", json!(5)), "three indices each"),
-        (with("/accessors/2/count", json!(5)), "displacements for each of 6"),
+        (with("/accessors/2/count", json!(5)), "sparse indices below 5"),
         (with("/accessors/2/count", huge.clone()), "as many elements as bytes"),
         (with("/accessors/2/sparse/count", json!(7)), "at most 6 sparse values"),
         (with("/accessors/2/sparse/count", json!(2)), "2 elements of 1 bytes"),
@@ -270,11 +270,15 @@ fn malformed_documents_are_refused_with_a_reason() {
         (with("/buffers/0/uri", json!("%zz.bin")), "relative path"),
         (with("/buffers/0/uri", json!("none-of-that-name.bin")), "cannot be read"),
     ];
+    let mut faults = Vec::new();
     for (document, word) in table {
-        let message = parse(&document).expect_err(word);
-        assert!(message.contains(word), "{word}: {message}");
-        assert!(message.contains("a.gltf") || word == "cannot be read", "{message}");
+        match parse(&document) {
+            Ok(_) => faults.push(format!("{word}: it was read")),
+            Err(message) if message.contains(word) && (message.contains("a.gltf") || word == "cannot be read") => {}
+            Err(message) => faults.push(format!("{word}: {message}")),
+        }
     }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
     let mut nan = square();
     nan["buffers"][0]["uri"] = json!(data_uri(&[255; 96]));
     assert!(parse(&nan).unwrap_err().contains("finite"));

@@ -44,9 +44,12 @@ pub fn write_glb(
     if triangles.is_empty() {
         primitive.insert("mode".into(), json!(0));
     } else {
-        // of the mesh, not of the copies, so that no seam shows
-        let fan = mesh.triangulate();
-        let normals = vertex_normals(&fan.positions, &fan.triangles, NormalWeighting::Area);
+        // of the mesh, not of the copies, so that no seam shows; and of what is written, so that it is written the same again
+        let written: Vec<Vec3> = points[..mesh.positions.len()]
+            .iter()
+            .map(|p| Vec3::from(p.map(f64::from)) * MILLIMETRES_PER_METRE)
+            .collect();
+        let normals = vertex_normals(&written, &mesh.triangulate().triangles, NormalWeighting::Area);
         let normal = |v: usize| if normals[v] == Vec3::zeros() { Vec3::z() } else { normals[v] };
         let normals: Vec<f32> = sources().map(normal).flat_map(|n| [n.x as f32, n.y as f32, n.z as f32]).collect();
         attributes["NORMAL"] = json!(file.floats(&normals, "VEC3"));
