@@ -4,6 +4,7 @@
 mod repeats;
 mod support;
 
+use nonrigid::morph::MorphModel;
 use nonrigid::registration::ModelKind;
 use repeats::leaves_equal_files;
 use support::Bench;
@@ -45,5 +46,32 @@ fn all_other_commands_print_and_leave_the_same() {
     for align in ["rigid", "similarity", "none"] {
         let line = format!("rig pca --meshes people --components 3 --align {align} --out OUT/rig --threads THREADS");
         assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 6, "{align}");
+    }
+}
+
+#[test]
+fn morphs_measurements_and_converters_print_and_leave_the_same() {
+    let bench = Bench::new();
+    let face = "--mesh rig/template.obj --rig rig";
+    let morph = format!("morph {face} --identity-modes 5 --preset nose-tip --preset cheekbone");
+    for model in MorphModel::ALL {
+        let outputs = "--out OUT/m.obj --masks OUT/masks --report OUT/page --threads THREADS";
+        let line = format!("{morph} --model {} {outputs}", model.name());
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 11, "{}", model.name());
+    }
+    let landmarks = "--landmarks rig/landmarks_anthropometric.json";
+    for (line, files) in [
+        (
+            format!(
+                "measure {face} --after case/neutral.npy {landmarks} --json OUT/m.json --csv OUT/m.csv --report OUT/page --threads THREADS"
+            ),
+            7,
+        ),
+        ("rig convert --rig rig --out OUT/rig.glb".to_owned(), 1),
+        ("rig convert --rig rig --out OUT/rig.npz".to_owned(), 1),
+        ("rig transfer --rig rig --subject case/neutral.npy --out OUT/me.glb".to_owned(), 1),
+        ("landmarks convert rig/landmarks_multipie68.json OUT/points.csv --mesh rig/template.obj".to_owned(), 1),
+    ] {
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), files, "{line}");
     }
 }
