@@ -28,6 +28,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "model",
             "morph",
             "nlls",
+            "page",
             "registration",
             "render",
             "rig",

@@ -1,6 +1,6 @@
 //! Faces with the 68 landmarks that presets need.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use nonrigid::mesh::io::TemplatePoint;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, Subject, replay};
@@ -33,10 +33,8 @@ impl Patient {
         landmarks: Option<&[u32]>,
         shapes: ShapeBasis,
     ) -> Result<Self> {
-        let Some(landmarks) = landmarks.filter(|l| l.len() == 68) else {
-            bail!("the rig has no landmarks_multipie68.json: presets need the 68 landmarks");
-        };
-        let landmarks = landmarks.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect();
+        let landmarks =
+            all68(landmarks)?.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect();
         Ok(Self { name: name.into(), regions: Regions::of_groups(&mesh), mesh, landmarks, shapes })
     }
 
@@ -60,11 +58,15 @@ impl Patient {
     }
 }
 
+fn all68(landmarks: Option<&[u32]>) -> Result<&[u32]> {
+    let all = landmarks.filter(|l| l.len() == 68);
+    all.context("the rig has no landmarks_multipie68.json: presets need the 68 landmarks")
+}
+
 /// Places of the 68 landmarks on a rig's template.
 ///
 /// # Errors
 /// When the rig has none.
 pub fn landmarks68(rig: &BenchRig) -> Result<Vec<Vec3>> {
-    let patient = Patient::new("", rig.template().clone(), rig.rig().landmarks(), ShapeBasis::none())?;
-    Ok(patient.landmarks.iter().map(|(_, point)| point.position(&patient.mesh.positions)).collect())
+    Ok(all68(rig.rig().landmarks())?.iter().map(|v| rig.template().positions[*v as usize]).collect())
 }

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::{Failure, warn};
-use crate::mesh::PolygonMesh;
 use crate::mesh::Vec3;
 use crate::mesh::io;
+use crate::mesh::{PolygonMesh, PoseKind};
 use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
 /// The rig and which of its shapes to use.
@@ -132,4 +132,26 @@ pub fn bounds(text: &str) -> Result<[f64; 2], String> {
         return Ok([lower, upper]);
     }
     Err(format!("no weight lies between {lower} and {upper}"))
+}
+
+/// What is taken out of meshes, or fitted besides their shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Align {
+    /// Rotation and translation; size stays one of the ways in which meshes differ
+    Rigid,
+    /// Rotation, translation and size
+    Similarity,
+    /// Nothing: the meshes are aligned already
+    None,
+}
+
+impl Align {
+    /// The same for the library.
+    pub fn pose(self) -> Option<PoseKind> {
+        match self {
+            Self::Rigid => Some(PoseKind::Rigid),
+            Self::Similarity => Some(PoseKind::Similarity),
+            Self::None => None,
+        }
+    }
 }

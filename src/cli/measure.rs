@@ -21,7 +21,7 @@ use crate::rig::Regions;
     neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing."
 )]
 pub struct Arguments {
-    /// Face (.obj or .ply), millimetres; before, where there is an after
+    /// Face (any format that `register` reads), millimetres; before, where there is an after
     #[arg(long, value_name = "MESH", required_unless_present = "list")]
     mesh: Option<PathBuf>,
     /// The same vertices after (.obj, .ply or .npy N x 3)

@@ -95,12 +95,15 @@ fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
     check_parent(path)
 }
 
+/// Whether two paths lead to one file or folder that is there.
+fn same_place(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
 /// Refuses outputs that would overwrite what is read: options with their files, roles with theirs.
 fn refuse_overwriting(outputs: &[(&str, Option<&PathBuf>)], inputs: &[(&str, PathBuf)]) -> Result<(), Failure> {
     for (option, path) in outputs.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
-        let Ok(file) = path.canonicalize() else { continue }; // it is not there yet
-        let read = inputs.iter().find(|(_, input)| input.canonicalize().is_ok_and(|i| i == file));
-        if let Some((role, _)) = read {
+        if let Some((role, _)) = inputs.iter().find(|(_, input)| same_place(path, input)) {
             let message = format!("{option} {}: would overwrite a file that is read ({role})", path.display());
             return Err(Failure::new(Stage::Arguments, message));
         }

@@ -28,7 +28,7 @@ use crate::rig::Regions;
     nonrigid morph --mesh face.obj --landmarks landmarks.json --recipe recipe.toml --model arap --out morphed.obj"
 )]
 pub struct Arguments {
-    /// Mesh (.obj or .ply), millimetres; the result keeps its vertex order, polygons, UVs, groups and materials
+    /// Mesh (any format that `register` reads), millimetres; the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
     mesh: Option<PathBuf>,
     /// Recipe (.toml)
@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj or .ply)
+    /// Result (.obj, .ply or .glb)
     #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
     out: Option<PathBuf>,
     /// Folder for every mask: its texture (.png), where it has one, and its weights (.npy); made if it is not there

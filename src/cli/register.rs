@@ -61,7 +61,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj or .ply)
+    /// Result (.obj, .ply or .glb)
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
     /// Report (.json); times go to a second file, *.timing.json

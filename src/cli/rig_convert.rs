@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::inputs::{ShapeKindArgument, read_rig};
-use super::{Failure, Stage, check_output, check_output_folder, say};
+use super::{Failure, Stage, check_output, check_output_folder, same_place, say};
 use crate::mesh::io::WriteError;
 use crate::rig::Rig;
 
@@ -51,8 +51,7 @@ enum Format {
 impl RigOutput {
     /// Refuses what could not be written in the end, or would be mixed with the rig that was read.
     pub fn check(&self, input: &Path) -> Result<(), Failure> {
-        let same = matches!((input.canonicalize(), self.out.canonicalize()), (Ok(a), Ok(b)) if a == b);
-        if same {
+        if same_place(input, &self.out) {
             let message = format!("--out: {} is the rig that is read", self.out.display());
             return Err(Failure::new(Stage::Arguments, message));
         }

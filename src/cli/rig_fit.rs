@@ -6,10 +6,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, bounds, read_positions, read_rig};
+use super::inputs::{Align, ShapeKindArgument, bounds, read_positions, read_rig};
 use super::{Failure, Stage, check_output, say, warn, write_json};
-use crate::mesh::PoseKind;
 use crate::mesh::io::{read_polygon_mesh, write_atomically};
+use crate::page::csv_text;
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 
 /// Arguments of `nonrigid rig fit`.
@@ -46,17 +46,6 @@ pub struct Arguments {
     out: PathBuf,
 }
 
-/// What is fitted beside the weights.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Align {
-    /// Rotation and translation
-    Rigid,
-    /// Rotation, translation and size
-    Similarity,
-    /// Nothing: the meshes lie as the neutral does
-    None,
-}
-
 #[derive(serde::Serialize)]
 struct Sequence {
     shapes: Vec<String>,
@@ -90,13 +79,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if files.is_empty() {
         return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
     }
-    let pose = match a.align {
-        Align::Rigid => Some(PoseKind::Rigid),
-        Align::Similarity => Some(PoseKind::Similarity),
-        Align::None => None,
-    };
     let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
-    let options = WeightFitOptions { bounds: a.bounds, pose, ..WeightFitOptions::default() };
+    let options = WeightFitOptions { bounds: a.bounds, pose: a.align.pose(), ..WeightFitOptions::default() };
     let mut fitter = WeightFitter::new(&neutral, basis, &options)
         .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig).display())))?;
     let mut frames = Vec::with_capacity(files.len());
@@ -128,16 +112,12 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 }
 
 fn csv(sequence: &Sequence) -> String {
-    let quoted = |name: &str| {
-        let plain = !name.contains([',', '"', '\n', '\r']);
-        if plain { name.to_owned() } else { format!("\"{}\"", name.replace('"', "\"\"")) }
-    };
     let mut text = "frame,rms_mm,max_mm".to_owned();
-    sequence.shapes.iter().for_each(|name| text.extend([",", &quoted(name)]));
+    sequence.shapes.iter().for_each(|name| text.extend([",", &csv_text(name)]));
     text.push('\n');
     for Frame { name, fitted } in &sequence.frames {
         // writing to a string cannot fail
-        let _ = write!(text, "{},{},{}", quoted(name), fitted.rms, fitted.max);
+        let _ = write!(text, "{},{},{}", csv_text(name), fitted.rms, fitted.max);
         for weight in &fitted.weights {
             let _ = write!(text, ",{weight}");
         }

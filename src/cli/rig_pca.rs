@@ -1,10 +1,11 @@
 //! `nonrigid rig pca`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Failure, Stage, check_output_folder, on_threads, say};
+use super::inputs::Align;
+use super::{Failure, Stage, check_output_folder, on_threads, same_place, say};
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, ShapePca};
 
@@ -36,17 +37,6 @@ pub struct Arguments {
     out: PathBuf,
 }
 
-/// What alignment takes out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Align {
-    /// Rotation and translation; size stays one of the ways in which meshes differ
-    Rigid,
-    /// Rotation, translation and size
-    Similarity,
-    /// Nothing: the meshes are aligned already
-    None,
-}
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
@@ -54,7 +44,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     check_output_folder(&a.out)?;
-    if same_folder(&a.meshes, &a.out) {
+    if same_place(&a.meshes, &a.out) {
         let message = "--out is the folder of --meshes: the mean would be one of the meshes the next time";
         return Err(Failure::new(Stage::Arguments, message));
     }
@@ -114,8 +104,4 @@ fn print_table(pca: &ShapePca, info: &[ShapeInfo]) -> Result<(), Failure> {
         ))?;
     }
     Ok(())
-}
-
-fn same_folder(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

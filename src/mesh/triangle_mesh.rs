@@ -1,6 +1,8 @@
 //! Triangles: what distances, normals and pictures are computed on.
 
-use super::Vec3;
+use rayon::prelude::*;
+
+use super::{MeshError, Vec3};
 
 /// An indexed triangle mesh; without triangles, a point cloud.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -9,4 +11,20 @@ pub struct TriangleMesh {
     pub positions: Vec<Vec3>,
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriangleMesh {
+    /// An error unless every triangle's vertices exist.
+    ///
+    /// # Errors
+    /// [`MeshError::IndexOutOfRange`], of the first triangle that has another one.
+    pub fn check_indices(&self) -> Result<(), MeshError> {
+        let count = self.positions.len();
+        let outside = |t: &[u32; 3]| t.iter().copied().find(|v| *v as usize >= count);
+        let first = self.triangles.par_iter().with_min_len(4096).position_first(|t| outside(t).is_some());
+        match first.and_then(|triangle| Some((triangle, outside(&self.triangles[triangle])?))) {
+            Some((triangle, index)) => Err(MeshError::IndexOutOfRange { triangle, index, count }),
+            None => Ok(()),
+        }
+    }
 }

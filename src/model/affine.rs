@@ -85,11 +85,7 @@ impl Affine {
     pub fn new(rest: &TriangleMesh, lambda: f64, gamma: f64) -> Result<Self, MeshError> {
         assert!(gamma > 0.0 && gamma.is_finite(), "gamma is {gamma}, but must be positive and finite");
         let count = rest.positions.len();
-        for (triangle, corners) in rest.triangles.iter().enumerate() {
-            if let Some(&index) = corners.iter().find(|&&v| v as usize >= count) {
-                return Err(MeshError::IndexOutOfRange { triangle, index, count });
-            }
-        }
+        rest.check_indices()?;
         if let Some(vertex) = rest.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(MeshError::NotFinite { vertex, position: rest.positions[vertex].into() });
         }

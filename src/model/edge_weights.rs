@@ -55,11 +55,7 @@ impl WeightedEdges {
     /// at most that of an edge of mean length, so that it turns its anchor no more than another neighbour does.
     pub fn new(mesh: &TriangleMesh, kind: EdgeWeights, clamp: bool) -> Result<Self, MeshError> {
         let count = mesh.positions.len();
-        for (t, triangle) in mesh.triangles.iter().enumerate() {
-            if let Some(&index) = triangle.iter().find(|&&v| v as usize >= count) {
-                return Err(MeshError::IndexOutOfRange { triangle: t, index, count });
-            }
-        }
+        mesh.check_indices()?;
         let uniform = 1.0 / 3f64.sqrt();
         let graph = EdgeGraph::of(mesh);
         let mut edges = graph.edges().to_vec();

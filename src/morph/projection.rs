@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{MorphError, Sampling, Texture, Weights, check_positions};
-use crate::mesh::{MeshError, MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
 use crate::render;
 
 /// A map from space to texture coordinates and depth: `M` of equation (1) with the divide.
@@ -297,12 +297,8 @@ impl Hidden<'_> {
             let (what, value) = ("the tolerance of visibility", self.tolerance);
             return Err(MorphError::Option { what, value, expected: "millimetres, at least 0" });
         }
+        self.mesh.check_indices()?;
         let (positions, triangles) = (&self.mesh.positions, &self.mesh.triangles);
-        let count = positions.len();
-        if let Some(triangle) = triangles.par_iter().position_first(|t| t.iter().any(|v| *v as usize >= count)) {
-            let index = triangles[triangle].into_iter().max().unwrap_or_default();
-            return Err(MeshError::IndexOutOfRange { triangle, index, count }.into());
-        }
         let inverse = self.projector.matrix.try_inverse();
         let inverse = inverse.ok_or_else(|| MorphError::Matrix(self.projector.matrix.to_string()))?;
         let corner = |p: &Vec3| Corner::new(self.projector.clip(*p));

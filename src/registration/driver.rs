@@ -438,15 +438,8 @@ fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError>
             return Err(RegistrationError::NotFinite { what, index });
         }
     }
-    let range = |triangles: &[[u32; 3]], count: usize| {
-        let outside = |(triangle, t): (usize, &[u32; 3])| {
-            let index = *t.iter().find(|v| **v as usize >= count)?;
-            Some(MeshError::IndexOutOfRange { triangle, index, count }.to_string())
-        };
-        triangles.iter().enumerate().find_map(outside).map_or(Ok(()), Err)
-    };
-    range(&input.scan.triangles, input.scan.positions.len()).map_err(RegistrationError::Scan)?;
-    range(&input.template.triangulate().triangles, input.template.positions.len()).map_err(RegistrationError::Template)
+    input.scan.check_indices().map_err(|e| RegistrationError::Scan(e.to_string()))?;
+    input.template.triangulate().check_indices().map_err(|e| RegistrationError::Template(e.to_string()))
 }
 
 struct Run {

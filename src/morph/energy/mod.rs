@@ -27,7 +27,7 @@ use self::pins::PinTerm;
 use super::{MorphError, MorphStep, Weights, check_positions};
 use crate::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use crate::mesh::io::TemplatePoint;
-use crate::mesh::{MeshError, TriangleMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::model::{
     Arap, ArapOptions, EdgeWeights, Free, FreeOptions, NodeGraph, Smoothness, Stiffness, blendshape_in_place, graph,
     hybrid,
@@ -224,7 +224,7 @@ impl MorphEnergy {
         let count = mesh.positions.len();
         options.validate()?;
         check_positions(&mesh.positions)?;
-        check_triangles(mesh)?;
+        mesh.check_indices()?;
         let mut moves = step.moves(count)?;
         for weights in &constraints.free {
             let found = weights.values().len();
@@ -348,11 +348,6 @@ impl MorphEnergy {
         Ok(())
     }
 
-    /// Changes when a solution counts as found, [`EnergyOptions::tolerance`].
-    pub fn set_tolerance(&mut self, tolerance: f64) {
-        self.options.tolerance = tolerance;
-    }
-
     fn place_handles(&mut self) {
         let handles = &mut self.problem.terms[HANDLES].residuals;
         for (k, target) in handles.targets.iter_mut().enumerate() {
@@ -385,10 +380,10 @@ impl MorphEnergy {
             }
             let stop = summary.stop.to_string();
             let vertices = self.problem.vertices(&self.x).to_vec();
-            match self.pins.update(self.problem.samples(), &vertices)? {
-                Ok(distance) => break (stop, distance),
-                Err(targets) => self.problem.terms[PINS].residuals.targets = targets,
+            if let Some(distance) = self.pins.update(self.problem.samples(), &vertices)? {
+                break (stop, distance);
             }
+            self.problem.terms[PINS].residuals.targets.clone_from(&self.pins.landmarks().targets);
         };
         let mut positions = self.input.clone();
         for ((&v, p), held) in self.patch.vertices.iter().zip(self.problem.vertices(&self.x)).zip(&self.patch.held) {
@@ -474,16 +469,6 @@ fn build(
             }
         }
     })
-}
-
-fn check_triangles(mesh: &TriangleMesh) -> Result<(), MeshError> {
-    let count = mesh.positions.len();
-    for (triangle, t) in mesh.triangles.iter().enumerate() {
-        if let Some(&index) = t.iter().find(|v| **v as usize >= count) {
-            return Err(MeshError::IndexOutOfRange { triangle, index, count });
-        }
-    }
-    Ok(())
 }
 
 fn check_target(placed: &PlacedPoint) -> Result<(), MorphError> {

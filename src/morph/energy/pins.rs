@@ -53,22 +53,22 @@ impl PinTerm {
         self.landmarks.weights.push(1.0);
     }
 
-    /// The term at the start.
+    /// The term, its targets moved by the multipliers.
     pub fn landmarks(&self) -> &Landmarks {
         &self.landmarks
     }
 
-    /// After a minimisation that led to `vertices`: the largest distance if the pins hold, or the targets of the next one.
+    /// After a minimisation that led to `vertices`: the largest distance if the pins hold; if not, the targets move for the next one.
     ///
     /// # Errors
     /// When the pins come no nearer.
-    pub fn update(&mut self, samples: &Samples, vertices: &[Vec3]) -> Result<Result<f64, Vec<Vec3>>, MorphError> {
+    pub fn update(&mut self, samples: &Samples, vertices: &[Vec3]) -> Result<Option<f64>, MorphError> {
         let place = |m: usize| samples.position(self.landmarks.samples[m], vertices);
         let misses: Vec<Vec3> = (0..self.targets.len()).map(|m| self.targets[m] - place(m)).collect();
         let distance = misses.iter().map(|miss| miss.norm()).fold(0.0, f64::max);
         if distance <= self.tolerance {
             (self.rounds, self.last) = (0, f64::INFINITY);
-            return Ok(Ok(distance));
+            return Ok(Some(distance));
         }
         self.rounds += 1;
         if self.rounds >= ROUNDS || (self.rounds > 3 && distance > SLOW * self.last) {
@@ -79,6 +79,6 @@ impl PinTerm {
         }
         self.last = distance;
         self.landmarks.targets.iter_mut().zip(&misses).for_each(|(target, miss)| *target += miss);
-        Ok(Err(self.landmarks.targets.clone()))
+        Ok(None)
     }
 }

@@ -43,14 +43,9 @@ const FIGURES: [(&str, &[(&str, f64)]); 3] = [
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let patients = patients(setting)?;
     let mut blocks = vec![figures(setting, &patients[0])?];
-    let recipes = preset_names().map(|name| (name, known(name)));
-    let jobs: Vec<(&Patient, &str, Recipe)> = patients
-        .iter()
-        .flat_map(|patient| recipes.iter().map(move |(name, recipe)| (patient, *name, recipe)))
-        .map(|(patient, name, recipe)| {
-            Ok((patient, name, recipe.as_ref().map_err(|e| anyhow::anyhow!("{e:#}"))?.clone()))
-        })
-        .collect::<Result<_>>()?;
+    let recipes = preset_names().into_iter().map(|name| Ok((name, known(name)?))).collect::<Result<Vec<_>>>()?;
+    let of_all = |patient| recipes.iter().map(move |(name, recipe)| (patient, *name, recipe));
+    let jobs: Vec<(&Patient, &str, &Recipe)> = patients.iter().flat_map(of_all).collect();
     let outcomes = setting.run_all(&jobs, |(patient, _, recipe)| patient.morph(recipe, &ReplayOptions::default()));
 
     let columns =
@@ -73,7 +68,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let mut cells = vec![(*name).to_owned(), patient.name.clone()];
         cells.extend(numbers.map(number));
         table.push(cells);
-        if std::ptr::eq(*patient, &raw const patients[0]) {
+        if patient.name == patients[0].name {
             covered.push((*name, outcome));
         }
     }
