@@ -576,11 +576,11 @@ fn lengths_scale_with_the_model() {
         bench.write(&format!("{name}/marks.json"), landmarks_json(&landmarks));
         bench.done(&format!(
             "register --template {name}/template.obj --rig {name} --identity-modes 5 --target {name}/scan.ply \
-             --landmarks {name}/marks.json --model {model} --out r.obj"
+             --landmarks {name}/marks.json --model {model} --unit mm --out r.obj"
         ));
         read_obj(&bench.path("r.obj")).unwrap().positions.iter().map(|p| p / unit).collect()
     };
-    // Metres; the graph, because 32 bits of a shape's differences are other bits in metres.
+    // As if metres were millimetres; the graph, because 32 bits of a shape's differences are other bits in metres.
     let distance = farthest(&fit("metres", 1e-3, "graph"), &fit("millimetres", 1.0, "graph"));
     assert!(distance < 1e-6, "graph in metres: {distance}");
     // A unit of 1024 mm only moves the exponents.
@@ -727,12 +727,13 @@ fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
     for arguments in ["rig info rig", "rig info rig --json", "--help", "register --help"] {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
-        assert_eq!(into(writer.into(), arguments), (Some(0), String::new()), "{arguments}");
+        let (code, said) = into(writer.into(), arguments);
+        assert!(code == Some(0) && !said.contains("error"), "{arguments}: {code:?}, {said}");
         // Linux has a file that is always full.
         if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
             let (code, said) = into(full.into(), arguments);
             assert_eq!(code, Some(3), "{arguments}: {said}");
-            assert!(said.starts_with("error: stdout: "), "{arguments}: {said}");
+            assert!(said.contains("error: stdout: "), "{arguments}: {said}");
         }
     }
 }

@@ -8,7 +8,7 @@ use nonrigid::measurement::{
     DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Subject,
     Symmetry, SymmetryOptions, WHOLE, report,
 };
-use nonrigid::mesh::io::{TemplatePoint, read_obj};
+use nonrigid::mesh::io::{LengthUnit, TemplatePoint, read_obj};
 use nonrigid::mesh::{MirrorPlane, PolygonMesh, Pose, TriangleMesh, Vec3};
 
 fn rig(vertices: usize) -> FaceRig {
@@ -390,7 +390,7 @@ fn the_landmarks_of_ict_facekit_lie_in_mirrored_pairs() {
     let mesh = read_obj(&path).unwrap();
     let files = ["ict-facekit.json", "ict-facekit-head.json"]
         .map(|f| Path::new(env!("CARGO_MANIFEST_DIR")).join("landmarks").join(f));
-    let landmarks = Landmarks::read(&files, &mesh).unwrap();
+    let landmarks = Landmarks::read(&files, &mesh, LengthUnit::Millimetre).unwrap();
     let measured = Subject { landmarks: &landmarks, ..Subject::new(&mesh) }.measure().unwrap();
     assert!(measured.values.iter().all(|v| v.missing.is_none()));
     let at = |name: &str| measured.before.landmarks.iter().find(|l| l.0 == name).unwrap().1;

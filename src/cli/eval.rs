@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
-use super::inputs::read_positions;
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, say};
 use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
@@ -33,6 +33,8 @@ pub struct Arguments {
     /// The scan, a mesh or a point cloud with normals, where there is no truth: surface distances both ways
     #[arg(long, value_name = "MESH")]
     target: Option<PathBuf>,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -53,14 +55,15 @@ struct Measured<D> {
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     a.heatmap.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
-    let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
-    let positions = read_positions(&a.result)?;
+    let mut units = a.units.of(&["result", "template", "truth", "target"])?;
+    let template = units.read_mesh("template", &a.template)?;
+    let positions = units.read_positions("result", &a.result)?;
     same_count("the result", positions.len(), &template)?;
     let result = PolygonMesh { positions, ..template.clone() };
     let (text, json, per_vertex, label) = match (&a.truth, &a.target) {
-        (Some(truth), _) => against_truth(a, &template, &result, &read_positions(truth)?)?,
+        (Some(truth), _) => against_truth(a, &template, &result, &units.read_positions("truth", truth)?)?,
         (None, Some(target)) => {
-            let scan = io::read_scan(target).map_err(Failure::loading)?;
+            let scan = units.read_scan("target", target)?;
             let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
             if scan.mesh.triangles.is_empty() && !directed {
                 return Err(Failure::loading(format!("{}: {}", target.display(), RegistrationError::EmptyScan)));
@@ -69,6 +72,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         }
         (None, None) => return Err(Failure::new(Stage::Arguments, "give --truth or --target")),
     };
+    units.say();
     if let Some(path) = &a.heatmap {
         let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
         let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();

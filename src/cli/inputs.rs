@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::units::Units;
 use super::{Failure, warn};
 use crate::mesh::Vec3;
 use crate::mesh::io;
@@ -38,9 +39,9 @@ pub enum ShapeKindArgument {
 
 impl RigArguments {
     /// Reads the rig and takes out the shapes that are asked for; with the rig's regions, if it has any.
-    pub fn read(&self) -> Result<(ShapeBasis, Option<Regions>), Failure> {
+    pub fn read(&self, units: &mut Units<'_>) -> Result<(ShapeBasis, Option<Regions>), Failure> {
         let Some(folder) = &self.rig else { return Ok((ShapeBasis::none(), None)) };
-        let rig = read_rig(folder, self.identity_modes, self.shape_kind)?;
+        let rig = read_rig(folder, self.identity_modes, self.shape_kind, units)?;
         let selection = ShapeSelection { names: self.shapes.as_deref(), identity_modes: self.identity_modes };
         let shapes = rig.select(selection).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
         Ok((shapes, rig.regions().cloned()))
@@ -102,18 +103,24 @@ pub fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
 }
 
 /// Reads a rig and prints its warnings.
-pub fn read_rig(folder: &Path, modes: usize, kind: Option<ShapeKindArgument>) -> Result<Rig, Failure> {
+pub fn read_rig(
+    folder: &Path,
+    modes: usize,
+    kind: Option<ShapeKindArgument>,
+    units: &mut Units<'_>,
+) -> Result<Rig, Failure> {
     let kind = kind.map(|k| match k {
         ShapeKindArgument::Full => ShapeKind::Full,
         ShapeKindArgument::Delta => ShapeKind::Delta,
     });
-    let (rig, warnings) =
+    let (mut rig, warnings) =
         Rig::read(folder, &RigReadOptions { identity_modes: modes, kind }).map_err(Failure::loading)?;
     warnings.iter().for_each(warn);
+    units.bring_rig(folder, &mut rig)?;
     Ok(rig)
 }
 
-/// Vertex positions from a mesh or an N x 3 array.
+/// Vertex positions from a mesh or an N x 3 array, in the file's unit.
 pub fn read_positions(path: &Path) -> Result<Vec<Vec3>, Failure> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
         return io::read_npy_points(path).map_err(Failure::loading);

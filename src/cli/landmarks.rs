@@ -1,14 +1,13 @@
 //! `nonrigid landmarks`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_parent, say, warn};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{
-    self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkSet, LengthUnit, PatientSpace, PlaceKind,
-};
+use crate::mesh::io::{self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkSet, PatientSpace, PlaceKind};
 
 /// `nonrigid landmarks` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -41,9 +40,8 @@ pub struct Convert {
     /// The mesh that the landmarks are on: needed where formats differ in vertices, triangles and points
     #[arg(long, value_name = "MESH")]
     mesh: Option<PathBuf>,
-    /// Unit of a file that states none: mm, cm or m; the output is in millimetres then
-    #[arg(long, value_name = "UNIT")]
-    unit: Option<LengthUnit>,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Space of the output, whatever the format says of it: as meshes in LPS or in RAS need it [default: LPS if the input
     /// says one]
     #[arg(long, value_enum)]
@@ -86,6 +84,8 @@ pub struct Check {
     /// Millimetres off the surface that are allowed
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     tolerance: f64,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -107,6 +107,8 @@ pub struct Transfer {
     /// One of the two registered onto the other, when their polygons differ
     #[arg(long, value_name = "MESH")]
     registered: Option<PathBuf>,
+    #[command(flatten)]
+    units: UnitArguments,
 }
 
 /// Runs the command.
@@ -120,18 +122,11 @@ pub fn run(command: &Command) -> Result<(), Failure> {
 
 fn convert(a: &Convert) -> Result<(), Failure> {
     let format = a.output.format()?;
-    let mesh = a.mesh.as_deref().map(io::read_polygon_mesh).transpose().map_err(Failure::loading)?;
+    let mut units = a.units.of(&["mesh", "landmarks"])?;
+    let mesh = a.mesh.as_deref().map(|path| units.read_mesh("mesh", path)).transpose()?;
     let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
-    if let Some(unit) = a.unit {
-        if set.unit.is_some_and(|stated| stated != unit) {
-            let message = format!("--unit {unit}: {} says otherwise; leave --unit out", a.input.display());
-            return Err(Failure::new(Stage::Arguments, message));
-        }
-        if set.unit.is_none() {
-            set.scale(unit.millimetres());
-            set.unit = Some(unit);
-        }
-    }
+    units.bring_landmarks("landmarks", &a.input, "mesh", &mut set)?;
+    units.say();
     let mut moved = 0.0;
     if let Some((kind, mesh)) = a.output.kind(&set, format).zip(mesh.as_ref()) {
         let positions = set.positions_on(&a.input, mesh).map_err(Failure::loading)?;
@@ -159,8 +154,11 @@ fn check(a: &Check) -> Result<(), Failure> {
     if a.tolerance.is_nan() || a.tolerance < 0.0 {
         return Err(Failure::new(Stage::Arguments, "--tolerance: expected millimetres of at least 0"));
     }
-    let mesh = io::read_polygon_mesh(&a.mesh).map_err(Failure::loading)?;
-    let set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let mut units = a.units.of(&["mesh", "landmarks"])?;
+    let mesh = units.read_mesh("mesh", &a.mesh)?;
+    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    units.bring_landmarks("landmarks", &a.input, "mesh", &mut set)?;
+    units.say();
     let positions = set.positions_on(&a.input, &mesh).map_err(Failure::loading)?;
     let check = LandmarkCheck::new(&set, &positions, &mesh, a.tolerance)
         .map_err(|e| Failure::loading(format!("{}: {e}", a.mesh.display())))?;
@@ -178,10 +176,12 @@ fn check(a: &Check) -> Result<(), Failure> {
 
 fn transfer(a: &Transfer) -> Result<(), Failure> {
     let format = a.output.format()?;
-    let read = |path: &Path| io::read_polygon_mesh(path).map_err(Failure::loading);
-    let (from, to) = (read(&a.from)?, read(&a.to)?);
-    let via = a.registered.as_deref().map(read).transpose()?;
-    let set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let mut units = a.units.of(&["from", "to", "registered", "landmarks"])?;
+    let (from, to) = (units.read_mesh("from", &a.from)?, units.read_mesh("to", &a.to)?);
+    let via = a.registered.as_deref().map(|path| units.read_mesh("registered", path)).transpose()?;
+    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    units.bring_landmarks("landmarks", &a.input, "from", &mut set)?;
+    units.say();
     let (carried, moved) = set.transfer(&a.input, &from, via.as_ref(), &to).map_err(|e| match e {
         LandmarkError::Landmarks(e) => Failure::loading(e),
         e => Failure::loading(format!("{}: {e}", a.to.display())),

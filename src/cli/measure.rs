@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::inputs::read_mask;
+use super::units::{UnitArguments, Units};
 use super::{Failure, check_output, check_output_folder, on_threads, refuse_overwriting, say};
 use crate::measurement::{Landmarks, MeasurementError, NamedRegion, Subject, glossary, report};
-use crate::mesh::io::{self, write_atomically};
+use crate::mesh::io::{LengthUnit, write_atomically};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
 use crate::rig::Regions;
 
@@ -21,7 +22,7 @@ use crate::rig::Regions;
     neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing."
 )]
 pub struct Arguments {
-    /// Face (any format that `register` reads), millimetres; before, where there is an after
+    /// Face (any format that `register` reads); before, where there is an after
     #[arg(long, value_name = "MESH", required_unless_present = "list")]
     mesh: Option<PathBuf>,
     /// The same vertices after (.obj, .ply or .npy N x 3)
@@ -43,6 +44,8 @@ pub struct Arguments {
     /// Mask of a morph (.npy, N numbers from 0 to 1), shown in red over the face in the report
     #[arg(long, value_name = "FILE", requires = "report")]
     mask: Option<PathBuf>,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Everything as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -77,15 +80,18 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     let others = [("after", &a.after), ("regions", &a.regions), ("mask", &a.mask)];
     inputs.extend(others.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
     refuse_overwriting(&[("--json", a.json.as_ref()), ("--csv", a.csv.as_ref())], &inputs)?;
-    let mesh = io::read_polygon_mesh(before).map_err(Failure::loading)?;
+    let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
+    let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
-    let mut after = a.after.as_deref().map(|path| read_after(path, &mesh)).transpose()?;
+    let mut after = a.after.as_deref().map(|path| read_after(path, &mesh, &mut units)).transpose()?;
     if let Some(after) = after.as_mut().filter(|_| a.align) {
         let pairs: Vec<(Vec3, Vec3)> = after.iter().copied().zip(mesh.positions.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;
         after.iter_mut().for_each(|p| *p = pose.apply(*p));
     }
-    let landmarks = Landmarks::read(&a.landmarks, &mesh).map_err(Failure::loading)?;
+    let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
+    let landmarks = Landmarks::read(&a.landmarks, &mesh, unit).map_err(Failure::loading)?;
+    units.say();
     if landmarks.is_empty() {
         let names: Vec<String> = a.landmarks.iter().map(|p| p.display().to_string()).collect();
         return Err(Failure::loading(format!("{}: no landmarks", names.join(", "))));
@@ -138,7 +144,7 @@ pub(super) fn failure(error: MeasurementError) -> Failure {
 }
 
 /// The vertices after; a mesh has to have the polygons of the one before.
-fn read_after(path: &Path, mesh: &PolygonMesh) -> Result<Vec<Vec3>, Failure> {
+fn read_after(path: &Path, mesh: &PolygonMesh, units: &mut Units<'_>) -> Result<Vec<Vec3>, Failure> {
     let same_count = |found: usize| {
         let expected = mesh.positions.len();
         if found == expected {
@@ -149,10 +155,10 @@ fn read_after(path: &Path, mesh: &PolygonMesh) -> Result<Vec<Vec3>, Failure> {
         Err(Failure::loading(message))
     };
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
-        let positions = io::read_npy_points(path).map_err(Failure::loading)?;
+        let positions = units.read_positions("after", path)?;
         return same_count(positions.len()).map(|()| positions);
     }
-    let after = io::read_polygon_mesh(path).map_err(Failure::loading)?;
+    let after = units.read_mesh("after", path)?;
     same_count(after.positions.len())?;
     if (&after.starts, &after.corners) != (&mesh.starts, &mesh.corners) {
         let message =

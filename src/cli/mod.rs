@@ -14,6 +14,7 @@ mod rig_convert;
 mod rig_fit;
 mod rig_pca;
 mod rig_transfer;
+mod units;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};

@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args};
 
 use super::inputs::{RigArguments, bounds};
 use super::measure::{self, named_regions};
+use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_output_folder, on_threads, refuse_overwriting, say, warn, write_json};
 use crate::measurement::{Landmarks, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
@@ -28,7 +29,7 @@ use crate::rig::Regions;
     nonrigid morph --mesh face.obj --landmarks landmarks.json --recipe recipe.toml --model arap --out morphed.obj"
 )]
 pub struct Arguments {
-    /// Mesh (any format that `register` reads), millimetres; the result keeps its vertex order, polygons, UVs, groups and materials
+    /// Mesh (any format that `register` reads); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
     mesh: Option<PathBuf>,
     /// Recipe (.toml)
@@ -52,6 +53,8 @@ pub struct Arguments {
     /// Bounds of blendshape weights, such as 0,1
     #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
     weight_bounds: Option<[f64; 2]>,
+    #[command(flatten)]
+    units: UnitArguments,
     /// In place of the recipe's amount: what its displacements are multiplied by
     #[arg(long, value_name = "X", allow_hyphen_values = true, conflicts_with = "preset")]
     amount: Option<f64>,
@@ -106,14 +109,16 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     refuse_overwriting(&[("--out", Some(out))], &inputs)?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
-    let before = io::read_polygon_mesh(mesh).map_err(Failure::loading)?;
+    let mut units = a.units.of(&["mesh", "rig", "landmarks"])?;
+    let before = units.read_mesh("mesh", mesh)?;
     let mut mesh = before.clone();
-    let (mut shapes, regions) = a.rig.read()?;
+    let (mut shapes, regions) = a.rig.read(&mut units)?;
     if let Some(bounds) = a.weight_bounds {
         shapes = shapes.with_bounds(|_| bounds);
     }
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&mesh));
-    let landmarks = landmarks(a, &mesh)?;
+    let landmarks = landmarks(a, &mesh, &mut units)?;
+    units.say();
     let mut outcomes = Vec::new();
     for (recipe, amount) in &jobs {
         let subject = Subject { mesh: &mesh, landmarks: &landmarks, regions: &regions, shapes: &shapes };
@@ -206,10 +211,16 @@ fn failure(error: RecipeError) -> Failure {
     }
 }
 
-fn landmarks(a: &Arguments, mesh: &PolygonMesh) -> Result<Vec<(String, TemplatePoint)>, Failure> {
+fn landmarks(
+    a: &Arguments,
+    mesh: &PolygonMesh,
+    units: &mut Units<'_>,
+) -> Result<Vec<(String, TemplatePoint)>, Failure> {
     let of_rig = || Some(a.rig.rig.as_ref()?.join(RIG_LANDMARKS)).filter(|path| path.exists());
-    let path = a.landmarks.clone().or_else(of_rig);
-    path.map_or_else(|| Ok(Vec::new()), |path| io::read_template_landmarks(&path, mesh).map_err(Failure::loading))
+    let Some(path) = a.landmarks.clone().or_else(of_rig) else { return Ok(Vec::new()) };
+    let mut set = io::read_landmark_set(&path).map_err(Failure::loading)?;
+    units.bring_landmarks("landmarks", &path, "mesh", &mut set)?;
+    set.on_template(&path, mesh).map_err(Failure::loading)
 }
 
 /// A rig's 68 landmarks.

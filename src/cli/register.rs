@@ -11,8 +11,10 @@ use serde::Serialize;
 
 use super::inputs::{MaskArguments, RigArguments, bounds};
 use super::interrupt::Interrupt;
+use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, on_threads, refuse_overwriting, say, warn, write_json};
-use crate::mesh::io;
+use crate::mesh::io::{self, Landmark};
+use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
     RegistrationStop, Report, Schedule, StepRecord, WITHIN_MM, register,
@@ -29,7 +31,7 @@ pub struct Arguments {
     /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
-    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz), millimetres: a mesh, or a point cloud with normals (.ply, .off, .xyz)
+    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz): a mesh, or a point cloud with normals (.ply, .off, .xyz)
     #[arg(long, value_name = "MESH")]
     target: PathBuf,
     /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
@@ -46,6 +48,8 @@ pub struct Arguments {
     template_landmarks: Option<PathBuf>,
     #[command(flatten)]
     masks: MaskArguments,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), free, rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
@@ -85,16 +89,14 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if a.model.needs_shapes() && a.rig.rig.is_none() {
         return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
     }
-    let template = io::read_polygon_mesh(&a.template).map_err(Failure::loading)?;
-    let (scan, rig) = rayon::join(|| io::read_scan(&a.target).map_err(Failure::loading), || a.rig.read());
-    let (scan, (shapes, regions)) = (scan?, rig?);
-    let neutral = a.neutral.as_deref().map(super::inputs::read_positions).transpose()?;
+    let mut units = a.units.of(&["template", "target", "neutral", "rig", "landmarks", "template-landmarks"])?;
+    let template = units.read_mesh("template", &a.template)?;
+    let scan = units.read_scan("target", &a.target)?;
+    let neutral = a.neutral.as_deref().map(|path| units.read_positions("neutral", path)).transpose()?;
+    let (shapes, regions) = a.rig.read(&mut units)?;
     let [mask, free_mask] = a.masks.read(&template, regions)?;
-    let landmarks = match &a.landmarks {
-        None => Vec::new(),
-        Some(path) => io::read_landmarks(path, a.template_landmarks.as_deref(), &template, Some(&scan.mesh))
-            .map_err(Failure::loading)?,
-    };
+    let landmarks = read_landmarks(a, &mut units, &template, &scan.mesh)?;
+    units.say();
     if shapes.is_empty() && a.model == ModelKind::Hybrid {
         warn("no rig given: without blendshapes the hybrid model is the graph model");
     }
@@ -124,7 +126,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         Some(path) => {
             let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone(), doubts.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
-            Some((path, Report { regions, free_regions, ..report }))
+            let units = units.known();
+            Some((path, Report { regions, free_regions, units, ..report }))
         }
         None => None,
     };
@@ -152,6 +155,25 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Interrupted, message));
     }
     Ok(())
+}
+
+fn read_landmarks(
+    a: &Arguments,
+    units: &mut Units<'_>,
+    template: &PolygonMesh,
+    scan: &TriangleMesh,
+) -> Result<Vec<Landmark>, Failure> {
+    let Some(path) = &a.landmarks else { return Ok(Vec::new()) };
+    let mut set = io::read_scan_landmark_set(path).map_err(Failure::loading)?;
+    units.bring_landmarks("landmarks", path, "target", &mut set)?;
+    let mut names = None;
+    if let Some(path) = &a.template_landmarks {
+        let mut set = io::read_landmark_set(path).map_err(Failure::loading)?;
+        units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
+        names = Some((set, path.as_path()));
+    }
+    let names = names.as_ref().map(|(set, path)| (set, *path));
+    io::pair_landmarks((set, path), names, template, Some(scan)).map_err(Failure::loading)
 }
 
 /// What differs from run to run.

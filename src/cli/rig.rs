@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 
 use super::inputs::{ShapeKindArgument, read_rig};
+use super::units::UnitArguments;
 use super::{Failure, rig_convert, rig_fit, rig_pca, rig_transfer, say};
 
 /// `nonrigid rig` and its subcommands.
@@ -18,6 +19,8 @@ pub enum Command {
         /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
         #[arg(long, value_enum)]
         shape_kind: Option<ShapeKindArgument>,
+        #[command(flatten)]
+        units: UnitArguments,
         /// Print JSON
         #[arg(long)]
         json: bool,
@@ -35,7 +38,7 @@ pub enum Command {
 /// Runs the command.
 pub fn run(command: &Command) -> Result<(), Failure> {
     match command {
-        Command::Info { folder, shape_kind, json } => info(folder, *shape_kind, *json),
+        Command::Info { folder, shape_kind, units, json } => info(folder, *shape_kind, units, *json),
         Command::Pca(arguments) => rig_pca::run(arguments),
         Command::Convert(arguments) => rig_convert::run(arguments),
         Command::Transfer(arguments) => rig_transfer::run(arguments),
@@ -43,8 +46,10 @@ pub fn run(command: &Command) -> Result<(), Failure> {
     }
 }
 
-fn info(folder: &Path, kind: Option<ShapeKindArgument>, json: bool) -> Result<(), Failure> {
-    let rig = read_rig(folder, usize::MAX, kind)?;
+fn info(folder: &Path, kind: Option<ShapeKindArgument>, units: &UnitArguments, json: bool) -> Result<(), Failure> {
+    let mut units = units.of(&["rig"])?;
+    let rig = read_rig(folder, usize::MAX, kind, &mut units)?;
+    units.say();
     let info = rig.info();
     if json {
         let text = serde_json::to_string_pretty(&info).map_err(Failure::computation)?;

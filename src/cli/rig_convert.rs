@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::inputs::{ShapeKindArgument, read_rig};
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_output_folder, same_place, say};
 use crate::mesh::io::WriteError;
 use crate::rig::Rig;
@@ -24,6 +25,8 @@ pub struct Arguments {
     /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
     #[arg(long, value_enum)]
     shape_kind: Option<ShapeKindArgument>,
+    #[command(flatten)]
+    units: UnitArguments,
     #[command(flatten)]
     output: RigOutput,
 }
@@ -91,5 +94,8 @@ impl RigOutput {
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     a.output.check(&a.rig)?;
-    a.output.write(&read_rig(&a.rig, usize::MAX, a.shape_kind)?)
+    let mut units = a.units.of(&["rig"])?;
+    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
+    units.say();
+    a.output.write(&rig)
 }

@@ -6,9 +6,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{Align, ShapeKindArgument, bounds, read_positions, read_rig};
+use super::inputs::{Align, ShapeKindArgument, bounds, read_rig};
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, say, warn, write_json};
-use crate::mesh::io::{read_polygon_mesh, write_atomically};
+use crate::mesh::io::write_atomically;
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 
@@ -41,6 +42,8 @@ pub struct Arguments {
     /// Smallest and largest weight
     #[arg(long, value_name = "MIN,MAX", value_parser = bounds, default_value = "0,1", allow_hyphen_values = true)]
     bounds: [f64; 2],
+    #[command(flatten)]
+    units: UnitArguments,
     /// Weights of the frames: .csv or .json
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -65,14 +68,15 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if !a.bounds.iter().all(|b| b.is_finite()) {
         return Err(Failure::new(Stage::Arguments, "--bounds: give two finite numbers"));
     }
-    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind)?;
+    let mut units = a.units.of(&["rig", "meshes", "neutral"])?;
+    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.display()));
     let basis = rig.select(ShapeSelection { names: a.shapes.as_deref(), identity_modes: 0 }).map_err(at_rig)?;
     if basis.is_empty() {
         return Err(Failure::loading(format!("{}: no shapes to fit", a.rig.display())));
     }
     let neutral = match &a.neutral {
-        Some(path) => read_positions(path)?,
+        Some(path) => units.read_positions("neutral", path)?,
         None => rig.neutral().to_vec(),
     };
     let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
@@ -85,7 +89,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig).display())))?;
     let mut frames = Vec::with_capacity(files.len());
     for (name, path) in files {
-        let positions = read_polygon_mesh(&path).map_err(Failure::loading)?.positions;
+        let positions = units.read_mesh("meshes", &path)?.positions;
         if positions.len() != neutral.len() {
             let (found, expected) = (positions.len(), neutral.len());
             return Err(Failure::loading(format!("{}: found {found} vertices, expected {expected}", path.display())));
@@ -96,6 +100,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         }
         frames.push(Frame { name, fitted });
     }
+    units.say();
     let sequence = Sequence { shapes, frames };
     if a.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         write_json(&a.out, &sequence)?;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::inputs::Align;
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_output_folder, on_threads, same_place, say};
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, ShapePca};
@@ -29,6 +30,8 @@ pub struct Arguments {
     /// What to take out of the meshes first. Registered meshes lie as their scans did, and pose is not shape
     #[arg(long, value_enum, default_value_t = Align::Rigid)]
     align: Align,
+    #[command(flatten)]
+    units: UnitArguments,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -49,6 +52,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, message));
     }
     let mut population = Population::read(&a.meshes).map_err(Failure::loading)?;
+    let mut units = a.units.of(&["meshes"])?;
+    units.bring_population("meshes", &mut population)?;
+    units.say();
     let aligned = match a.align {
         Align::Rigid => Some((PoseKind::Rigid, "rigid motions")),
         Align::Similarity => Some((PoseKind::Similarity, "similarities")),

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, read_positions, read_rig};
+use super::inputs::{ShapeKindArgument, read_rig};
 use super::rig_convert::RigOutput;
+use super::units::UnitArguments;
 use super::{Failure, Stage, on_threads, warn};
 use crate::rig::{TransferError, TransferOptions};
 
@@ -34,6 +35,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     #[command(flatten)]
+    units: UnitArguments,
+    #[command(flatten)]
     output: RigOutput,
 }
 
@@ -44,8 +47,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     a.output.check(&a.rig)?;
-    let rig = read_rig(&a.rig, 0, a.shape_kind)?;
-    let subject = read_positions(&a.subject)?;
+    let mut units = a.units.of(&["rig", "subject"])?;
+    let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
+    let subject = units.read_positions("subject", &a.subject)?;
+    units.say();
     let transferred = rig.transfer(&subject, &TransferOptions { anchor: a.anchor });
     let (personal, warnings) = transferred.map_err(|e| {
         let (stage, at) = match &e {

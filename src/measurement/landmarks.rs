@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::MeasurementError;
-use crate::mesh::io::{TemplatePoint, read_template_landmarks};
+use crate::mesh::io::{LengthUnit, TemplatePoint, read_landmark_set};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// A landmark: what its name means.
@@ -121,14 +121,20 @@ impl Landmarks {
         Ok(())
     }
 
-    /// Reads the landmarks of a template from JSON files, as [`read_template_landmarks`] does, one after the other.
+    /// Reads the landmarks of a template from files, one after the other; `unit` is that of positions in files which state none.
     ///
     /// # Errors
     /// When one cannot be read, or for [`Self::add`]'s reasons: the message names the file.
-    pub fn read(paths: &[impl AsRef<Path>], template: &PolygonMesh) -> Result<Self, MeasurementError> {
+    pub fn read(
+        paths: &[impl AsRef<Path>],
+        template: &PolygonMesh,
+        unit: LengthUnit,
+    ) -> Result<Self, MeasurementError> {
         let mut landmarks = Self::default();
         for path in paths.iter().map(AsRef::as_ref) {
-            let points = read_template_landmarks(path, template)?;
+            let mut set = read_landmark_set(path)?;
+            set.assume(unit);
+            let points = set.on_template(path, template)?;
             landmarks
                 .add(&points)
                 .map_err(|error| MeasurementError::File { path: path.to_owned(), source: Box::new(error) })?;

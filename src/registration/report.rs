@@ -1,6 +1,7 @@
 //! The report of a registration: everything that two equal runs have in common. Times, threads and machine belong in a
 //! file of their own, so that reports can be compared byte for byte.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use rayon::prelude::*;
@@ -12,6 +13,7 @@ use super::{
     VertexMasks,
 };
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
+use crate::mesh::io::KnownUnit;
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
 /// A file that was read.
@@ -115,6 +117,8 @@ pub struct Report {
     pub regions: Vec<String>,
     /// Regions that followed smoothness alone.
     pub free_regions: Vec<String>,
+    /// Units of the inputs, by what they were read as.
+    pub units: BTreeMap<String, KnownUnit>,
     /// The schedule as it was used.
     pub schedule: Schedule,
     /// Where the registration started.
@@ -153,6 +157,7 @@ impl Report {
             inputs,
             regions: Vec::new(),
             free_regions: Vec::new(),
+            units: BTreeMap::new(),
             schedule: result.schedule.clone(),
             start: result.start,
             start_search: result.start_search.clone(),

@@ -149,6 +149,13 @@ impl Rig {
         warnings
     }
 
+    /// Multiplies all lengths, to bring them to millimetres.
+    pub fn scale(&mut self, factor: f64) {
+        let mesh = self.mesh.iter_mut().flat_map(|mesh| &mut mesh.positions);
+        self.neutral.iter_mut().chain(mesh).for_each(|p| *p *= factor);
+        self.deltas.iter_mut().for_each(|d| *d = (f64::from(*d) * factor) as f32);
+    }
+
     /// Positions of the neutral, millimetres.
     #[must_use]
     pub fn neutral(&self) -> &[Vec3] {

@@ -183,6 +183,18 @@ impl Population {
         &self.samples
     }
 
+    /// Their names in messages: paths, if they come from files.
+    #[must_use]
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Multiplies all lengths, to bring them to millimetres.
+    pub fn scale(&mut self, factor: f64) {
+        let mesh = self.mesh.iter_mut().map(|mesh| &mut mesh.positions);
+        self.samples.iter_mut().chain(mesh).flatten().for_each(|p| *p *= factor);
+    }
+
     /// Number of vertices of each.
     #[must_use]
     pub fn vertex_count(&self) -> usize {

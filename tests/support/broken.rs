@@ -143,6 +143,12 @@ pub fn broken() -> Bench {
     bench.write("past.json", landmarks_json(&past));
     let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
     bench.write("line.json", landmarks_json(&line));
+    bench.write("in_metres.json", "{\"format\": \"nonrigid landmarks\", \"unit\": \"m\", \"landmarks\": []}");
+    for (name, factor) in [("a", 1.0), ("b", 0.1)] {
+        let positions = bench.rig.neutral.iter().map(|p| p * factor).collect();
+        bench.write(&format!("two_units/{name}.keep"), "");
+        write_obj(&bench.path(&format!("two_units/{name}.obj")), &bench.rig.mesh.with_positions(positions)).unwrap();
+    }
     bench.write("nan.json", "{\"1\": [1, 2, 3], \"2\": [1, NaN, 3], \"5\": [0, 0, 1.5]}");
     bench.write("huge.json", "{\"1\": [1, 2, 3], \"2\": [1, 1e999, 3], \"5\": [0, 0, 1.5]}");
     bench.write("named.json", "{\"nose_tip\": [1.5, 2, 3], \"chin\": [0, -9.5, 1], \"wart\": [2, 0, 1.5]}");

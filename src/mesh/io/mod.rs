@@ -22,8 +22,8 @@ pub use error::{Place, ReadError, WriteError};
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
 pub use landmarks::{
     Landmark, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, OnSurface, PatientSpace,
-    PlaceKind, PlacedLandmark, Source, TemplatePoint, parse_landmark_set, parse_landmarks, read_landmark_set,
-    read_landmarks, read_template_landmarks, write_landmark_set,
+    PlaceKind, PlacedLandmark, Source, TemplatePoint, pair_landmarks, parse_landmark_set, parse_landmarks,
+    read_landmark_set, read_landmarks, read_scan_landmark_set, read_template_landmarks, write_landmark_set,
 };
 pub use npy::{NpyArray, NpyItem, Npz, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use npz::NpzContents;
@@ -31,7 +31,7 @@ pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
-pub use unit::LengthUnit;
+pub use unit::{FACE_EXTENT, KnownUnit, LengthUnit, UnitSource, face_extent};
 pub use xyz::parse_xyz;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};

@@ -1,7 +1,19 @@
 //! Units of length of files. Inside, everything is millimetres.
+//!
+//! Most formats state no unit. That of a face, head or bust can be told from its size: units are ten times apart or more, faces
+//! are not.
 
 use std::fmt;
+use std::path::Path;
 use std::str::FromStr;
+
+use serde::Serialize;
+
+use super::error::extension;
+use crate::mesh::Vec3;
+
+/// From where to where the extent of a face, head or bust lies, millimetres: see [`face_extent`].
+pub const FACE_EXTENT: [f64; 2] = [100.0, 900.0];
 
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +39,76 @@ impl LengthUnit {
             Self::Metre => 1000.0,
         }
     }
+
+    /// The unit that a file format states, by the file's extension: glTF is in metres. Readers bring it to millimetres.
+    #[must_use]
+    pub fn of_format(path: &Path) -> Option<Self> {
+        matches!(extension(path).as_str(), "glb" | "gltf").then_some(Self::Metre)
+    }
+
+    /// The unit in which the points have the extent of a face: within [`FACE_EXTENT`]. `None` if there is none.
+    #[must_use]
+    pub fn of_face(points: &[Vec3]) -> Option<Self> {
+        let extent = face_extent(points);
+        let fits = |unit: &Self| (FACE_EXTENT[0]..FACE_EXTENT[1]).contains(&(extent * unit.millimetres()));
+        [Self::Micrometre, Self::Millimetre, Self::Centimetre, Self::Metre].into_iter().find(fits)
+    }
+}
+
+/// The unit of an input, and how it is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct KnownUnit {
+    /// The unit.
+    pub unit: LengthUnit,
+    /// How it is known.
+    pub by: UnitSource,
+}
+
+/// How the unit of an input is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnitSource {
+    /// The user has said it.
+    Option,
+    /// The file states it, or its format.
+    File,
+    /// Only in this unit has it the size of a face: [`LengthUnit::of_face`].
+    Size,
+    /// It is that of the mesh on which the points are.
+    Mesh,
+}
+
+impl fmt::Display for KnownUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let by = match self.by {
+            UnitSource::Option => "by --unit",
+            UnitSource::File => "as the file says",
+            UnitSource::Size => "by its size",
+            UnitSource::Mesh => "as its mesh",
+        };
+        write!(f, "{} ({by})", self.unit)
+    }
+}
+
+impl Serialize for LengthUnit {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// The diagonal of the box that holds the middle 90 % of the points along each axis, in their unit: spikes and a few points of
+/// the background leave it as it is. 0 without points.
+#[must_use]
+pub fn face_extent(points: &[Vec3]) -> f64 {
+    let Some(last) = points.len().checked_sub(1) else { return 0.0 };
+    let cut = last / 20;
+    let middle = |axis: usize| {
+        let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+        let low = *values.select_nth_unstable_by(cut, f64::total_cmp).1;
+        let high = *values.select_nth_unstable_by(last - cut, f64::total_cmp).1;
+        high - low
+    };
+    Vec3::new(middle(0), middle(1), middle(2)).norm()
 }
 
 impl fmt::Display for LengthUnit {
@@ -51,5 +133,50 @@ impl FromStr for LengthUnit {
             "m" => Ok(Self::Metre),
             _ => Err(format!("unknown unit {text:?}; known are um, mm, cm and m")),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A face's width, height and depth, as a grid over half an ellipsoid, millimetres.
+    fn face() -> Vec<Vec3> {
+        let point = |i: usize| {
+            let (u, v) = ((i % 40) as f64 / 19.5 - 1.0, (i / 40) as f64 / 19.5 - 1.0);
+            Vec3::new(70.0 * u, 100.0 * v, 90.0 * (1.0 - (u * u + v * v) / 2.0).sqrt())
+        };
+        (0..1600).map(point).collect()
+    }
+
+    #[test]
+    fn a_face_has_the_same_extent_in_every_unit_and_with_spikes() {
+        let mut points = face();
+        let extent = face_extent(&points);
+        assert!((200.0..280.0).contains(&extent), "{extent}");
+        for p in points.iter_mut().step_by(50) {
+            *p *= 1000.0; // 2 % of the points are far away
+        }
+        let spiky = face_extent(&points);
+        assert!((spiky / extent - 1.0).abs() < 0.05, "{spiky}");
+        for unit in ["um", "mm", "cm", "m"].map(|u| u.parse::<LengthUnit>().unwrap()) {
+            let scaled: Vec<Vec3> = points.iter().map(|p| p / unit.millimetres()).collect();
+            assert_eq!(LengthUnit::of_face(&scaled), Some(unit));
+        }
+    }
+
+    #[test]
+    fn what_is_no_face_has_no_unit() {
+        for size in [0.0, 2.0, 8e4] {
+            assert_eq!(
+                LengthUnit::of_face(&face().iter().map(|p| p / 250.0 * size).collect::<Vec<_>>()),
+                None,
+                "{size}"
+            );
+        }
+        assert_eq!(LengthUnit::of_face(&[]), None);
+        assert_eq!(LengthUnit::of_face(&[Vec3::zeros(); 3]), None);
+        assert_eq!(LengthUnit::of_format(Path::new("a.GLB")), Some(LengthUnit::Metre));
+        assert_eq!(LengthUnit::of_format(Path::new("a.obj")), None);
     }
 }

@@ -23,7 +23,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 pub use check::{LandmarkCheck, OnSurface};
-pub use pairs::{Landmark, Source, TemplatePoint, parse_landmarks, read_landmarks, read_template_landmarks};
+pub use pairs::{
+    Landmark, Source, TemplatePoint, pair_landmarks, parse_landmarks, read_landmarks, read_template_landmarks,
+};
 pub use places::{LandmarkError, PlaceKind};
 
 use super::error::{extension, read_file};
@@ -84,12 +86,26 @@ impl LandmarkSet {
         })
     }
 
+    /// Whether one of them is a point in space.
+    #[must_use]
+    pub fn has_positions(&self) -> bool {
+        self.positions().next().is_some()
+    }
+
     /// Moves the points in space.
     pub fn map_positions(&mut self, to: impl Fn(Vec3) -> Vec3) {
         for landmark in &mut self.landmarks {
             if let LandmarkPlace::Position(p) = &mut landmark.place {
                 *p = to(*p);
             }
+        }
+    }
+
+    /// Brings positions and deviations to millimetres, where the file states no unit.
+    pub fn assume(&mut self, unit: LengthUnit) {
+        if self.unit.is_none() {
+            self.scale(unit.millimetres());
+            self.unit = Some(unit);
         }
     }
 
@@ -255,6 +271,14 @@ impl Side {
 /// landmark.
 pub fn read_landmark_set(path: &Path) -> Result<LandmarkSet, ReadError> {
     read_side(path, Side::Template)
+}
+
+/// [`read_landmark_set`] of a scan's landmarks: errors say what those may be.
+///
+/// # Errors
+/// As [`read_landmark_set`].
+pub fn read_scan_landmark_set(path: &Path) -> Result<LandmarkSet, ReadError> {
+    read_side(path, Side::Target)
 }
 
 fn read_side(path: &Path, side: Side) -> Result<LandmarkSet, ReadError> {

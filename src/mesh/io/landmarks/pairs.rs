@@ -90,6 +90,21 @@ pub fn parse_landmarks(
     scan: Option<&TriangleMesh>,
 ) -> Result<Vec<Landmark>, ReadError> {
     let set = parse(bytes, target, Side::Target)?;
+    let names = names.map(|(bytes, path)| Ok((parse(bytes, path, Side::Template)?, path))).transpose()?;
+    pair_landmarks((set, target), names.as_ref().map(|(set, path)| (set, *path)), template, scan)
+}
+
+/// Pairs the landmarks of a scan, as [`read_scan_landmark_set`](super::read_scan_landmark_set) reads them, with those of the template
+/// of the same names. The paths are those that errors name.
+///
+/// # Errors
+/// As [`read_landmarks`], but for those of reading.
+pub fn pair_landmarks(
+    (set, target): (LandmarkSet, &Path),
+    names: Option<(&LandmarkSet, &Path)>,
+    template: &PolygonMesh,
+    scan: Option<&TriangleMesh>,
+) -> Result<Vec<Landmark>, ReadError> {
     let named = set.named;
     let count = set.landmarks.len() + set.missing.len();
     let points = on_scan(set, target, scan)?;
@@ -117,8 +132,8 @@ pub fn parse_landmarks(
             })
             .collect();
     };
-    let (bytes, names) = names;
-    let known = parse(bytes, names, Side::Template)?.on_template(names, template)?;
+    let (known, names) = names;
+    let known = known.on_template(names, template)?;
     if !named && count != known.len() {
         let expected = format!("{} points, as many as {} has", known.len(), names.display());
         return Err(ReadError::malformed(target, Place::File, expected, count.to_string()));

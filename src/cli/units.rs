@@ -1,0 +1,202 @@
+//! `--unit`: everything inside is millimetres, so every input's unit is stated, by the user or by its format, or found by its
+//! size; and said.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use clap::Args;
+
+use super::{Failure, Stage, tell};
+use crate::mesh::io::{self, FACE_EXTENT, KnownUnit, LandmarkSet, LengthUnit, MeshFile, Scan, UnitSource, face_extent};
+use crate::mesh::{PolygonMesh, Vec3};
+use crate::rig::{Population, Rig};
+
+/// Units of the inputs.
+#[derive(Debug, Args)]
+pub struct UnitArguments {
+    /// Unit of the inputs: mm, cm, m, um, or auto: what the format states (glTF: metres), or else the unit in which the input has
+    /// the size of a face. For one input alone INPUT=UNIT, such as target=m. Outputs are in millimetres [default: auto]
+    #[arg(long = "unit", value_name = "[INPUT=]UNIT", value_delimiter = ',')]
+    choices: Vec<Choice>,
+}
+
+/// `UNIT` or `INPUT=UNIT`.
+#[derive(Debug, Clone, PartialEq)]
+struct Choice {
+    input: Option<String>,
+    /// `None` is auto.
+    unit: Option<LengthUnit>,
+}
+
+impl FromStr for Choice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (input, unit) = text.split_once('=').map_or((None, text), |(input, unit)| (Some(input.to_owned()), unit));
+        let unit = if unit == "auto" { None } else { Some(unit.parse().map_err(|e| format!("{e}, or auto"))?) };
+        Ok(Self { input, unit })
+    }
+}
+
+/// The units of a command's inputs, as they become known; each input by the name of its option.
+pub struct Units<'a> {
+    choices: &'a [Choice],
+    known: Vec<(&'static str, KnownUnit)>,
+}
+
+impl UnitArguments {
+    /// For a command with these inputs.
+    ///
+    /// # Errors
+    /// When `--unit` names another input, or one twice.
+    pub fn of(&self, inputs: &[&'static str]) -> Result<Units<'_>, Failure> {
+        for (k, choice) in self.choices.iter().enumerate() {
+            let fail = |message: String| Err(Failure::new(Stage::Arguments, format!("--unit: {message}")));
+            match &choice.input {
+                Some(input) if !inputs.contains(&input.as_str()) => {
+                    return fail(format!("no input '{input}'; there are {}", inputs.join(", ")));
+                }
+                _ if self.choices[..k].iter().any(|c| c.input == choice.input) => {
+                    return fail(choice.input.as_ref().map_or("given twice".into(), |i| format!("{i} given twice")));
+                }
+                _ => {}
+            }
+        }
+        Ok(Units { choices: &self.choices, known: Vec::new() })
+    }
+}
+
+impl Units<'_> {
+    /// What `--unit` says of an input.
+    fn asked(&self, input: &str) -> Option<LengthUnit> {
+        let of = |name: Option<&str>| self.choices.iter().find(|c| c.input.as_deref() == name);
+        of(Some(input)).or_else(|| of(None)).and_then(|choice| choice.unit)
+    }
+
+    /// What the lengths of an input, as read, are multiplied by to be millimetres. An input of several files asks for each of them,
+    /// and they must have one unit.
+    fn factor(&mut self, input: &'static str, path: &Path, points: &[Vec3]) -> Result<f64, Failure> {
+        let of_format = LengthUnit::of_format(path);
+        let known = match (self.asked(input), of_format) {
+            (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
+            (None, Some(unit)) => KnownUnit { unit, by: UnitSource::File },
+            (None, None) => {
+                let unit = LengthUnit::of_face(points).ok_or_else(|| unknown(input, path, points))?;
+                KnownUnit { unit, by: UnitSource::Size }
+            }
+        };
+        match self.known.iter().find(|(name, _)| *name == input) {
+            Some((_, first)) if first.unit != known.unit => {
+                let (found, first) = (known.unit, first.unit);
+                let message = format!(
+                    "{}: by its size in {found}, but the first of {input} in {first}; say --unit {input}={first}, or bring all to one",
+                    path.display()
+                );
+                return Err(Failure::loading(message));
+            }
+            Some(_) => {}
+            None => self.known.push((input, known)),
+        }
+        // readers have brought formats that state a unit to millimetres by it
+        Ok(known.unit.millimetres() / of_format.map_or(1.0, LengthUnit::millimetres))
+    }
+
+    /// Brings points to millimetres.
+    pub fn bring(&mut self, input: &'static str, path: &Path, points: &mut [Vec3]) -> Result<(), Failure> {
+        let factor = self.factor(input, path, points)?;
+        points.iter_mut().for_each(|p| *p *= factor);
+        Ok(())
+    }
+
+    /// Reads a mesh.
+    pub fn read_mesh(&mut self, input: &'static str, path: &Path) -> Result<PolygonMesh, Failure> {
+        let MeshFile { mut mesh, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
+        self.bring(input, path, &mut mesh.positions)?;
+        Ok(mesh)
+    }
+
+    /// Reads a scan.
+    pub fn read_scan(&mut self, input: &'static str, path: &Path) -> Result<Scan, Failure> {
+        let mut scan = io::read_scan(path).map_err(Failure::loading)?;
+        self.bring(input, path, &mut scan.mesh.positions)?;
+        Ok(scan)
+    }
+
+    /// Reads vertex positions from a mesh or an N x 3 array.
+    pub fn read_positions(&mut self, input: &'static str, path: &Path) -> Result<Vec<Vec3>, Failure> {
+        let mut positions = super::inputs::read_positions(path)?;
+        self.bring(input, path, &mut positions)?;
+        Ok(positions)
+    }
+
+    /// Brings a rig to millimetres.
+    pub fn bring_rig(&mut self, path: &Path, rig: &mut Rig) -> Result<(), Failure> {
+        let factor = self.factor("rig", path, rig.neutral())?;
+        rig.scale(factor);
+        Ok(())
+    }
+
+    /// Brings the meshes of a population to millimetres.
+    pub fn bring_population(&mut self, input: &'static str, population: &mut Population) -> Result<(), Failure> {
+        let mut factor = 1.0;
+        for (name, sample) in population.names().iter().zip(population.samples()) {
+            factor = self.factor(input, Path::new(name), sample)?;
+        }
+        population.scale(factor);
+        Ok(())
+    }
+
+    /// The unit of positions on a mesh in a file that states none: what `--unit` says of it, or else that of the mesh, if it is
+    /// known.
+    pub fn of_points(&self, input: &str, mesh: &str) -> Option<KnownUnit> {
+        let asked = self.asked(input).map(|unit| KnownUnit { unit, by: UnitSource::Option });
+        let known = || self.known.iter().find(|(name, _)| *name == mesh);
+        asked.or_else(|| Some(KnownUnit { unit: known()?.1.unit, by: UnitSource::Mesh }))
+    }
+
+    /// Brings landmarks to millimetres, those on a mesh that is known.
+    pub fn bring_landmarks(
+        &mut self,
+        input: &'static str,
+        path: &Path,
+        mesh: &str,
+        set: &mut LandmarkSet,
+    ) -> Result<(), Failure> {
+        let of_this = self.choices.iter().find(|c| c.input.as_deref() == Some(input)).and_then(|c| c.unit);
+        let known = match (set.unit, of_this) {
+            (Some(stated), Some(asked)) if stated != asked => {
+                let message = format!("--unit {input}={asked}: {} says {stated}; leave that out", path.display());
+                return Err(Failure::new(Stage::Arguments, message));
+            }
+            (Some(unit), _) => Some(KnownUnit { unit, by: UnitSource::File }),
+            (None, _) => self.of_points(input, mesh),
+        };
+        if let Some(known) = known.filter(|_| set.has_positions()) {
+            self.known.push((input, known));
+            set.assume(known.unit);
+        }
+        Ok(())
+    }
+
+    /// What is known, by input.
+    pub fn known(&self) -> BTreeMap<String, KnownUnit> {
+        self.known.iter().map(|(input, known)| ((*input).to_owned(), *known)).collect()
+    }
+
+    /// Says the units.
+    pub fn say(&self) {
+        if !self.known.is_empty() {
+            let line: Vec<String> = self.known.iter().map(|(input, known)| format!("{input} {known}")).collect();
+            tell(format_args!("units: {}", line.join(", ")));
+        }
+    }
+}
+
+fn unknown(input: &str, path: &Path, points: &[Vec3]) -> Failure {
+    let ([low, high], extent) = (FACE_EXTENT, face_extent(points));
+    Failure::loading(format!(
+        "{}: {extent:.3} across, which no face is in mm, cm, m or um ({low} to {high} mm); say its unit, such as --unit {input}=mm",
+        path.display()
+    ))
+}
