@@ -11,8 +11,10 @@
 //! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
 //! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
 //! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
+//! - [`batch`]: many scans, each in a process of its own.
 //! - [`cli`]: the `nonrigid` command.
 
+pub mod batch;
 pub mod cli;
 pub mod energy;
 pub mod evaluation;

@@ -18,9 +18,11 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("measurement", &["evaluation", "mesh", "page", "render"]),
+    ("batch", &["mesh", "page"]),
     (
         "cli",
         &[
+            "batch",
             "energy",
             "evaluation",
             "measurement",

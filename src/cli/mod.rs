@@ -1,5 +1,6 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
+mod batch;
 mod eval;
 mod failure;
 mod inputs;
@@ -42,6 +43,8 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writ
 enum Command {
     /// Wrap a template onto a scan; the result has the scan's shape and the template's topology.
     Register(Box<register::Arguments>),
+    /// Wrap a template onto many scans, listed in a table.
+    Batch(Box<batch::Arguments>),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
     /// Change a face by masks: presets in millimetres, or a recipe.
@@ -65,6 +68,7 @@ pub fn main() -> ExitCode {
     };
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
+        Command::Batch(arguments) => batch::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),

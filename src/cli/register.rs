@@ -17,7 +17,7 @@ use crate::mesh::io::{self, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Report, Schedule, StepRecord, WITHIN_MM, register,
+    RegistrationStop, Report, Schedule, StepRecord, WITHIN_MM, WarmStart, register,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -62,6 +62,9 @@ pub struct Arguments {
     /// Bounds of identity weights, such as -3,3 [default: the schedule's, or none]
     #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
     identity_bounds: Option<[f64; 2]>,
+    /// Go on from where another registration of this template, model and schedule has ended: the --state of the frame before
+    #[arg(long, value_name = "FILE")]
+    warm_start: Option<PathBuf>,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -74,6 +77,35 @@ pub struct Arguments {
     /// Picture (.png) of template, scan, result, and result over scan
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Where the registration has ended (.json), for the --warm-start of the next frame
+    #[arg(long, value_name = "FILE")]
+    state: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// Every file that is read, with what it is read as.
+    pub fn input_paths(&self) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
+        let mut files = vec![("template", self.template.clone()), ("target", self.target.clone())];
+        files.extend(self.neutral.clone().map(|p| ("neutral", p)));
+        files.extend(self.landmarks.clone().map(|p| ("landmarks", p)));
+        files.extend(self.template_landmarks.clone().map(|p| ("template landmarks", p)));
+        files.extend(self.warm_start.clone().map(|p| ("warm start", p)));
+        files.extend(self.masks.mask.clone().map(|p| ("mask", p)));
+        files.extend(self.masks.free_mask.clone().map(|p| ("free mask", p)));
+        files.extend(self.config.clone().map(|p| ("schedule", p)));
+        if let Some(folder) = self.rig.rig.as_ref().filter(|p| p.is_file()) {
+            files.push(("rig", folder.clone()));
+        } else if let Some(folder) = &self.rig.rig {
+            let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));
+            let mut inside: Vec<PathBuf> = std::fs::read_dir(folder)
+                .and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect())
+                .map_err(failed)?;
+            inside.retain(|p| p.is_file());
+            inside.sort();
+            files.extend(inside.into_iter().map(|p| ("rig", p)));
+        }
+        Ok(files)
+    }
 }
 
 /// Runs the command.
@@ -96,6 +128,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (shapes, regions) = a.rig.read(&mut units)?;
     let [mask, free_mask] = a.masks.read(&template, regions)?;
     let landmarks = read_landmarks(a, &mut units, &template, &scan.mesh)?;
+    let warm_start = a.warm_start.as_deref().map(read_state).transpose()?;
     units.say();
     if shapes.is_empty() && a.model == ModelKind::Hybrid {
         warn("no rig given: without blendshapes the hybrid model is the graph model");
@@ -107,6 +140,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         landmarks: &landmarks,
         mask: mask.as_deref(),
         free_mask: free_mask.as_deref(),
+        warm_start: warm_start.as_ref(),
         ..RegistrationInput::new(&template, &scan.mesh)
     };
     let reading = clock.elapsed().as_secs_f64();
@@ -143,6 +177,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         };
         write_json(&path.with_extension("timing.json"), &timing)?;
     }
+    if let Some(path) = &a.state {
+        write_json(path, &result.end)?;
+    }
     if let Some(path) = &a.picture {
         let title = format!("{} onto {}", a.model.name(), file_name(&a.target));
         let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
@@ -155,6 +192,12 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Interrupted, message));
     }
     Ok(())
+}
+
+fn read_state(path: &Path) -> Result<WarmStart, Failure> {
+    let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
+    let bytes = std::fs::read(path).map_err(|e| failed(&e))?;
+    serde_json::from_slice(&bytes).map_err(|e| failed(&e))
 }
 
 fn read_landmarks(
@@ -205,38 +248,21 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     check_output(&a.out, &["obj", "ply", "glb"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
-    let outputs = [("--out", Some(&a.out)), ("--report", a.report.as_ref()), ("--picture", a.picture.as_ref())];
-    refuse_overwriting(&outputs, &input_paths(a)?)
-}
-
-/// Every file that is read, with what it is read as.
-fn input_paths(a: &Arguments) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
-    let mut files = vec![("template", a.template.clone()), ("target", a.target.clone())];
-    files.extend(a.neutral.clone().map(|p| ("neutral", p)));
-    files.extend(a.landmarks.clone().map(|p| ("landmarks", p)));
-    files.extend(a.template_landmarks.clone().map(|p| ("template landmarks", p)));
-    files.extend(a.masks.mask.clone().map(|p| ("mask", p)));
-    files.extend(a.masks.free_mask.clone().map(|p| ("free mask", p)));
-    files.extend(a.config.clone().map(|p| ("schedule", p)));
-    if let Some(folder) = a.rig.rig.as_ref().filter(|p| p.is_file()) {
-        files.push(("rig", folder.clone()));
-    } else if let Some(folder) = &a.rig.rig {
-        let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));
-        let mut inside: Vec<PathBuf> = std::fs::read_dir(folder)
-            .and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect())
-            .map_err(failed)?;
-        inside.retain(|p| p.is_file());
-        inside.sort();
-        files.extend(inside.into_iter().map(|p| ("rig", p)));
-    }
-    Ok(files)
+    a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
+    let outputs = [
+        ("--out", Some(&a.out)),
+        ("--report", a.report.as_ref()),
+        ("--picture", a.picture.as_ref()),
+        ("--state", a.state.as_ref()),
+    ];
+    refuse_overwriting(&outputs, &a.input_paths()?)
 }
 
 fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
     let hash = |(role, path): (&str, PathBuf)| {
         InputFile::hash(role, &path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
     };
-    input_paths(a)?.into_iter().map(hash).collect()
+    a.input_paths()?.into_iter().map(hash).collect()
 }
 
 fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) -> Result<(), Failure> {

@@ -7,15 +7,15 @@ use thiserror::Error;
 use super::Vec3;
 
 /// A similarity `p -> s R p + t`; rigid when `s = 1`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// `s`.
     pub scale: f64,
     /// `R`, a rotation.
-    #[serde(serialize_with = "by_rows")]
+    #[serde(serialize_with = "by_rows", deserialize_with = "of_rows")]
     pub rotation: Matrix3<f64>,
     /// `t`, millimetres.
-    #[serde(serialize_with = "as_array")]
+    #[serde(serialize_with = "as_array", deserialize_with = "of_array")]
     pub translation: Vec3,
 }
 
@@ -26,6 +26,15 @@ fn by_rows<S: serde::Serializer>(m: &Matrix3<f64>, s: S) -> Result<S::Ok, S::Err
 
 fn as_array<S: serde::Serializer>(v: &Vec3, s: S) -> Result<S::Ok, S::Error> {
     <[f64; 3]>::from(*v).serialize(s)
+}
+
+fn of_rows<'de, D: serde::Deserializer<'de>>(d: D) -> Result<Matrix3<f64>, D::Error> {
+    let rows = <[[f64; 3]; 3]>::deserialize(d)?;
+    Ok(Matrix3::from_fn(|r, c| rows[r][c]))
+}
+
+fn of_array<'de, D: serde::Deserializer<'de>>(d: D) -> Result<Vec3, D::Error> {
+    <[f64; 3]>::deserialize(d).map(Vec3::from)
 }
 
 impl Pose {

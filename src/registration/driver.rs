@@ -9,7 +9,7 @@ use super::start::{self, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
     ScanSurface, Schedule, ScheduleError, Seams, StartSearch, StepAlgorithm, TermFactory, TermInput, TermKind,
-    VertexCoincidence, VertexMasks, masks, scan,
+    VertexCoincidence, VertexMasks, WarmStart, masks, scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -43,6 +43,8 @@ pub struct RegistrationInput<'a> {
     /// Share by which each template vertex is free, 0 to 1: 1 for a vertex that follows smoothness alone, without
     /// correspondences, prediction and seams, such as the bags of eyes and mouth.
     pub free_mask: Option<&'a [f64]>,
+    /// Where the registration of the frame before has ended, to go on from there.
+    pub warm_start: Option<&'a WarmStart>,
 }
 
 impl<'a> RegistrationInput<'a> {
@@ -61,6 +63,7 @@ impl<'a> RegistrationInput<'a> {
             landmarks: &[],
             mask: None,
             free_mask: None,
+            warm_start: None,
         }
     }
 
@@ -151,6 +154,8 @@ pub struct RegistrationResult {
     pub positions: Vec<Vec3>,
     /// Where the registration started.
     pub start: Pose,
+    /// Where it ended, for the next frame.
+    pub end: WarmStart,
     /// How the start was found, where fewer than three landmarks gave it.
     pub start_search: Option<StartSearch>,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
@@ -190,7 +195,38 @@ pub fn register_with(
     schedule.validate()?;
     check_input(input, model)?;
     let mut template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    let (start, start_search) = start_of(input, &template, schedule)?;
+    let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
+    let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
+    let model_name = model.name().to_owned();
+    let model = build(model, &ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
+    let mut samples = Samples::vertices(template.mesh.positions.len());
+    let mut on_template = Vec::new();
+    for landmark in input.landmarks {
+        on_template.push(match landmark.template {
+            TemplatePoint::Vertex(vertex) => vertex as usize,
+            TemplatePoint::Face { corners, weights } => {
+                samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?
+            }
+        });
+    }
+    let mut problem: RegistrationProblem = Deformation::new(model, samples);
+    let mut x = problem.model.rest_parameters();
+    if let Some(warm) = input.warm_start {
+        warm.check(&model_name, x.len())?;
+        x.copy_from_slice(&warm.parameters);
+    }
+    if let Some(bounds) = problem.border_bounds() {
+        bounds.validate(problem.structure().border(), x.len())?;
+        bounds.project(&mut x);
+    }
+    let (start, start_search) = match input.warm_start {
+        None => start_of(input, &template, schedule)?,
+        Some(warm) => {
+            let vertices = problem.vertices(&x);
+            let at = |l: &Landmark| (l.template.position(vertices) + template.centre, l.target);
+            (warm.pose_by(&input.landmarks.iter().map(at).collect::<Vec<_>>()), None)
+        }
+    };
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
     let scan_in_rest = TriangleMesh {
         positions: input.scan.positions.iter().map(|&p| to_rest(p)).collect(),
@@ -202,29 +238,10 @@ pub fn register_with(
     let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
     let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
 
-    let mut samples = Samples::vertices(template.mesh.positions.len());
-    let mut landmarks = Vec::new();
-    for landmark in input.landmarks {
-        let sample = match landmark.template {
-            TemplatePoint::Vertex(vertex) => vertex as usize,
-            TemplatePoint::Face { corners, weights } => {
-                samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?
-            }
-        };
-        landmarks.push((sample, to_rest(landmark.target)));
-    }
-    let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
-    let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
-    let model = build(model, &ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
-    let mut problem: RegistrationProblem = Deformation::new(model, samples);
+    let targets = input.landmarks.iter().map(|l| to_rest(l.target));
+    let landmarks: Vec<(usize, Vec3)> = on_template.into_iter().zip(targets).collect();
     let frame = Pose { translation: start.apply(template.centre), ..start };
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
-
-    let mut x = problem.model.rest_parameters();
-    if let Some(bounds) = problem.border_bounds() {
-        bounds.validate(problem.structure().border(), x.len())?;
-        bounds.project(&mut x);
-    }
     let mut run = Run {
         start,
         vertices_coincide: false,
@@ -236,8 +253,12 @@ pub fn register_with(
         level_names: schedule.levels_by_name().map(|l| l.0).collect(),
         first_level: 0,
     };
-    observer.on_start(run.level_names.len(), schedule.levels_by_name().map(|l| l.1.steps).sum());
-    let mut flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
+    let most_steps = input.warm_start.map_or(usize::MAX, |_| schedule.warm_start.steps);
+    let first = schedule.levels.iter().map(|level| level.steps.min(most_steps));
+    let later = schedule.levels_by_name().skip(schedule.levels.len()).map(|(_, level)| level.steps);
+    observer.on_start(run.level_names.len(), first.chain(later).sum());
+    let mut flow = run.stage(most_steps, schedule, &template, &scan, &mut problem, &mut x, observer)?;
+    let end = WarmStart { model: model_name, pose: start, parameters: x.clone() };
     let weights = weights(&mut problem, &x, &mut run.workspace);
     let mut next = schedule.next_stage();
     while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
@@ -248,12 +269,13 @@ pub fn register_with(
         problem.terms = terms;
         x = problem.model.rest_parameters();
         run.workspace = Workspace::new();
-        flow = run.stage(schedule, &template, &scan, &mut problem, &mut x, observer)?;
+        flow = run.stage(usize::MAX, schedule, &template, &scan, &mut problem, &mut x, observer)?;
         next = schedule.next_stage();
     }
     Ok(RegistrationResult {
         positions: run.positions(template.centre),
         start,
+        end,
         start_search,
         weights,
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
@@ -466,9 +488,11 @@ impl Run {
         self.vertices.iter().map(|&v| self.start.apply(v + centre)).collect()
     }
 
-    /// All levels of one stage; `schedule` is as if that stage were the first.
+    /// All levels of one stage, of at most so many steps each; `schedule` is as if that stage were the first.
+    #[allow(clippy::too_many_arguments)]
     fn stage(
         &mut self,
+        most_steps: usize,
         schedule: &Schedule,
         rest: &Rest,
         scan: &ScanSurface,
@@ -477,7 +501,7 @@ impl Run {
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
         for level in 0..schedule.levels.len() {
-            if self.level(level, schedule, rest, scan, problem, x, observer)?.is_break() {
+            if self.level(level, most_steps, schedule, rest, scan, problem, x, observer)?.is_break() {
                 return Ok(ControlFlow::Break(()));
             }
         }
@@ -489,6 +513,7 @@ impl Run {
     fn level(
         &mut self,
         index: usize,
+        most_steps: usize,
         schedule: &Schedule,
         rest: &Rest,
         scan: &ScanSurface,
@@ -511,7 +536,7 @@ impl Run {
         }
         problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
         let mut last_energy = f64::INFINITY;
-        for step in 0..level.steps {
+        for step in 0..level.steps.min(most_steps) {
             self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.masks, &level);
             if !self.correspondences.any() {
                 return Err(RegistrationError::NoOverlap {

@@ -42,6 +42,9 @@ pub enum RegistrationError {
         /// What it holds.
         value: f64,
     },
+    /// Another registration's end does not fit.
+    #[error("the warm start does not fit: {0}")]
+    WarmStart(String),
     /// Nothing of the template is left to register.
     #[error(
         "the masks take out every vertex of the template; at least one must have mask above 0 and free mask below 1"

@@ -15,6 +15,7 @@ mod seam;
 mod start;
 mod surfels;
 mod terms;
+mod warm_start;
 
 pub use correspondence::{Correspondences, VertexCoincidence};
 pub use doubt::Doubt;
@@ -32,11 +33,12 @@ pub use scan_points::ScanPoints;
 pub use schedule::{
     AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, RotationKind,
     ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage,
-    StepAlgorithm, StopOptions,
+    StepAlgorithm, StopOptions, WarmStartOptions,
 };
 pub use seam::Seams;
 pub use start::{StartFit, StartOptions, StartSearch};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
+pub use warm_start::WarmStart;
 
 /// The default schedules, by model.
 pub const DEFAULT_SCHEDULES: [(&str, &str); 10] = [

@@ -52,6 +52,9 @@ pub struct Schedule {
     /// When a level ends before its last step.
     #[serde(default)]
     pub stop: StopOptions,
+    /// How a registration runs that goes on from another one's end.
+    #[serde(default)]
+    pub warm_start: WarmStartOptions,
     /// Prior standard deviation of each family of shapes.
     #[serde(default)]
     pub sigma: SigmaOptions,
@@ -179,6 +182,22 @@ pub struct SmoothOptions {
     pub kind: Smoothness,
     /// How edges weigh: `uniform` (default) or `cotangent`.
     pub weights: EdgeWeights,
+}
+
+/// How a registration runs that goes on from another one's end ([`WarmStart`](super::WarmStart)).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WarmStartOptions {
+    /// Steps of a level at most, in the first stage. All levels stay: on generated sequences (15 frames a second, the hybrid), two
+    /// steps of each level give 0.71 mm where a cold start's five give 0.79, in little more than half the time; leaving out
+    /// the four stiffest levels instead gives 0.97, since the graph then takes what belongs to the blendshapes.
+    pub steps: usize,
+}
+
+impl Default for WarmStartOptions {
+    fn default() -> Self {
+        Self { steps: 2 }
+    }
 }
 
 /// How as-rigid-as-possible surfaces are solved.
@@ -546,6 +565,7 @@ impl Schedule {
                 graph.require_no_rotation(&prefix, "these")?;
             }
         }
+        positive("warm_start.steps".into(), self.warm_start.steps as f64)?;
         positive("affine.gamma".into(), self.affine.gamma)?;
         positive("search.rotations".into(), self.search.rotations as f64)?;
         positive("search.spacing".into(), self.search.spacing)?;

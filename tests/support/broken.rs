@@ -143,6 +143,16 @@ pub fn broken() -> Bench {
     bench.write("past.json", landmarks_json(&past));
     let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
     bench.write("line.json", landmarks_json(&line));
+    bench.write("scans.csv", "target\ncase/scan.ply\n");
+    bench.write("no_rows.csv", "target\n# nobody\n");
+    bench.write("odd_column.csv", "target,colour\ncase/scan.ply,red\n");
+    bench.write("odd_row.csv", "target,model\ncase/scan.ply,rigid\ncase/scan.ply\n");
+    bench.write("one_name.csv", "target,name\na.ply,ann\nb.ply,Ann\n");
+    let pose = "{\"scale\": 1, \"rotation\": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], \"translation\": [0, 0, 0]}";
+    for (name, model) in [("of_arap", "arap"), ("of_another", "hybrid")] {
+        let state = format!("{{\"model\": \"{model}\", \"pose\": {pose}, \"parameters\": [1, 2, 3]}}");
+        bench.write(&format!("{name}.json"), state);
+    }
     bench.write("in_metres.json", "{\"format\": \"nonrigid landmarks\", \"unit\": \"m\", \"landmarks\": []}");
     for (name, factor) in [("a", 1.0), ("b", 0.1)] {
         let positions = bench.rig.neutral.iter().map(|p| p * factor).collect();

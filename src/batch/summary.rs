@@ -1,0 +1,151 @@
+//! All jobs in one table: CSV, a page, and lines for a terminal.
+
+use std::fmt::{self, Write as _};
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{Batch, Job, Record, Start, Status};
+use crate::page;
+
+/// What is known of one scan.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SummaryRow {
+    /// Its name.
+    pub name: String,
+    /// `done`, `doubtful`, `failed`, or `pending`: not run yet.
+    pub status: &'static str,
+    /// `cold`, `warm` or `cold again`.
+    pub start: &'static str,
+    /// Share of the template's vertices with a correspondence.
+    pub inliers: Option<f64>,
+    /// Share of the vertices near the scan.
+    pub near: Option<f64>,
+    /// Their median distance, millimetres.
+    pub median: Option<f64>,
+    /// Flipped triangles.
+    pub flipped: Option<u64>,
+    /// What makes it doubtful, or why it failed.
+    pub note: String,
+}
+
+/// A row for each job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// In the manifest's order.
+    pub rows: Vec<SummaryRow>,
+}
+
+const HEADER: [&str; 8] = ["name", "status", "start", "inliers", "near", "median_mm", "flipped", "note"];
+
+impl Summary {
+    /// What is known of jobs by their records and reports in a folder.
+    #[must_use]
+    pub fn of(batch: &Batch, jobs: &[Job]) -> Self {
+        Self { rows: jobs.iter().map(|job| SummaryRow::of(batch, job)).collect() }
+    }
+
+    /// How many rows have this status.
+    #[must_use]
+    pub fn count(&self, status: &str) -> usize {
+        self.rows.iter().filter(|row| row.status == status).count()
+    }
+
+    /// As CSV.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let mut text = HEADER.join(",") + "\n";
+        for row in &self.rows {
+            let cells: Vec<String> = row.cells(|x| x.to_string()).iter().map(|cell| page::csv_text(cell)).collect();
+            text += &(cells.join(",") + "\n");
+        }
+        text
+    }
+
+    /// As a page; with the pictures of a folder, if there are any.
+    #[must_use]
+    pub fn to_html(&self, folder: &Path) -> String {
+        let mut body = "<h1>Registered scans</h1>\n".to_owned();
+        let caption =
+            "inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
+        body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
+        for row in self.rows.iter().filter(|row| folder.join(format!("{}.png", row.name)).exists()) {
+            let name = page::escaped(&row.name);
+            let link = row.name.replace('%', "%25").replace('#', "%23").replace('?', "%3F");
+            let _ = write!(
+                body,
+                "<figure><img loading=\"lazy\" alt=\"{name}\" src=\"{}.png\"><figcaption>{name}: {}</figcaption></figure>\n",
+                page::escaped(&link),
+                row.status
+            );
+        }
+        page::document("Registered scans", "td:last-child{text-align:left}", &body)
+    }
+}
+
+/// A line for each row, in columns.
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut lines: Vec<Vec<String>> = vec![HEADER.map(str::to_owned).to_vec()];
+        lines.extend(self.rows.iter().map(|row| row.cells(short)));
+        let width = |column: usize| lines.iter().map(|l| l[column].chars().count()).max().unwrap_or(0);
+        let widths: Vec<usize> = (0..HEADER.len() - 1).map(width).collect();
+        for line in &lines {
+            for (cell, width) in line.iter().zip(&widths) {
+                write!(f, "{cell:width$}  ")?;
+            }
+            writeln!(f, "{}", line[HEADER.len() - 1])?;
+        }
+        Ok(())
+    }
+}
+
+fn short(x: f64) -> String {
+    format!("{x:.3}")
+}
+
+impl SummaryRow {
+    fn of(batch: &Batch, job: &Job) -> Self {
+        let name = job.name.clone();
+        let Some(record) = Record::read(&batch.record(job)) else {
+            return Self { name, status: "pending", ..Self::default() };
+        };
+        let start = match record.start {
+            Start::Cold => "cold",
+            Start::Warm => "warm",
+            Start::ColdAgain => "cold again",
+        };
+        if record.status == Status::Failed {
+            return Self { name, status: "failed", start, note: record.error.unwrap_or_default(), ..Self::default() };
+        }
+        let report = std::fs::read(batch.folder.join(format!("{name}.json")));
+        let report: Value = report.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        let doubts: Vec<&str> =
+            report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
+        let quality = &report["quality"];
+        Self {
+            status: if doubts.is_empty() { "done" } else { "doubtful" },
+            start,
+            inliers: report["inliers"].as_f64(),
+            near: quality["to_scan"]["share_within"].as_f64(),
+            median: quality["median_within"].as_f64(),
+            flipped: quality["flipped"].as_u64(),
+            note: doubts.join(" "),
+            name,
+        }
+    }
+
+    fn cells(&self, number: impl Fn(f64) -> String) -> Vec<String> {
+        let number = |x: Option<f64>| x.map(&number).unwrap_or_default();
+        vec![
+            self.name.clone(),
+            self.status.to_owned(),
+            self.start.to_owned(),
+            number(self.inliers),
+            number(self.near),
+            number(self.median),
+            self.flipped.map_or_else(String::new, |n| n.to_string()),
+            self.note.clone(),
+        ]
+    }
+}

@@ -1,0 +1,290 @@
+//! `nonrigid batch`.
+
+use std::ffi::OsString;
+use std::io::{IsTerminal, Write as _};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::interrupt::Interrupt;
+use super::{Failure, Stage, check_output_folder, register, say, tell, write_json};
+use crate::batch::{Batch, Columns, Job, Manifest, Outcome, Row, Shard, Status, Summary, chains};
+use crate::mesh::io::write_atomically;
+
+/// Arguments of `nonrigid batch`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The manifest has a line of column names, then a line for each scan. Columns are 'target', the scan; 'name' of its\n\
+    outputs; 'sequence', whose frames follow each other in the manifest's order, each from where the one before ended; and any\n\
+    option of `nonrigid register`, which stands before that of the command line. Paths are relative to the manifest. Each scan is\n\
+    a process of its own: one that fails, however it does, leaves the others alone. What is done, by the hash of all that went\n\
+    into it, is not done again.\n\n\
+    DIR gets NAME.obj and NAME.json (the report) for each scan, summary.csv, index.html, log/NAME.txt (what was said).\n\n\
+    Examples:\n  nonrigid batch scans.csv --out wrapped --template face.obj --rig rig --identity-modes 40 --pictures\n  \
+    nonrigid batch scans.csv --out wrapped --template face.obj --shard 1/8     # a part of it, on each of eight machines\n\n\
+    scans.csv:\n  target,landmarks,sequence\n  ann/0001.ply,ann/0001.json,ann\n  ann/0002.ply,ann/0002.json,ann\n  ben.obj,ben.mrk.json,"
+)]
+pub struct Arguments {
+    /// List of scans (.csv)
+    #[arg(value_name = "MANIFEST")]
+    manifest: PathBuf,
+    /// Folder for the results; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Scans at once [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Threads of all scans together [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Do part I of N only; sequences stay whole
+    #[arg(long, value_name = "I/N", value_parser = str::parse::<Shard>)]
+    shard: Option<Shard>,
+    /// Write a picture for each scan, NAME.png, and show them in index.html
+    #[arg(long)]
+    pictures: bool,
+    /// Format of results
+    #[arg(long, value_enum, default_value_t = Format::Obj)]
+    format: Format,
+    /// Do again what is done
+    #[arg(long)]
+    again: bool,
+    #[command(flatten)]
+    of_register: OfRegister,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Format {
+    Obj,
+    Ply,
+    Glb,
+}
+
+/// `nonrigid register` on its own, to parse each row's options.
+#[derive(Debug, Parser)]
+#[command(name = "register")]
+struct Register {
+    #[command(flatten)]
+    arguments: register::Arguments,
+}
+
+/// What the batch itself says to `register`.
+const RESERVED: [&str; 6] = ["out", "report", "picture", "state", "warm-start", "threads"];
+const SCAN: &str = "target";
+
+/// Long name and definition of the options of `register` that rows may have.
+fn options() -> Vec<(String, Arg)> {
+    let command = Register::command();
+    let named = command.get_arguments().filter_map(|arg| Some((arg.get_long()?.to_owned(), arg.clone())));
+    named.filter(|(long, _)| !RESERVED.contains(&long.as_str()) && long != "help").collect()
+}
+
+fn is_path(arg: &Arg) -> bool {
+    let names = arg.get_value_names().unwrap_or_default();
+    names.iter().any(|name| ["MESH", "FILE", "DIR"].contains(&name.as_str()))
+}
+
+/// Options of `register` for every row: each as given, to be judged with the row's own.
+#[derive(Debug, Default)]
+struct OfRegister(Vec<(String, String)>);
+
+impl Args for OfRegister {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        options().into_iter().filter(|(long, _)| long != SCAN).fold(command, |command, (long, arg)| {
+            let names = arg.get_value_names().unwrap_or_default().to_vec();
+            let mut copy = Arg::new(format!("register-{long}")).long(long).value_names(names);
+            copy = copy.allow_hyphen_values(true).help_heading("For every scan, as in `nonrigid register`");
+            command.arg(if let Some(help) = arg.get_help() { copy.help(help.clone()) } else { copy })
+        })
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for OfRegister {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let given = |(long, _): (String, Arg)| {
+            let value = matches.try_get_one::<String>(&format!("register-{long}")).ok()??.clone();
+            Some((long, value))
+        };
+        Ok(Self(options().into_iter().filter_map(given).collect()))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// Runs the command.
+pub fn run(a: &Arguments) -> Result<(), Failure> {
+    let clock = Instant::now();
+    check_output_folder(&a.out)?;
+    let known = options();
+    let of_kind = |keep: &dyn Fn(&Arg) -> bool| known.iter().filter(|o| keep(&o.1)).map(|o| o.0.clone()).collect();
+    let columns = Columns { options: of_kind(&|_| true), paths: of_kind(&is_path), required: SCAN.to_owned() };
+    let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
+    let cores = a.threads.map_or_else(rayon::current_num_threads, usize::from);
+    let at_once = a.jobs.map_or(cores, usize::from);
+    let batch = Batch {
+        program: std::env::current_exe().map_err(|e| Failure::computation(format!("cannot find this program: {e}")))?,
+        command: vec!["register".into()],
+        folder: a.out.clone(),
+        format: format!("{:?}", a.format).to_lowercase(),
+        pictures: a.pictures,
+        at_once,
+        threads: (cores / at_once).max(1),
+        again: a.again,
+    };
+    let jobs: Vec<Job> = manifest.rows.iter().map(|row| job(row, &a.of_register.0, &batch, &columns)).collect();
+    let shard = a.shard.unwrap_or(Shard::whole());
+    let chains = shard.of(chains(&manifest.rows));
+    let count = chains.iter().map(Vec::len).sum();
+    let interrupt = Interrupt::listen()?;
+    let progress = Progress::new(count, &jobs);
+    let outcomes = batch
+        .run(&jobs, &chains, &|| interrupt.asked(), &|outcome| progress.finished(outcome))
+        .map_err(Failure::writing)?;
+    progress.bar.finish_and_clear();
+    let summary = Summary::of(&batch, &jobs);
+    let write = |name: &str, text: String| {
+        write_atomically(&a.out.join(name), |file| file.write_all(text.as_bytes())).map_err(Failure::writing)
+    };
+    write("summary.csv", summary.to_csv())?;
+    write("index.html", summary.to_html(&a.out))?;
+    let timing = Timing::new(&jobs, &outcomes, at_once.min(chains.len().max(1)) * batch.threads, clock.elapsed());
+    let part = if shard.is_whole() { String::new() } else { format!(".{shard}") };
+    write_json(&a.out.join(format!("summary{part}.timing.json")), &timing)?;
+    say(summary.to_string().trim_end())?;
+    say(timing.line())?;
+    say(format_args!("wrote {}", a.out.join("index.html").display()))?;
+    if interrupt.asked() {
+        let message = format!("interrupted: {} of {count} are done; the same command goes on", outcomes.len());
+        return Err(Failure::new(Stage::Interrupted, message));
+    }
+    match outcomes.iter().filter(|o| o.record.status == Status::Failed).count() {
+        0 => Ok(()),
+        failed => {
+            let path = a.out.join("summary.csv");
+            Err(Failure::computation(format!("{failed} of {count} scans failed; {} says why", path.display())))
+        }
+    }
+}
+
+/// What a row runs: the options of the command line, then its own instead of them.
+fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns) -> Job {
+    let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
+    let mut settings: Vec<(String, String)> = of_all.iter().filter(|(long, _)| !of_row(long)).cloned().collect();
+    settings.extend(row.options.clone());
+    let arguments: Vec<OsString> = settings.iter().map(|(long, value)| format!("--{long}={value}").into()).collect();
+    let placeholder = [OsString::from("register"), "--out".into(), "result.obj".into()];
+    let parsed = Register::try_parse_from(placeholder.into_iter().chain(arguments.iter().cloned()));
+    let (arguments, inputs) = match parsed {
+        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths().ok()),
+        Err(error) => (Err(first_line(&error)), None),
+    };
+    settings.retain(|(long, _)| !columns.paths.contains(long));
+    settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
+    let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
+    Job { name: row.name.clone(), arguments, settings, inputs }
+}
+
+/// What clap has against an option, without advice on how to call the command, which is not the one that was called.
+fn first_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let lines = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect::<Vec<_>>().join(" ");
+    lines.trim_start_matches("error: ").to_owned()
+}
+
+/// What differs from run to run.
+#[derive(Serialize)]
+struct Timing {
+    /// Scans that this run did.
+    scans: usize,
+    /// Scans that were done before.
+    before: usize,
+    seconds: f64,
+    cores: usize,
+    scans_per_core_minute: f64,
+    seconds_of_scans: Vec<(String, f64)>,
+}
+
+impl Timing {
+    fn new(jobs: &[Job], outcomes: &[Outcome], cores: usize, elapsed: Duration) -> Self {
+        let ran: Vec<&Outcome> = outcomes.iter().filter(|o| !o.before).collect();
+        let seconds = elapsed.as_secs_f64();
+        Self {
+            scans: ran.len(),
+            before: outcomes.len() - ran.len(),
+            seconds,
+            cores,
+            scans_per_core_minute: ran.len() as f64 / (seconds / 60.0 * cores as f64),
+            seconds_of_scans: ran.iter().map(|o| (jobs[o.job].name.clone(), o.seconds)).collect(),
+        }
+    }
+
+    fn line(&self) -> String {
+        let Self { scans, before, seconds, cores, .. } = self;
+        let before = if *before > 0 { format!(", {before} were done before") } else { String::new() };
+        let rate = self.scans_per_core_minute;
+        format!("{scans} scans in {seconds:.1} s on {cores} cores: {rate:.1} scans per core-minute{before}")
+    }
+}
+
+/// A bar on a terminal, otherwise a line for each scan; both with an estimate.
+struct Progress<'a> {
+    bar: ProgressBar,
+    jobs: &'a [Job],
+    count: usize,
+    clock: Instant,
+    /// Scans that ended, and how many of them ran.
+    ended: Mutex<(usize, usize)>,
+}
+
+impl<'a> Progress<'a> {
+    fn new(count: usize, jobs: &'a [Job]) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let bar = if terminal { ProgressBar::new(count as u64) } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len}  {msg}") {
+            bar.set_style(style);
+        }
+        Self { bar, jobs, count, clock: Instant::now(), ended: Mutex::new((0, 0)) }
+    }
+
+    fn finished(&self, outcome: &Outcome) {
+        let mut ended = self.ended.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        ended.0 += 1;
+        ended.1 += usize::from(!outcome.before);
+        let left = self.clock.elapsed().as_secs_f64() / ended.1.max(1) as f64 * (self.count - ended.0) as f64;
+        let left = if ended.0 == self.count { String::new() } else { format!(", about {} left", duration(left)) };
+        let what = match (&outcome.record.error, outcome.before) {
+            (Some(error), _) => format!("failed: {error}"),
+            (None, true) => "done before".to_owned(),
+            (None, false) => format!("{:.1} s", outcome.seconds),
+        };
+        let name = &self.jobs[outcome.job].name;
+        if self.bar.is_hidden() {
+            tell(format_args!("[{}/{}] {name}: {what}{left}", ended.0, self.count));
+        } else {
+            if outcome.record.error.is_some() {
+                self.bar.println(format!("{name}: {what}"));
+            }
+            self.bar.set_message(format!("{name}{left}"));
+            self.bar.inc(1);
+        }
+    }
+}
+
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 90.0 => format!("{s:.0} s"),
+        s if s < 5400.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}

@@ -1,0 +1,55 @@
+//! Going on from where another registration has ended: the frames of a sequence differ little, so the parameters of one are a
+//! better start for the next than the rest shape, no start has to be searched, and fewer steps do.
+
+use serde::{Deserialize, Serialize};
+
+use super::RegistrationError;
+use crate::mesh::{Pose, PoseKind, Vec3, closest_pose};
+
+/// Where a registration has ended, and another one, of the same template with the same model and schedule, can go on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WarmStart {
+    /// Name of the model.
+    pub model: String,
+    /// Pose of the model's frame in the scan's.
+    pub pose: Pose,
+    /// The parameters of the model; of the first one, for schedules of several stages.
+    pub parameters: Vec<f64>,
+}
+
+impl WarmStart {
+    /// Whether these can be the parameters of a model.
+    pub(super) fn check(&self, model: &str, parameters: usize) -> Result<(), RegistrationError> {
+        let wrong = |what: String| Err(RegistrationError::WarmStart(what));
+        if self.model != model {
+            return wrong(format!("it is of the model '{}', this registration's is '{model}'", self.model));
+        }
+        if self.parameters.len() != parameters {
+            let found = self.parameters.len();
+            return wrong(format!(
+                "it has {found} parameters, the model has {parameters}: it is of another template or schedule"
+            ));
+        }
+        let numbers = self.parameters.iter().chain(&self.pose.translation).chain(&self.pose.rotation);
+        let turn = (self.pose.rotation.tr_mul(&self.pose.rotation) - nalgebra::Matrix3::identity()).norm();
+        if !numbers.clone().all(|x| x.is_finite()) || self.pose.scale.is_nan() || self.pose.scale <= 0.0 || turn > 1e-6
+        {
+            return wrong("it holds a number that is not finite, or no rotation".to_owned());
+        }
+        Ok(())
+    }
+
+    /// The pose that brings landmarks, here (where they are in the model's frame, on the scan), closest: the head may have moved
+    /// farther than correspondences reach. Fewer than three leave the pose as it is.
+    pub(super) fn pose_by(&self, landmarks: &[(Vec3, Vec3)]) -> Pose {
+        let moved: Vec<(Vec3, Vec3)> = landmarks.iter().map(|&(p, q)| (self.pose.apply(p), q)).collect();
+        match closest_pose(&moved, PoseKind::Rigid) {
+            Ok(motion) => Pose {
+                scale: self.pose.scale,
+                rotation: motion.rotation * self.pose.rotation,
+                translation: motion.apply(self.pose.translation),
+            },
+            Err(_) => self.pose,
+        }
+    }
+}
