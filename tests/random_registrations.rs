@@ -16,7 +16,7 @@ use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
     BoundsOptions, GraphDistance, GraphOptions, Level, ModelKind, NodeKind, RegistrationError, RegistrationInput,
     RegistrationResult, RigidityOptions, RotationKind, ScanOptions, Schedule, SeamOptions, SigmaOptions, SmoothOptions,
-    SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, register,
+    SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use proptest::prelude::*;
@@ -132,6 +132,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
             },
             seam: SeamOptions { width: n.2, widest: 2.0 * n.2 },
             stop: Default::default(),
+            warm_start: WarmStartOptions { steps: 1 + kind },
             sigma: SigmaOptions { expression: n.3, identity: n.3 },
             bounds: BoundsOptions {
                 expression: [None, None, Some([0.0, 1.0]), Some([0.3, 0.3])][bounds],
@@ -280,7 +281,17 @@ fn random_registrations_end_well() {
         let count = done.entry(case.model.to_string()).or_default();
         count[usize::from(result.is_err())] += 1;
         match result {
-            Ok(result) => sound(&result).map_err(TestCaseError::fail),
+            Ok(result) => {
+                sound(&result).map_err(TestCaseError::fail)?;
+                // one of four goes on from its end
+                let warm = RegistrationInput { warm_start: Some(&result.end), ..task.input() };
+                let again = (result.history.len() % 4 == 0).then(|| run(&warm, case.model, &case.schedule));
+                match again {
+                    Some(Ok(again)) => sound(&again).map_err(TestCaseError::fail),
+                    Some(Err(e @ RegistrationError::WarmStart(_))) => Err(TestCaseError::fail(e.to_string())),
+                    _ => Ok(()),
+                }
+            }
             Err(e) if matches!(e, RegistrationError::Schedule(_)) => Err(TestCaseError::fail(e.to_string())),
             Err(e) => {
                 reasons.borrow_mut().insert(std::mem::discriminant(&e), e.to_string());

@@ -72,9 +72,9 @@ impl Summary {
         for row in self.rows.iter().filter(|row| folder.join(format!("{}.png", row.name)).exists()) {
             let name = page::escaped(&row.name);
             let link = row.name.replace('%', "%25").replace('#', "%23").replace('?', "%3F");
-            let _ = write!(
+            let _ = writeln!(
                 body,
-                "<figure><img loading=\"lazy\" alt=\"{name}\" src=\"{}.png\"><figcaption>{name}: {}</figcaption></figure>\n",
+                "<figure><img alt=\"{name}\" src=\"{}.png\"><figcaption>{name}: {}</figcaption></figure>",
                 page::escaped(&link),
                 row.status
             );
