@@ -169,7 +169,7 @@ pub fn npy(bytes: &[u8]) {
 /// NPZ: the bytes as an archive, or as the content of an entry of a sound one whose size is what the first bytes claim.
 pub fn npz(bytes: &[u8]) {
     let archive = match bytes.split_first_chunk::<5>() {
-        Some(([b'e', size @ ..], content)) => zip_of("a.npy", content, u32::from_le_bytes(*size)),
+        Some(([b'e', size @ ..], content)) => zip_of(&[("a.npy", content, u32::from_le_bytes(*size))]),
         _ => bytes.to_vec(),
     };
     let mut npz = match Npz::from_reader(Cursor::new(archive), Path::new("fuzz.npz")) {
@@ -184,24 +184,29 @@ pub fn npz(bytes: &[u8]) {
     assert!(npz.array("no such name").is_err());
 }
 
-/// A zip archive of one stored entry that claims to be `size` bytes long, or to have its own length for 0.
-fn zip_of(name: &str, content: &[u8], size: u32) -> Vec<u8> {
-    let length = content.len() as u32;
-    let claimed = if size == 0 { length } else { size };
-    let crc = !content.iter().fold(!0u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
-    });
-    // Version, flags, method, time, date; then sizes and the lengths of name and extra field.
-    let mut common = Vec::new();
-    [20u16, 0, 0, 0, 33].iter().for_each(|v| common.extend(v.to_le_bytes()));
-    [crc, length, claimed].iter().for_each(|v| common.extend(v.to_le_bytes()));
-    [name.len() as u16, 0].iter().for_each(|v| common.extend(v.to_le_bytes()));
-    let mut zip = [b"PK\x03\x04", &common[..], name.as_bytes(), content].concat();
-    let directory = zip.len() as u32;
-    zip.extend([b"PK\x01\x02\x14\x00", &common[..], &[0; 14], name.as_bytes()].concat());
-    let end = zip.len() as u32;
-    zip.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
-    [end - directory, directory].iter().for_each(|v| zip.extend(v.to_le_bytes()));
+/// A zip archive of stored entries: name, content, and the size that it claims to have, or 0 for its own.
+fn zip_of(entries: &[(&str, &[u8], u32)]) -> Vec<u8> {
+    let (mut zip, mut directory) = (Vec::new(), Vec::new());
+    for (name, content, size) in entries {
+        let length = content.len() as u32;
+        let claimed = if *size == 0 { length } else { *size };
+        let crc = !content.iter().fold(!0u32, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
+        });
+        // Version, flags, method, time, date; then sizes and the lengths of name and extra field.
+        let mut common = Vec::new();
+        [20u16, 0, 0, 0, 33].iter().for_each(|v| common.extend(v.to_le_bytes()));
+        [crc, length, claimed].iter().for_each(|v| common.extend(v.to_le_bytes()));
+        [name.len() as u16, 0].iter().for_each(|v| common.extend(v.to_le_bytes()));
+        let at = zip.len() as u32;
+        directory.extend([b"PK\x01\x02\x14\x00", &common[..], &[0; 10], &at.to_le_bytes(), name.as_bytes()].concat());
+        zip.extend([b"PK\x03\x04", &common[..], name.as_bytes(), content].concat());
+    }
+    let count = (entries.len() as u16).to_le_bytes();
+    let (start, length) = (zip.len() as u32, directory.len() as u32);
+    zip.extend(directory);
+    zip.extend([b"PK\x05\x06\0\0\0\0", &count[..], &count].concat());
+    [length, start].iter().for_each(|v| zip.extend(v.to_le_bytes()));
     zip.extend([0, 0]);
     zip
 }
@@ -310,6 +315,21 @@ const RIG_FILES: [&[&str]; 2] = [
     &["neutral.obj", "smile.obj", "jaw.ply", "template.obj", "rig.json", "regions.json"],
 ];
 
+/// The arrays of a rig's archive.
+const RIG_ARRAYS: [&str; 11] = [
+    "neutral.npy",
+    "expression_deltas.npy",
+    "expression_names.npy",
+    "identity_deltas.npy",
+    "identity_names.npy",
+    "polygon_starts.npy",
+    "corners.npy",
+    "uvs.npy",
+    "corner_uvs.npy",
+    "landmarks_multipie68.npy",
+    "region_nose.npy",
+];
+
 /// A folder in memory, where the system has one; removed at the end.
 struct Folder(PathBuf);
 
@@ -336,24 +356,32 @@ fn in_memory(work: impl FnOnce(&Path)) {
     FOLDER.with_borrow_mut(|folder| work(&folder.get_or_insert_with(Folder::new).0));
 }
 
-/// A rig folder: after one byte that says of which layout, its files one after another; an empty one is missing.
+/// A rig: after one byte that says whether it is an archive (2) and else of which layout, its files one after another; an
+/// empty one is missing.
 pub fn rig(bytes: &[u8]) {
     let Some((layout, bytes)) = bytes.split_first() else { return };
-    let names = RIG_FILES[usize::from(layout & 1)];
+    let files = files(bytes);
+    let there = |names: &'static [&'static str]| names.iter().zip(&files).filter(|(_, bytes)| !bytes.is_empty());
     in_memory(|folder| {
-        let files = files(bytes);
-        for (name, bytes) in names.iter().zip(&files).filter(|(_, bytes)| !bytes.is_empty()) {
+        let (path, written) = if *layout == 2 {
+            let entries: Vec<(&str, &[u8], u32)> = there(&RIG_ARRAYS).map(|(name, bytes)| (*name, *bytes, 0)).collect();
+            (folder.join("rig.npz"), vec![("rig.npz", zip_of(&entries))])
+        } else {
+            let names = RIG_FILES[usize::from(layout & 1)];
+            (folder.to_owned(), there(names).map(|(name, bytes)| (*name, bytes.to_vec())).collect())
+        };
+        for (name, bytes) in &written {
             std::fs::write(folder.join(name), bytes).expect("memory for a small file");
         }
-        match Rig::read(folder, &RigReadOptions::default()) {
+        match Rig::read(&path, &RigReadOptions::default()) {
             Ok((rig, _)) => check_rig(&rig),
             Err(e) => {
                 let message = e.to_string();
                 assert!(!message.is_empty() && message.len() < 4000, "{} bytes: {message}", message.len());
             }
         }
-        for name in names.iter().take(files.len()) {
-            let _ = std::fs::remove_file(folder.join(name)); // an empty one was never there
+        for (name, _) in &written {
+            std::fs::remove_file(folder.join(name)).expect("it was written");
         }
     });
 }
@@ -366,6 +394,9 @@ fn check_rig(rig: &Rig) {
         assert_eq!(rig.find(&rig.shapes()[k].name).ok(), Some(k));
     }
     assert!(rig.landmarks().is_none_or(|l| l.iter().all(|v| (*v as usize) < vertices)));
+    if let Some(mesh) = rig.mesh() {
+        check_mesh(mesh);
+    }
     if let Some(regions) = rig.regions() {
         let names: Vec<String> = regions.names().map(str::to_owned).collect();
         assert_eq!(regions.mask(&names).map(|mask| mask.len()).ok(), Some(vertices));

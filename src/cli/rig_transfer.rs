@@ -43,7 +43,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig)?;
+    a.output.check(&a.rig, &[("subject", a.subject.clone())])?;
     let rig = read_rig(&a.rig, 0, a.shape_kind)?;
     let subject = read_positions(&a.subject)?;
     let transferred = rig.transfer(&subject, &TransferOptions { anchor: a.anchor });

@@ -45,8 +45,10 @@ pub fn parse_gltf(bytes: &[u8], path: &Path) -> Result<GltfMesh, ReadError> {
     }
     let count: usize = parts.iter().map(|p| p.mesh.positions.len()).sum();
     let corners: usize = parts.iter().map(|p| p.mesh.corners.len()).sum();
-    let names: HashSet<&String> = parts.iter().flat_map(|p| &p.targets).map(|(name, _)| name).collect();
-    accessors.budget.spend(3 * count * names.len(), "the morph targets of all meshes")?;
+    if parts.len() > 1 {
+        let names: HashSet<&String> = parts.iter().flat_map(|p| &p.targets).map(|(name, _)| name).collect();
+        accessors.budget.spend(3 * count * names.len(), "the morph targets of all meshes")?;
+    }
     if count == 0 {
         return file.malformed("a scene with a mesh that has vertices", "none");
     }
