@@ -4,6 +4,7 @@
 mod awkward;
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use awkward::{awkward, extent, plain};
 use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors, flipped_triangles};
@@ -11,7 +12,7 @@ use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
 use nonrigid::mesh::io::{
-    Landmark, PlyOptions, PlyPrecision, TemplatePoint, read_polygon_mesh, read_scan, write_npy, write_ply,
+    Landmark, PlyOptions, PlyPrecision, TemplatePoint, WriteError, read_polygon_mesh, read_scan, write_npy, write_ply,
     write_polygon_mesh,
 };
 use nonrigid::mesh::normals::{NormalWeighting, face_normals, vertex_areas, vertex_normals};
@@ -42,6 +43,18 @@ fn files_give_back_what_was_written() {
                 (read, _) => panic!("{name}, {file}: {read:?}"),
             }
         }
+        let path = folder.path().join("mesh.glb");
+        if mesh.positions.is_empty() {
+            let message = write_polygon_mesh(&path, &mesh).unwrap_err().to_string();
+            assert!(message.contains("at least one vertex"), "{name}: {message}");
+        } else {
+            write_polygon_mesh(&path, &mesh).unwrap();
+            let read = read_polygon_mesh(&path).unwrap();
+            let (_, far) = extent(&mesh);
+            let off = read.positions.iter().zip(&mesh.positions).map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
+            assert!(off <= 1e-7 * far, "{name}: {off}");
+            assert!(read == mesh.with_positions(read.positions.clone()), "{name}, mesh.glb");
+        }
         let (path, triangles) = (folder.path().join("scan.ply"), mesh.triangulate());
         let options = PlyOptions { precision: PlyPrecision::Double, ..PlyOptions::default() };
         write_ply(&path, &triangles, options).unwrap();
@@ -65,8 +78,40 @@ fn rigs_on_them_are_read_back() {
                 assert!(rig.neutral() == mesh.positions && rig.mesh() == Some(&mesh), "{name}");
                 // A point moved by nothing has shapes that move nothing.
                 assert_eq!((rig.shapes().len(), warnings.len()), if size > 0.0 { (1, 0) } else { (0, 1) }, "{name}");
+                every_form_holds(&rig, name);
             }
             Err(e) => assert!(name == "empty" && e.to_string().contains("expected vertices"), "{name}: {e}"),
+        }
+    }
+}
+
+/// Writes a rig in all forms and reads it back.
+fn every_form_holds(rig: &Rig, name: &str) {
+    type Write = fn(&Rig, &Path) -> Result<(), WriteError>;
+    let forms: [(&str, Write); 4] =
+        [("npy", Rig::write), ("shapes", Rig::write_meshes), ("a.npz", Rig::write_npz), ("a.glb", Rig::write_gltf)];
+    let folder = tempfile::tempdir().unwrap();
+    let (size, far) = extent(rig.mesh().unwrap());
+    for (form, write) in forms {
+        let path = folder.path().join(form);
+        write(rig, &path).unwrap();
+        let (read, warnings) = Rig::read(&path, &RigReadOptions::default()).unwrap();
+        assert!(warnings.is_empty(), "{name}, {form}: {warnings:?}");
+        // arrays are exact; whole shapes round differences; .glb has 32 bits of where vertices are, and of how far they go
+        let (place, step) = match form {
+            "a.glb" => (1e-7 * far, 1e-6 * size),
+            "shapes" => (0.0, 1e-6 * size + 1e-15 * far),
+            _ => (0.0, 0.0),
+        };
+        let off = read.neutral().iter().zip(rig.neutral()).map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
+        assert!(off <= place && read.neutral().len() == rig.neutral().len(), "{name}, {form}: {off}");
+        let corners = |rig: &Rig| rig.mesh().map(|m| m.corners.clone()).unwrap_or_default();
+        assert_eq!(corners(&read), corners(rig), "{name}, {form}");
+        assert_eq!(read.shapes().len(), rig.shapes().len(), "{name}, {form}");
+        for k in 0..rig.shapes().len() {
+            let off =
+                read.deltas(k).iter().zip(rig.deltas(k)).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+            assert!(off <= step, "{name}, {form}: {off}");
         }
     }
 }

@@ -4,6 +4,7 @@
 mod repeats;
 mod support;
 
+use nonrigid::mesh::io::write_obj;
 use nonrigid::morph::MorphModel;
 use nonrigid::registration::ModelKind;
 use repeats::leaves_equal_files;
@@ -59,7 +60,17 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
         let line = format!("{morph} --model {} {outputs}", model.name());
         assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 11, "{}", model.name());
     }
+    bench.write("frames/.keep", "");
+    for k in 0..3 {
+        let positions = bench.rig.pose(&[0.2 * f64::from(k); 10], &[0.5]);
+        let frame = bench.rig.mesh.with_positions(positions);
+        write_obj(&bench.path(&format!("frames/{k}.obj")), &frame).unwrap();
+    }
+    let subject = bench.rig.mesh.with_positions(bench.case.truth.clone());
+    write_obj(&bench.path("subject.obj"), &subject).unwrap();
     let landmarks = "--landmarks rig/landmarks_anthropometric.json";
+    let fit = "rig fit --rig rig --meshes frames";
+    let carry = "landmarks transfer rig/landmarks_multipie68.json OUT/points.json --from rig/template.obj";
     for (line, files) in [
         (
             format!(
@@ -70,6 +81,11 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
         ("rig convert --rig rig --out OUT/rig.glb".to_owned(), 1),
         ("rig convert --rig rig --out OUT/rig.npz".to_owned(), 1),
         ("rig transfer --rig rig --subject case/neutral.npy --out OUT/me.glb".to_owned(), 1),
+        ("rig convert --rig rig --out OUT/shapes --format shapes".to_owned(), bench.rig.expressions.len() + 8 + 3),
+        (format!("{fit} --out OUT/weights.csv"), 1),
+        (format!("{fit} --align similarity --bounds -1,1 --out OUT/weights.json"), 1),
+        (format!("{carry} --to subject.obj"), 1),
+        (format!("{carry} --to case/scan.ply --registered subject.obj"), 1),
         ("landmarks convert rig/landmarks_multipie68.json OUT/points.csv --mesh rig/template.obj".to_owned(), 1),
     ] {
         assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), files, "{line}");

@@ -253,7 +253,7 @@ fn malformed_documents_are_refused_with_a_reason() {
         (with("/accessors/0/count", json!(5)), "displacements for each of 5 vertices"),
         (with("/accessors/1/count", json!(5)), "three indices each"),
         (with("/accessors/2/count", json!(5)), "sparse indices below 5"),
-        (with("/accessors/2/count", huge.clone()), "as many elements as bytes"),
+        (with("/accessors/2/count", huge.clone()), "more for accessor 2"),
         (with("/accessors/2/sparse/count", json!(7)), "at most 6 sparse values"),
         (with("/accessors/2/sparse/count", json!(2)), "2 elements of 1 bytes"),
         (with("/bufferViews/3/byteOffset", json!(90)), "sparse indices below 6"),
@@ -325,4 +325,183 @@ fn a_note_that_does_not_fit_is_refused() {
         let message = parse_gltf(&changed, Path::new("a.glb")).unwrap_err().to_string();
         assert!(message.contains("extras.nonrigid") || to.contains('?'), "{from}: {message}");
     }
+}
+
+/// The square's document with `change`, from a binary chunk of `count` vertices on a line instead of six.
+fn of_many(count: usize, change: impl FnOnce(&mut Value)) -> Value {
+    let mut document = square();
+    let bytes = floats(&(0..3 * count).map(|i| (i / 3) as f32).collect::<Vec<_>>());
+    document["bufferViews"][0]["byteLength"] = json!(bytes.len());
+    document["buffers"][0] = json!({ "byteLength": bytes.len(), "uri": data_uri(&bytes) });
+    document["accessors"] = json!([{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": count }]);
+    document["meshes"] = json!([{ "primitives": [{ "mode": 0, "attributes": { "POSITION": 0 } }] }]);
+    change(&mut document);
+    document
+}
+
+/// Files of at most a megabyte that ask for gigabytes in every way that the format has.
+#[cfg(target_os = "linux")]
+#[test]
+fn promises_of_gigabytes_are_one_error_and_little_memory() {
+    let points = json!({ "mode": 0, "attributes": { "POSITION": 0 } });
+    let with_targets = |targets: Value| json!({ "mode": 0, "attributes": { "POSITION": 0 }, "targets": targets });
+    let nodes = |count: usize, mesh: fn(usize) -> usize| -> (Value, Value) {
+        let nodes = (0..count).map(|i| json!({ "mesh": mesh(i) })).collect();
+        (nodes, json!([{ "nodes": (0..count).collect::<Vec<_>>() }]))
+    };
+    let rows: Vec<(&str, Value, &str)> = vec![
+        (
+            "no view",
+            of_many(10, |d| {
+                d["accessors"][0] = json!({ "componentType": 5126, "type": "VEC3", "count": 1_000_000_000 });
+            }),
+            "more for accessor 0 (POSITION)",
+        ),
+        (
+            "one accessor in many primitives",
+            of_many(10_000, |d| d["meshes"][0]["primitives"] = json!(vec![points.clone(); 10_000])),
+            "more for accessor 0 (POSITION)",
+        ),
+        (
+            "one accessor in many targets",
+            of_many(10_000, |d| {
+                d["meshes"][0]["primitives"][0] = with_targets(json!(vec![json!({ "POSITION": 0 }); 20_000]));
+            }),
+            "more for accessor 0 (POSITION of a morph target)",
+        ),
+        (
+            "targets of nothing",
+            of_many(10_000, |d| {
+                d["meshes"][0]["primitives"][0] = with_targets(json!(vec![json!({}); 100_000]));
+            }),
+            "more for a morph target without positions",
+        ),
+        (
+            "one mesh in many nodes",
+            of_many(10_000, |d| (d["nodes"], d["scenes"]) = nodes(20_000, |_| 0)),
+            "more for accessor 0 (POSITION)",
+        ),
+        (
+            "every mesh with another target",
+            of_many(200, |d| {
+                let primitive = with_targets(json!([{ "POSITION": 0 }]));
+                let mesh =
+                    |i: usize| json!({ "primitives": [primitive], "extras": { "targetNames": [format!("t{i}")] } });
+                d["meshes"] = (0..2_000).map(mesh).collect();
+                (d["nodes"], d["scenes"]) = nodes(2_000, |i| i);
+            }),
+            "more for the morph targets of all meshes",
+        ),
+        (
+            "one long note in many nodes",
+            of_many(10, |d| {
+                let statements = json!([[0, "g", "x".repeat(300_000)]]);
+                d["meshes"][0]["extras"] = json!({ "nonrigid": { "vertices": 0, "copies": [], "uvs": [], "polygons": [],
+                    "statements": statements, "materialLibraries": [] } });
+                d["meshes"][0]["primitives"] = json!([]);
+                (d["nodes"], d["scenes"]) = nodes(20_000, |_| 0);
+            }),
+            "more for names and notes of a mesh",
+        ),
+        (
+            "one long name in many primitives",
+            of_many(10, |d| {
+                d["materials"] = json!([{ "name": "x".repeat(300_000) }]);
+                let primitive = json!({ "mode": 0, "material": 0, "attributes": { "POSITION": 0 } });
+                d["meshes"][0]["primitives"] = json!(vec![primitive; 5_000]);
+            }),
+            "more for names of materials",
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    for (name, document, word) in rows {
+        let text = document.to_string();
+        assert!(text.len() < 1 << 20, "{name}: {} bytes", text.len());
+        let path = folder.path().join("promise.gltf");
+        std::fs::write(&path, text).unwrap();
+        let program = env!("CARGO_BIN_EXE_nonrigid");
+        // a gigabyte of addresses, far below what each would come to
+        let run = std::process::Command::new("sh")
+            .args(["-c", "ulimit -v 1000000 && exec \"$0\" rig info \"$1\"", program])
+            .arg(&path)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(4), "{name}: {said}");
+        assert!(said.contains("promise.gltf") && said.contains(word) && said.lines().count() == 1, "{name}: {said}");
+    }
+}
+
+/// What a file may come to leaves room for what people have: a vertex buffer that a hundred primitives share, and morph
+/// targets that move hardly anything.
+#[test]
+fn shared_vertices_and_sparse_targets_are_within_what_a_file_may_come_to() {
+    let points = json!({ "mode": 0, "attributes": { "POSITION": 0 } });
+    let shared = of_many(20_000, |d| d["meshes"][0]["primitives"] = json!(vec![points.clone(); 100]));
+    assert_eq!(parse(&shared).unwrap().mesh.positions.len(), 2_000_000);
+    let mesh = PolygonMesh {
+        positions: (0..20_000).map(|i| Vec3::new(f64::from(i), 1.0, 2.0)).collect(),
+        starts: vec![0],
+        ..PolygonMesh::default()
+    };
+    let names: Vec<String> = (0..100).map(|k| format!("shape{k}")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let mut deltas = vec![0.0; 100 * 60_000];
+    deltas.iter_mut().step_by(60_000).for_each(|d| *d = 1.0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sparse.glb");
+    write_glb(&path, &mesh, &names, &deltas, &Map::new()).unwrap();
+    assert_eq!(read_gltf(&path).unwrap().target_deltas, deltas);
+}
+
+/// Where looking each thing up among all others would take minutes.
+#[test]
+fn vertices_at_one_place_and_many_names_take_no_time() {
+    let started = std::time::Instant::now();
+    let count = 60_000;
+    let torn = of_many(count, |d| {
+        let moves = floats(&(0..3 * count).map(|i| i as f32).collect::<Vec<_>>());
+        d["buffers"][0] = json!({ "byteLength": moves.len(), "uri": data_uri(&moves) });
+        d["accessors"] = json!([
+            { "componentType": 5126, "type": "VEC3", "count": count },
+            { "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": count },
+        ]);
+        d["meshes"][0]["primitives"][0] = json!({ "attributes": { "POSITION": 0 }, "targets": [{ "POSITION": 1 }] });
+    });
+    assert_eq!(parse(&torn).unwrap().mesh.positions.len(), count);
+    let named = of_many(1, |d| {
+        let mesh = |m: usize| {
+            let names: Vec<String> = (0..30_000).map(|k| format!("{m}_{k}")).collect();
+            let primitive = json!({ "mode": 0, "attributes": { "POSITION": 0 }, "targets": vec![json!({}); 30_000] });
+            json!({ "primitives": [primitive], "extras": { "targetNames": names } })
+        };
+        d["meshes"] = json!([mesh(0), mesh(1)]);
+        (d["nodes"], d["scenes"]) = (json!([{ "mesh": 0 }, { "mesh": 1 }]), json!([{ "nodes": [0, 1] }]));
+    });
+    assert_eq!(parse(&named).unwrap().target_names.len(), 60_000);
+    assert!(started.elapsed().as_secs() < 10, "{:?}", started.elapsed());
+}
+
+#[test]
+fn buffers_in_one_file_are_one() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.bin"), floats(&[1.0, 2.0, 3.0])).unwrap();
+    let document = |second: Value| {
+        json!({
+            "asset": { "version": "2.0" }, "nodes": [{ "mesh": 0 }],
+            "meshes": [{ "primitives": [{ "mode": 0, "attributes": { "POSITION": 0 } }] }],
+            "accessors": [{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 1 }],
+            "bufferViews": [{ "buffer": 1, "byteLength": 12 }],
+            "buffers": [{ "byteLength": 12, "uri": "a.bin" }, second],
+        })
+    };
+    let path = folder.path().join("a.gltf");
+    let read = |second: Value| {
+        std::fs::write(&path, document(second).to_string()).unwrap();
+        read_gltf(&path).map_err(|e| e.to_string())
+    };
+    let mesh = read(json!({ "byteLength": 12, "uri": "./a.bin" })).unwrap().mesh;
+    assert_eq!(mesh.positions, [Vec3::new(1000.0, 2000.0, 3000.0)]);
+    let message = read(json!({ "byteLength": 8, "uri": "a.bin" })).unwrap_err();
+    assert!(message.contains("12 bytes in every buffer of one file") && message.contains("buffer 1"), "{message}");
 }

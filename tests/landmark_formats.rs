@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use nonrigid::mesh::io::{
-    LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, PlaceKind, PlacedLandmark, TemplatePoint,
-    parse_landmark_set, read_landmark_set, read_landmarks, read_template_landmarks, write_landmark_set,
+    LandmarkCheck, LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, PlaceKind, PlacedLandmark,
+    TemplatePoint, parse_landmark_set, read_landmark_set, read_landmarks, read_template_landmarks, write_landmark_set,
 };
 use nonrigid::mesh::{PolygonMesh, Vec3};
 
@@ -319,4 +319,19 @@ fn names_that_a_format_would_change_are_refused() {
         let message = write_landmark_set(&path, &set, format).unwrap_err().to_string();
         assert!(message.contains(file) && !path.exists(), "{message}");
     }
+}
+
+/// Where looking each thing up among all others would take minutes.
+#[test]
+fn many_columns_and_many_points_take_no_time() {
+    let started = std::time::Instant::now();
+    let columns = (0..200_000).map(|i| format!(",c{i}")).collect::<String>();
+    let points = (0..100_000).map(|i| format!("{i},2,3\n")).collect::<String>();
+    let set = parse("a.fcsv", &format!("# CoordinateSystem = LPS\n# columns = x,y,z{columns}\n{points}"));
+    assert_eq!(set.landmarks.len(), 100_000);
+    let same = (0..50_000).map(|i| format!("p{i},0,0,0\n")).collect::<String>();
+    let set = parse("a.csv", &same);
+    let check = LandmarkCheck::new(&set, &vec![Vec3::zeros(); 50_000], &quad(), 1.0).unwrap();
+    assert_eq!((check.duplicates.len(), check.duplicates[0].join(" ")), (49_999, "p0 p1".to_owned()));
+    assert!(started.elapsed().as_secs() < 10, "{:?}", started.elapsed());
 }

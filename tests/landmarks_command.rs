@@ -119,7 +119,7 @@ fn mistakes_have_their_own_exit_codes() {
         (format!("landmarks convert {NUMBERED} out.json --format morse"), 1, "morse"),
         (format!("landmarks convert {NUMBERED} out.json --unit inch"), 1, "inch"),
         (format!("landmarks convert {NUMBERED} out.json --as face"), 1, "--mesh"),
-        (format!("landmarks convert {NUMBERED} out.pp"), 3, "give the mesh"),
+        (format!("landmarks convert {NUMBERED} out.pp"), 1, "--mesh: needed"),
         (format!("landmarks convert {NUMBERED} no/out.json"), 3, "no folder"),
         ("landmarks convert none.pp out.json".into(), 4, "none.pp"),
         (format!("landmarks check {NUMBERED} --mesh none.obj"), 4, "none.obj"),

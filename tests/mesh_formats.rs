@@ -185,3 +185,12 @@ fn cutting_or_breaking_a_file_anywhere_never_panics() {
         }
     }
 }
+
+#[test]
+fn a_packed_file_that_unpacks_to_a_thousand_times_its_size_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(folder.path(), "bomb.obj.gz", packed(&vec![b'\n'; 32 << 20]));
+    assert!(std::fs::metadata(&path).unwrap().len() < 50_000);
+    let message = read_mesh_file(&path).unwrap_err().to_string();
+    assert!(message.contains("bomb.obj.gz") && message.contains("at most 16777216 bytes unpacked"), "{message}");
+}

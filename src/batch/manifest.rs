@@ -82,10 +82,10 @@ impl Manifest {
         let mut rows: Vec<(Row, Option<String>)> = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|e| {
-                let line = e.position().map_or(0, |p| p.line() as usize);
+                let line = e.position().map_or(0, |p| line_of(text, p));
                 wrong(line, &format!("{} cells, one for each column", header.len()), e.to_string())
             })?;
-            let line = record.position().map_or(0, |p| p.line() as usize);
+            let line = record.position().map_or(0, |p| line_of(text, p));
             let mut row = Row { line, name: String::new(), sequence: None, options: Vec::new() };
             let mut name = None;
             for (column, cell) in header.iter().zip(&record).filter(|(_, cell)| !cell.is_empty()) {
@@ -132,6 +132,12 @@ impl Manifest {
     }
 }
 
+/// The line of what is read at a position: comments and empty lines may stand before it.
+fn line_of(text: &str, position: &csv::Position) -> usize {
+    let rest = text.get(position.byte() as usize..).unwrap_or_default();
+    position.line() as usize + rest.lines().take_while(|line| line.is_empty() || line.starts_with('#')).count()
+}
+
 /// The separator that the first line has most of.
 fn delimiter(text: &str) -> u8 {
     let first = text.lines().find(|line| !line.starts_with('#')).unwrap_or_default();
@@ -176,12 +182,12 @@ mod tests {
 
     #[test]
     fn rows_are_read_and_named() {
-        let text = "target,sequence,model,name\n# the first take\na/scan.ply,x,arap,\n\"b, c/scan.ply\",x,,\n/d/e.obj.gz,,,last\n";
+        let text = "target,sequence,model,name\n# the first take\n\na/scan.ply,x,arap,\n\"b, c/scan.ply\",x,,\n/d/e.obj.gz,,,last\n";
         let rows = parse(text).unwrap().rows;
         let names: Vec<&str> = rows.iter().map(|r| r.name.as_str()).collect();
         assert_eq!(names, ["a_scan", "b, c_scan", "last"]);
         assert_eq!(rows[0].options, [("target".into(), "in/a/scan.ply".into()), ("model".into(), "arap".into())]);
-        assert_eq!((rows[0].line, rows[1].sequence.as_deref(), &rows[2].sequence), (3, Some("x"), &None));
+        assert_eq!((rows[0].line, rows[1].sequence.as_deref(), &rows[2].sequence), (4, Some("x"), &None));
         assert_eq!(rows[2].options[0].1, "/d/e.obj.gz");
         assert_eq!(parse("target;model\na.ply;arap\n").unwrap().rows[0].name, "a");
         assert_eq!(parse("\u{feff}target\tmodel\na.ply\tarap\n").unwrap().rows[0].options.len(), 2);

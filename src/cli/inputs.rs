@@ -102,6 +102,19 @@ pub fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
     }
 }
 
+/// Every file that a rig is read from.
+pub fn rig_files(rig: &Path) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
+    if rig.is_file() {
+        return Ok(vec![("rig", rig.to_owned())]);
+    }
+    let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", rig.display()));
+    let mut inside: Vec<PathBuf> =
+        std::fs::read_dir(rig).and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect()).map_err(failed)?;
+    inside.retain(|p| p.is_file());
+    inside.sort();
+    Ok(inside.into_iter().map(|p| ("rig", p)).collect())
+}
+
 /// Reads a rig and prints its warnings.
 pub fn read_rig(
     folder: &Path,

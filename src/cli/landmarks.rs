@@ -1,13 +1,16 @@
 //! `nonrigid landmarks`.
 
-use std::path::PathBuf;
+use std::fmt;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_parent, say, warn};
-use crate::mesh::PolygonMesh;
-use crate::mesh::io::{self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkSet, PatientSpace, PlaceKind};
+use super::{Failure, Stage, check_file_path, refuse_overwriting, say, warn};
+use crate::mesh::io::{
+    self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
+};
+use crate::mesh::{PolygonMesh, Vec3};
 
 /// `nonrigid landmarks` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -73,6 +76,22 @@ enum Kind {
     Position,
 }
 
+impl Kind {
+    fn example(self) -> LandmarkPlace {
+        match self {
+            Self::Vertex => LandmarkPlace::Vertex(0),
+            Self::Face => LandmarkPlace::Face { triangle: 0, barycentric: [1.0, 0.0, 0.0] },
+            Self::Position => LandmarkPlace::Position(Vec3::zeros()),
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.to_possible_value().map_or(Ok(()), |value| f.write_str(value.get_name()))
+    }
+}
+
 /// Arguments of `nonrigid landmarks check`.
 #[derive(Debug, Args)]
 pub struct Check {
@@ -121,18 +140,20 @@ pub fn run(command: &Command) -> Result<(), Failure> {
 }
 
 fn convert(a: &Convert) -> Result<(), Failure> {
-    let format = a.output.format()?;
+    let format = a.output.format(&[("landmarks", Some(&a.input)), ("mesh", a.mesh.as_ref())])?;
     let mut units = a.units.of(&["mesh", "landmarks"])?;
     let mesh = a.mesh.as_deref().map(|path| units.read_mesh("mesh", path)).transpose()?;
-    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let mut set = read_set(&a.input)?;
     units.bring_landmarks("landmarks", &a.input, "mesh", &mut set)?;
     units.say();
     let mut moved = 0.0;
-    if let Some((kind, mesh)) = a.output.kind(&set, format).zip(mesh.as_ref()) {
+    if let Some(kind) = a.output.kind(&set, format) {
+        let Some(mesh) = &mesh else {
+            let message = format!("--mesh: needed to write the landmarks of {} as {format}", a.input.display());
+            return Err(Failure::new(Stage::Arguments, message));
+        };
         let positions = set.positions_on(&a.input, mesh).map_err(Failure::loading)?;
         (set, moved) = set.placed_as(kind, &positions, mesh).map_err(Failure::loading)?;
-    } else if a.output.kind.is_some() {
-        return Err(Failure::new(Stage::Arguments, "--as needs --mesh"));
     }
     let read = describe(&set);
     if let Some(space) = a.space {
@@ -156,7 +177,7 @@ fn check(a: &Check) -> Result<(), Failure> {
     }
     let mut units = a.units.of(&["mesh", "landmarks"])?;
     let mesh = units.read_mesh("mesh", &a.mesh)?;
-    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let mut set = read_set(&a.input)?;
     units.bring_landmarks("landmarks", &a.input, "mesh", &mut set)?;
     units.say();
     let positions = set.positions_on(&a.input, &mesh).map_err(Failure::loading)?;
@@ -175,11 +196,12 @@ fn check(a: &Check) -> Result<(), Failure> {
 }
 
 fn transfer(a: &Transfer) -> Result<(), Failure> {
-    let format = a.output.format()?;
+    let inputs = [("landmarks", Some(&a.input)), ("mesh", Some(&a.from)), ("mesh", Some(&a.to))];
+    let format = a.output.format(&[&inputs[..], &[("mesh", a.registered.as_ref())]].concat())?;
     let mut units = a.units.of(&["from", "to", "registered", "landmarks"])?;
     let (from, to) = (units.read_mesh("from", &a.from)?, units.read_mesh("to", &a.to)?);
     let via = a.registered.as_deref().map(|path| units.read_mesh("registered", path)).transpose()?;
-    let mut set = io::read_landmark_set(&a.input).map_err(Failure::loading)?;
+    let mut set = read_set(&a.input)?;
     units.bring_landmarks("landmarks", &a.input, "from", &mut set)?;
     units.say();
     let (carried, moved) = set.transfer(&a.input, &from, via.as_ref(), &to).map_err(|e| match e {
@@ -191,14 +213,29 @@ fn transfer(a: &Transfer) -> Result<(), Failure> {
     say(format_args!("{} -> {format}; moved to a surface by at most {moved:.3} mm", describe(&set)))
 }
 
+/// Landmarks of a file that has some.
+fn read_set(path: &Path) -> Result<LandmarkSet, Failure> {
+    let set = io::read_landmark_set(path).map_err(Failure::loading)?;
+    if set.landmarks.is_empty() {
+        return Err(Failure::loading(format!("{}: no landmarks", path.display())));
+    }
+    Ok(set)
+}
+
 impl Output {
-    /// The format, for an output that can be written.
-    fn format(&self) -> Result<LandmarkFormat, Failure> {
-        check_parent(&self.output)?;
-        self.format.or_else(|| LandmarkFormat::of_path(&self.output)).ok_or_else(|| {
-            let message = format!("{}: no landmark format has this extension; give --format", self.output.display());
-            Failure::new(Stage::Arguments, message)
-        })
+    /// The format, for an output that can be written and is none of the inputs.
+    fn format(&self, inputs: &[(&str, Option<&PathBuf>)]) -> Result<LandmarkFormat, Failure> {
+        let inputs: Vec<_> = inputs.iter().filter_map(|(role, path)| Some((*role, (*path)?.clone()))).collect();
+        refuse_overwriting(&[("OUTPUT", Some(&self.output))], &inputs)?;
+        check_file_path(&self.output)?;
+        let arguments = |message| Failure::new(Stage::Arguments, message);
+        let format = self.format.or_else(|| LandmarkFormat::of_path(&self.output)).ok_or_else(|| {
+            arguments(format!("{}: no landmark format has this extension; give --format", self.output.display()))
+        })?;
+        match self.kind.filter(|kind| !format.holds(&kind.example())) {
+            None => Ok(format),
+            Some(kind) => Err(arguments(format!("--as {kind}: {format} holds no such places"))),
+        }
     }
 
     /// As what landmarks have to be written, if not as they are.

@@ -94,6 +94,11 @@ fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
         let message = format!("{}: cannot write '.{extension}', only .{}", path.display(), extensions.join(" and ."));
         return Err(Failure::new(Stage::Arguments, message));
     }
+    check_file_path(path)
+}
+
+/// Refuses an output file whose folder is not there, or that is itself a folder.
+fn check_file_path(path: &Path) -> Result<(), Failure> {
     if path.is_dir() {
         return Err(Failure::writing(format!("{}: cannot be written: it is a folder, not a file", path.display())));
     }

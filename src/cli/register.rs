@@ -9,7 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::inputs::{MaskArguments, RigArguments, bounds};
+use super::inputs::{MaskArguments, RigArguments, bounds, rig_files};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, on_threads, refuse_overwriting, say, warn, write_json};
@@ -93,16 +93,8 @@ impl Arguments {
         files.extend(self.masks.mask.clone().map(|p| ("mask", p)));
         files.extend(self.masks.free_mask.clone().map(|p| ("free mask", p)));
         files.extend(self.config.clone().map(|p| ("schedule", p)));
-        if let Some(folder) = self.rig.rig.as_ref().filter(|p| p.is_file()) {
-            files.push(("rig", folder.clone()));
-        } else if let Some(folder) = &self.rig.rig {
-            let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", folder.display()));
-            let mut inside: Vec<PathBuf> = std::fs::read_dir(folder)
-                .and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect())
-                .map_err(failed)?;
-            inside.retain(|p| p.is_file());
-            inside.sort();
-            files.extend(inside.into_iter().map(|p| ("rig", p)));
+        if let Some(rig) = &self.rig.rig {
+            files.extend(rig_files(rig)?);
         }
         Ok(files)
     }

@@ -6,9 +6,9 @@ use clap::Args;
 
 use super::inputs::{ShapeKindArgument, read_rig};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_output_folder, same_place, say};
+use super::{Failure, Stage, check_output, check_output_folder, refuse_overwriting, same_place, say, warn};
 use crate::mesh::io::WriteError;
-use crate::rig::Rig;
+use crate::rig::{Family, Rig};
 
 /// Arguments of `nonrigid rig convert`.
 #[derive(Debug, Args)]
@@ -52,8 +52,9 @@ enum Format {
 }
 
 impl RigOutput {
-    /// Refuses what could not be written in the end, or would be mixed with the rig that was read.
-    pub fn check(&self, input: &Path) -> Result<(), Failure> {
+    /// Refuses what could not be written in the end, or would be mixed with the rig that was read, or overwrite another input.
+    pub fn check(&self, input: &Path, others: &[(&str, PathBuf)]) -> Result<(), Failure> {
+        refuse_overwriting(&[("--out", Some(&self.out))], others)?;
         if same_place(input, &self.out) {
             let message = format!("--out: {} is the rig that is read", self.out.display());
             return Err(Failure::new(Stage::Arguments, message));
@@ -68,24 +69,37 @@ impl RigOutput {
         check_output(&self.out, &["npz", "glb"])
     }
 
-    /// Anything with an extension, unless it is a folder that is there.
+    /// Anything with an extension, unless it is a folder that is there and no .npz or .glb.
     fn is_file(&self) -> bool {
-        self.out.extension().is_some() && !self.out.is_dir()
+        let extension = self.out.extension().map(|e| e.to_ascii_lowercase());
+        extension.is_some_and(|e| e == "npz" || e == "glb" || !self.out.is_dir())
     }
 
-    /// Writes the rig and says so.
+    /// Writes the rig, and says so and what the form does not hold.
     pub fn write(&self, rig: &Rig) -> Result<(), Failure> {
-        if !self.is_file() && !self.out.is_dir() {
-            let failed = |e| Failure::writing(format!("{}: cannot be made: {e}", self.out.display()));
-            std::fs::create_dir(&self.out).map_err(failed)?;
-        }
+        let shapes_folder = !self.is_file() && self.format == Format::Shapes;
+        let npz = self.is_file() && self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"));
         let write: fn(&Rig, &Path) -> Result<(), WriteError> = match (self.is_file(), self.format) {
             (false, Format::Npy) => Rig::write,
             (false, Format::Shapes) => Rig::write_meshes,
-            (true, _) if self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz")) => Rig::write_npz,
+            (true, _) if npz => Rig::write_npz,
             (true, _) => Rig::write_gltf,
         };
+        if let Some(name) = rig.stranger_in(&self.out, shapes_folder).filter(|_| !self.is_file()) {
+            let message = format!("{}: {name} is there, which would become a part of the rig", self.out.display());
+            return Err(Failure::writing(message));
+        }
         write(rig, &self.out).map_err(Failure::writing)?;
+        let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));
+        if shapes_folder && rig.shapes().iter().any(|s| s.family == Family::Identity) {
+            lost("families: identity modes are shapes like all others there");
+        }
+        if shapes_folder && rig.landmarks().is_some() {
+            lost("landmarks");
+        }
+        if npz && rig.mesh().is_some_and(|m| !m.metadata.statements.is_empty()) {
+            lost("groups and materials");
+        }
         let (vertices, shapes) = (rig.neutral().len(), rig.shapes().len());
         say(format_args!("wrote {}: {vertices} vertices, {shapes} shapes", self.out.display()))
     }
@@ -93,7 +107,7 @@ impl RigOutput {
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig)?;
+    a.output.check(&a.rig, &[])?;
     let mut units = a.units.of(&["rig"])?;
     let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     units.say();

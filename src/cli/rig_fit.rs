@@ -6,9 +6,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{Align, ShapeKindArgument, bounds, read_rig};
+use super::inputs::{Align, ShapeKindArgument, bounds, read_rig, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, say, warn, write_json};
+use super::{Failure, Stage, check_output, refuse_overwriting, say, warn, write_json};
 use crate::mesh::io::write_atomically;
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
@@ -68,6 +68,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if !a.bounds.iter().all(|b| b.is_finite()) {
         return Err(Failure::new(Stage::Arguments, "--bounds: give two finite numbers"));
     }
+    refuse_overwriting(&[("--out", Some(&a.out))], &rig_files(&a.rig)?)?;
     let mut units = a.units.of(&["rig", "meshes", "neutral"])?;
     let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.display()));
@@ -82,6 +83,10 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
     if files.is_empty() {
         return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
+    }
+    if let Some(pair) = files.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        let (name, [first, second]) = (&pair[0].0, [&pair[0].1, &pair[1].1].map(|p| p.display()));
+        return Err(Failure::loading(format!("{first} and {second} are both frame {name:?}")));
     }
     let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
     let options = WeightFitOptions { bounds: a.bounds, pose: a.align.pose(), ..WeightFitOptions::default() };

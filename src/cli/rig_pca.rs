@@ -82,10 +82,6 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         );
         return Err(Failure::new(Stage::Computation, message));
     }
-    if !a.out.is_dir() {
-        let failed = |e| Failure::writing(format!("{}: cannot be made: {e}", a.out.display()));
-        std::fs::create_dir(&a.out).map_err(failed)?;
-    }
     rig.write(&a.out).map_err(Failure::writing)?;
     pca.write_components(&a.out).map_err(Failure::writing)?;
     say(format_args!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count()))?;

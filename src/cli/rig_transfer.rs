@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig)?;
+    a.output.check(&a.rig, &[("subject", a.subject.clone())])?;
     let mut units = a.units.of(&["rig", "subject"])?;
     let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
     let subject = units.read_positions("subject", &a.subject)?;

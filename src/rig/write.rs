@@ -9,12 +9,13 @@ use crate::mesh::{PolygonMesh, Vec3};
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
-    /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. The folder has to be there. Other files in it
-    /// are left alone.
+    /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. The folder is
+    /// made if it is not there; other files in it are left alone.
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), WriteError> {
+        make(folder)?;
         if let Some(mesh) = &self.mesh {
             write_obj(&folder.join("template.obj"), &mesh.with_positions(self.neutral.clone()))?;
         }
@@ -35,6 +36,30 @@ impl Rig {
         Ok(())
     }
 
+    /// A file of the folder that [`write`](Self::write), or [`write_meshes`](Self::write_meshes) if `meshes`, would leave there
+    /// and [`Rig::read`] would take for a part of the rig: another rig's. The first by name; none where there is no folder.
+    #[must_use]
+    pub fn stranger_in(&self, folder: &Path, meshes: bool) -> Option<String> {
+        let mut written: Vec<String> = self.regions.iter().map(|_| "regions.json".to_owned()).collect();
+        if meshes {
+            written.push("neutral.obj".to_owned());
+            written.extend(self.shapes.iter().map(|s| format!("{}.obj", s.name)));
+        } else {
+            written.push("neutral.npy".to_owned());
+            written.extend(self.mesh.iter().map(|_| "template.obj".to_owned()));
+            written.extend(self.landmarks.iter().map(|_| "landmarks_multipie68.json".to_owned()));
+            written.extend(self.stems().map(|(stem, _)| format!("{stem}_deltas.npy")));
+        }
+        let is_read = |name: &str| match name.rsplit_once('.') {
+            Some((stem, "obj" | "ply")) => meshes || stem == "template",
+            Some((stem, "npy")) => stem == "neutral" || stem.ends_with("_deltas"),
+            _ => name == "regions.json" || name == "landmarks_multipie68.json" && !meshes,
+        };
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
+        names.filter(|name| is_read(name) && !written.contains(name)).min()
+    }
+
     /// Shapes by the files that they go to, without empty ones; shapes of no known family go with the expressions.
     pub(super) fn stems(&self) -> impl Iterator<Item = (&'static str, Vec<usize>)> {
         [("expression", false), ("identity", true)].into_iter().filter_map(|(stem, identity)| {
@@ -45,7 +70,7 @@ impl Rig {
     }
 
     /// Writes one OBJ file a shape, named after it, whole shapes, with `neutral.obj`, `rig.json` and, if there are any,
-    /// `regions.json`. Families and landmarks are not kept. The folder has to be there.
+    /// `regions.json`. Families and landmarks are not kept. The folder is made if it is not there.
     ///
     /// # Errors
     /// When a name is none for a file, or differs from another by case alone, or a file cannot be written.
@@ -71,6 +96,7 @@ impl Rig {
                 format!("{:?} twice", pair[0]),
             ));
         }
+        make(folder)?;
         let mesh = match &self.mesh {
             Some(mesh) => mesh.with_positions(self.neutral.clone()),
             None => PolygonMesh { positions: self.neutral.clone(), starts: vec![0], ..PolygonMesh::default() },
@@ -84,6 +110,14 @@ impl Rig {
         write_json(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
         self.regions.as_ref().map_or(Ok(()), |regions| regions.write(&folder.join("regions.json")))
     }
+}
+
+/// Makes a folder that is not there.
+fn make(folder: &Path) -> Result<(), WriteError> {
+    if folder.is_dir() {
+        return Ok(());
+    }
+    std::fs::create_dir(folder).map_err(|source| WriteError::Io { path: folder.to_owned(), source })
 }
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
@@ -116,6 +150,6 @@ mod tests {
         for (k, original) in [0, 2, 1].into_iter().enumerate() {
             assert_eq!(read.deltas(k), rig.deltas(original));
         }
-        assert!(rig.write(&folder.path().join("nowhere")).is_err());
+        assert!(rig.write(&folder.path().join("no/where")).is_err());
     }
 }

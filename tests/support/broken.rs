@@ -4,6 +4,7 @@
 use data_gen::{FaceOptions, FaceRig, write_rig};
 use nonrigid::mesh::io::{NpyArray, PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
 
 use super::support::{Bench, landmarks_json};
 
@@ -62,6 +63,21 @@ const MORPH: &[(&str, &str)] = &[
     ("--report", "OUT/morph_page"),
 ];
 
+/// Names without dashes stand for what is given without one.
+const LANDMARKS_CONVERT: &[(&str, &str)] =
+    &[("INPUT", "rig/landmarks_multipie68.json"), ("OUTPUT", "OUT/points.csv"), ("--mesh", "rig/template.obj")];
+const LANDMARKS_CHECK: &[(&str, &str)] = &[("INPUT", "rig/landmarks_multipie68.json"), ("--mesh", "rig/template.obj")];
+const LANDMARKS_TRANSFER: &[(&str, &str)] = &[
+    ("INPUT", "rig/landmarks_multipie68.json"),
+    ("OUTPUT", "OUT/carried.json"),
+    ("--from", "rig/template.obj"),
+    ("--to", "subject.obj"),
+];
+const RIG_CONVERT: &[(&str, &str)] = &[("--rig", "rig"), ("--out", "OUT/rig.glb")];
+const RIG_TRANSFER: &[(&str, &str)] = &[("--rig", "rig"), ("--subject", "subject.obj"), ("--out", "OUT/me.npz")];
+const RIG_FIT: &[(&str, &str)] =
+    &[("--rig", "rig"), ("--shapes", "jawOpen"), ("--meshes", "frames"), ("--out", "OUT/weights.csv")];
+
 /// A recipe that works; rows break it.
 const RECIPE: &str = "frame = { origin = [\"30\"], right = [\"36\", \"45\"], up = [\"8\", \"27\"] }
 [[step]]
@@ -78,6 +94,12 @@ pub fn command_line(command: &str, changes: &str) -> String {
         "measure" => MEASURE,
         "morph" => MORPH,
         "rig pca" => RIG_PCA,
+        "rig convert" => RIG_CONVERT,
+        "rig transfer" => RIG_TRANSFER,
+        "rig fit" => RIG_FIT,
+        "landmarks convert" => LANDMARKS_CONVERT,
+        "landmarks check" => LANDMARKS_CHECK,
+        "landmarks transfer" => LANDMARKS_TRANSFER,
         _ => return format!("{command} {changes}"),
     }
     .iter()
@@ -85,12 +107,14 @@ pub fn command_line(command: &str, changes: &str) -> String {
     .collect();
     let words: Vec<&str> = changes.split_whitespace().collect();
     for change in words.chunks(2) {
-        options.retain(|o| o.0 != change[0]);
-        if change[1] != "-" {
-            options.push((change[0].to_owned(), change[1].to_owned()));
+        match options.iter_mut().find(|o| o.0 == change[0]) {
+            Some(option) => option.1 = change[1].to_owned(),
+            None => options.push((change[0].to_owned(), change[1].to_owned())),
         }
     }
-    let options: Vec<String> = options.into_iter().map(|(name, value)| format!("{name} {value}")).collect();
+    let given = options.into_iter().filter(|(_, value)| value != "-");
+    let options: Vec<String> =
+        given.map(|(name, value)| if name.starts_with('-') { format!("{name} {value}") } else { value }).collect();
     format!("{command} {}", options.join(" "))
 }
 
@@ -98,7 +122,21 @@ pub fn command_line(command: &str, changes: &str) -> String {
 pub fn broken() -> Bench {
     let bench = Bench::new();
     bench.write("new/.keep", "");
-    for name in ["r.obj", "r.json", "r.timing.json", "r.png", "h.png", "m.json", "m.csv", "morphed.obj"] {
+    for name in [
+        "r.obj",
+        "r.json",
+        "r.timing.json",
+        "r.png",
+        "h.png",
+        "m.json",
+        "m.csv",
+        "morphed.obj",
+        "points.csv",
+        "carried.json",
+        "rig.glb",
+        "me.npz",
+        "weights.csv",
+    ] {
         bench.write(&format!("old/{name}"), "from last week");
     }
     bench.write("schedule.toml", SCHEDULE);
@@ -176,6 +214,14 @@ pub fn broken() -> Bench {
         &PolygonMesh { corners: shuffled, metadata: Default::default(), ..bench.rig.mesh.clone() },
     )
     .unwrap();
+
+    bench.write("nan.csv", "nose_tip,1,2,3\nchin,4,nan,6\n");
+    bench.write("mm.json", "{\"unit\": \"mm\", \"landmarks\": [{\"name\": \"left eye\", \"position\": [1, 2, 3]}]}");
+    bench.write("sharp.json", "{\"#nose_tip\": [1.5, 2, 3]}");
+    bench.write("garbage.pp", "<PickedPoints><point x=\"1\"");
+    bench.write("few.pts", "version: 1\nn_points: 4\n{\n1 2 3\n}\n");
+    write_obj(&bench.path("subject.obj"), &bench.rig.mesh.with_positions(bench.case.truth.clone())).unwrap();
+    broken_rigs_and_frames(&bench);
 
     bench.write("recipe.toml", RECIPE);
     bench.write("far.toml", RECIPE.replace("[0, 0], radius", "[500, 0], radius"));
@@ -257,7 +303,7 @@ pub fn broken() -> Bench {
         bench.write(&format!("{folder}/b.obj"), person([0.0, 1.0]));
         bench.write(&format!("{folder}/c.obj"), mesh);
     }
-    for name in ["folder.obj", "folder.json", "folder.png"] {
+    for name in ["folder.obj", "folder.json", "folder.png", "folder.csv", "folder.glb"] {
         bench.write(&format!("{name}/.keep"), "");
     }
     let vertices = "element vertex 1000000000000";
@@ -337,4 +383,55 @@ pub fn broken() -> Bench {
         bench.write(&format!("{name}.toml"), first + &then);
     }
     bench
+}
+
+/// Rigs in files, and sequences of frames.
+fn broken_rigs_and_frames(bench: &Bench) {
+    let (rig, _) = Rig::read(&bench.path("rig"), &RigReadOptions::default()).unwrap();
+    rig.write_gltf(&bench.path("me.glb")).unwrap();
+    rig.write_npz(&bench.path("me.npz")).unwrap();
+    for name in ["me.glb", "me.npz"] {
+        let bytes = bench.read(name);
+        bench.write(&format!("truncated_{name}"), &bytes[..bytes.len() / 2]);
+    }
+    bench.write("empty.glb", "");
+    bench.write("empty.npz", "");
+    bench.write("garbage.gltf", "{\"asset\": {\"version\": \"2.0\"}, oops");
+    bench.write(
+        "draco.gltf",
+        "{\"asset\": {\"version\": \"2.0\"}, \"extensionsRequired\": [\"KHR_draco_mesh_compression\"]}",
+    );
+    bench.write(
+        "gigabytes.gltf",
+        "{\"asset\": {\"version\": \"2.0\"}, \"nodes\": [{\"mesh\": 0}],
+        \"meshes\": [{\"primitives\": [{\"attributes\": {\"POSITION\": 0}}]}],
+        \"accessors\": [{\"componentType\": 5126, \"type\": \"VEC3\", \"count\": 1000000000}]}",
+    );
+    bench.write("plain_file", "no folder");
+    let positions = rig.neutral().to_vec();
+    let shape = |name: &str| vec![Shape { name: name.into(), family: Family::Expression }];
+    let deltas: Vec<f32> = (0..3 * positions.len()).map(|i| (i as f32 * 0.37).sin()).collect();
+    let (slash, _) = Rig::new(positions.clone(), rig.mesh().cloned(), shape("brow/up"), deltas.clone()).unwrap();
+    slash.write_npz(&bench.path("slash.npz")).unwrap();
+    let (bare, _) = Rig::new(positions.clone(), None, shape("smile"), deltas).unwrap();
+    bare.write_npz(&bench.path("no_polygons.npz")).unwrap();
+    let (still, _) = Rig::new(positions.clone(), rig.mesh().cloned(), Vec::new(), Vec::new()).unwrap();
+    still.write_npz(&bench.path("no_shapes.npz")).unwrap();
+    bench.write("stranger/old.obj", "v 0 0 0\n");
+
+    let flat = vec![Vec3::repeat(7.0); positions.len()];
+    for (folder, positions) in [("frames", &bench.case.truth), ("frames_at_a_point", &flat)] {
+        bench.write(&format!("{folder}/.keep"), "");
+        write_obj(&bench.path(&format!("{folder}/000.obj")), &bench.rig.mesh.with_positions(positions.clone()))
+            .unwrap();
+    }
+    let frame = String::from_utf8(bench.read("frames/000.obj")).unwrap();
+    bench.write("frames_twice/000.obj", &frame);
+    bench.write("frames_twice/000.ply", "ply\n");
+    bench.write("frames_nan/000.obj", &frame);
+    bench.write("frames_nan/001.obj", frame.replacen("v ", "v nan ", 1));
+    bench.write("frames_empty/000.obj", "");
+    bench.write("frames_garbage/000.ply", [0u8, 159, 146, 150, 10, 255, 0, 1]);
+    bench.write("frames_short/000.obj", &frame);
+    bench.write("frames_short/001.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
 }

@@ -113,10 +113,10 @@ pub enum WriteError {
 }
 
 impl WriteError {
-    /// Data that do not fit, for writers of other formats that stand on this floor.
+    /// Data that do not fit, for writers of other formats that stand on this floor. What they say at great length is cut.
     #[must_use]
     pub fn data(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Data { path: path.to_owned(), expected: expected.into(), found: found.into() }
+        Self::Data { path: path.to_owned(), expected: cut(expected.into()), found: cut(found.into()) }
     }
 }
 

@@ -8,8 +8,13 @@ use flate2::read::MultiGzDecoder;
 use super::error::{extension, read_file};
 use super::{Place, ReadError};
 
-/// More than any mesh: what unpacks to more is refused.
+/// What unpacks to more is refused: more than any mesh.
 const MOST: u64 = 1 << 32;
+/// The same for each byte of the packed file. The format goes up to a thousand, for one byte over and over; meshes as text
+/// come to 3 to 10, a flat grid as ascii STL to 46.
+const MOST_PER_BYTE: u64 = 200;
+/// What any file may unpack to, however short.
+const ALWAYS: u64 = 1 << 24;
 
 /// The extension in lower case: of what is inside if the file ends in `.gz`.
 pub(super) fn inner_extension(path: &Path) -> String {
@@ -19,11 +24,16 @@ pub(super) fn inner_extension(path: &Path) -> String {
 /// The content of a file, unpacked if it ends in `.gz`.
 pub(super) fn read_unpacked(path: &Path) -> Result<Vec<u8>, ReadError> {
     let bytes = read_file(path)?;
-    if is_packed(path) { unpack(&bytes, path, MOST) } else { Ok(bytes) }
+    if is_packed(path) { unpack(&bytes, path, most(bytes.len())) } else { Ok(bytes) }
 }
 
 fn is_packed(path: &Path) -> bool {
     extension(path) == "gz"
+}
+
+/// What so many bytes may unpack to.
+fn most(packed: usize) -> u64 {
+    (packed as u64).saturating_mul(MOST_PER_BYTE).clamp(ALWAYS, MOST)
 }
 
 fn unpack(bytes: &[u8], path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {

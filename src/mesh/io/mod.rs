@@ -25,8 +25,8 @@ pub use landmarks::{
     PlaceKind, PlacedLandmark, Source, TemplatePoint, pair_landmarks, parse_landmark_set, parse_landmarks,
     read_landmark_set, read_landmarks, read_scan_landmark_set, read_template_landmarks, write_landmark_set,
 };
-pub use npy::{NpyArray, NpyItem, Npz, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
-pub use npz::NpzContents;
+pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
+pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};

@@ -1,13 +1,91 @@
-//! Writing NPZ archives: uncompressed, the arrays in the order given, with no dates, so that the same arrays are the same bytes.
+//! NPZ archives of NumPy arrays. They are written uncompressed, the arrays in the order given, with no dates, so that the same
+//! arrays are the same bytes.
 
-use std::io::Write;
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, Write};
+use std::path::{Path, PathBuf};
 
 use npyz::zip::write::{FileOptions, ZipWriter};
 use npyz::zip::{CompressionMethod, DateTime};
 
-use super::npy::npy_start;
-use super::{NpyItem, WriteError, write_atomically};
+use super::npy::{NpyArray, NpyItem, npy_start, points};
+use super::{Place, ReadError, WriteError, write_atomically};
+use crate::mesh::Vec3;
+
+/// An NPZ archive: named arrays.
+pub struct Npz<R: Read + Seek = BufReader<File>> {
+    path: PathBuf,
+    archive: npyz::npz::NpzArchive<R>,
+}
+
+impl<R: Read + Seek> std::fmt::Debug for Npz<R> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Npz").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+impl Npz {
+    /// Opens an archive.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not an archive.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let file = File::open(path).map_err(|source| ReadError::io(path, source))?;
+        Self::from_reader(BufReader::new(file), path)
+    }
+}
+
+impl<R: Read + Seek> Npz<R> {
+    /// Opens an archive that is read from `reader`; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Npz::open`].
+    pub fn from_reader(reader: R, path: &Path) -> Result<Self, ReadError> {
+        match npyz::npz::NpzArchive::new(reader) {
+            Ok(archive) => Ok(Self { path: path.to_owned(), archive }),
+            Err(e) => Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", e.to_string())),
+        }
+    }
+
+    /// Names of the arrays, sorted.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = self.archive.array_names().map(str::to_owned).collect();
+        names.sort_unstable();
+        names
+    }
+
+    /// The array called `name`.
+    ///
+    /// # Errors
+    /// When there is none (the message lists those there are), or as [`NpyArray::open`].
+    pub fn array(&mut self, name: &str) -> Result<NpyArray<'_>, ReadError> {
+        let names = self.names();
+        if !names.iter().any(|n| n == name) {
+            let found = if names.is_empty() { "no arrays".to_owned() } else { names.join(", ") };
+            return Err(ReadError::malformed(&self.path, Place::File, format!("an array {name:?}"), found));
+        }
+        // Appended, not joined: a name may look like a path from the root.
+        let mut inside = self.path.clone().into_os_string();
+        inside.push(format!("/{name}.npy"));
+        let inside = PathBuf::from(inside);
+        match self.archive.zip_archive().by_name(&npyz::npz::file_name_from_array_name(name)) {
+            Ok(entry) => {
+                let size = entry.size();
+                NpyArray::from_reader(Box::new(entry), Some(size), &inside)
+            }
+            Err(e) => Err(ReadError::malformed(&inside, Place::File, "a readable archive entry", e.to_string())),
+        }
+    }
+
+    /// The N x 3 array called `name` as points.
+    ///
+    /// # Errors
+    /// As [`Npz::array`] and [`read_npy_points`](super::read_npy_points).
+    pub fn points(&mut self, name: &str) -> Result<Vec<Vec3>, ReadError> {
+        points(self.array(name)?)
+    }
+}
 
 /// Arrays by name, to be written as `.npz`.
 #[derive(Debug, Clone, Default)]

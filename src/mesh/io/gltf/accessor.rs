@@ -1,13 +1,8 @@
 //! Accessors: typed, possibly interleaved, possibly sparse views of buffers, checked against the bytes that are there.
 
-use std::cell::Cell;
-
+use super::budget::Budget;
 use super::document::{Loaded, SparsePart};
 use crate::mesh::io::ReadError;
-
-/// Numbers that all accessors of a file may have together, each counted as often as it is used: 400 million,
-/// 3 GB. A file of some kilobytes can name the same data any number of times.
-const MOST_NUMBERS: usize = 3 << 27;
 
 /// Where elements lie: each `size` bytes, `stride` apart.
 struct Elements<'a> {
@@ -49,12 +44,12 @@ impl Component {
 /// Reads accessors of one file.
 pub(super) struct Accessors<'a> {
     file: &'a Loaded<'a>,
-    left: Cell<usize>,
+    pub budget: Budget<'a>,
 }
 
 impl<'a> Accessors<'a> {
     pub fn new(file: &'a Loaded<'a>) -> Self {
-        Self { file, left: Cell::new(MOST_NUMBERS) }
+        Self { file, budget: Budget::new(file) }
     }
 
     /// All numbers of accessor `index`, of type `kind` with `width` numbers an element; finite.
@@ -66,21 +61,15 @@ impl<'a> Accessors<'a> {
             return file.malformed(format!("{name} of type {kind}"), format!("{:?}", accessor.kind));
         }
         let count = accessor.count;
-        // Without a view there are only zeros, however many are claimed.
-        let bytes: usize = file.buffers.iter().map(|b| b.len()).sum();
-        if accessor.buffer_view.is_none() && count > bytes {
-            return file
-                .malformed(format!("{name} with at most as many elements as bytes, {bytes}"), count.to_string());
-        }
         let mut values = match accessor.buffer_view {
             None => {
-                self.spend(count.saturating_mul(width))?;
+                self.budget.spend(count.saturating_mul(width), &name)?; // zeros, however many are claimed
                 vec![0.0; count * width]
             }
             Some(view) => {
                 let part = (view, accessor.byte_offset, accessor.component_type);
                 let elements = self.elements(part, count, width, &name)?;
-                self.spend(count.saturating_mul(width))?;
+                self.budget.spend(count.saturating_mul(width), &name)?;
                 decode(&elements, count, width, accessor.normalized)
             }
         };
@@ -122,16 +111,6 @@ impl<'a> Accessors<'a> {
                     wrong.map_or_else(String::new, f64::to_string),
                 )
             }
-        }
-    }
-
-    fn spend(&self, numbers: usize) -> Result<(), ReadError> {
-        match self.left.get().checked_sub(numbers) {
-            Some(left) => {
-                self.left.set(left);
-                Ok(())
-            }
-            None => self.file.malformed(format!("at most {MOST_NUMBERS} numbers in all meshes together"), "more"),
         }
     }
 

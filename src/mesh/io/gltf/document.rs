@@ -1,9 +1,11 @@
 //! The part of a glTF file's JSON that meshes need, and the binary container round it.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
+use std::rc::Rc;
 
 use base64::Engine as _;
 use serde::Deserialize;
@@ -79,7 +81,9 @@ objects! {
 pub(super) struct Loaded<'a> {
     pub path: &'a Path,
     pub document: Document,
-    pub buffers: Vec<Cow<'a, [u8]>>,
+    /// Buffers in one file are loaded once.
+    pub buffers: Vec<Rc<Cow<'a, [u8]>>>,
+    json_length: usize,
 }
 
 impl<'a> Loaded<'a> {
@@ -99,13 +103,14 @@ impl<'a> Loaded<'a> {
             return malformed("no extension that changes what meshes are", format!("extensionsRequired {needed:?}"));
         }
         let mut buffers = Vec::with_capacity(document.buffers.len());
+        let mut beside = Buffers::new();
         for (i, buffer) in document.buffers.iter().enumerate() {
             let data = match &buffer.uri {
                 None => match binary.filter(|_| i == 0) {
-                    Some(binary) => Cow::Borrowed(binary),
+                    Some(binary) => Rc::new(Cow::Borrowed(binary)),
                     None => return malformed("a uri or the container's binary chunk", format!("none in buffer {i}")),
                 },
-                Some(uri) => Cow::Owned(load(path, i, uri, buffer.byte_length)?),
+                Some(uri) => load(path, i, uri, buffer.byte_length, &mut beside)?,
             };
             if data.len() < buffer.byte_length {
                 let expected = format!("{} bytes in buffer {i}", buffer.byte_length);
@@ -113,7 +118,12 @@ impl<'a> Loaded<'a> {
             }
             buffers.push(data);
         }
-        Ok(Self { path, document, buffers })
+        Ok(Self { path, document, buffers, json_length: json.len() })
+    }
+
+    /// Bytes of the document and its buffers.
+    pub fn length(&self) -> usize {
+        self.json_length + self.buffers.iter().map(|b| b.len()).sum::<usize>()
     }
 
     pub fn malformed<T>(&self, expected: impl Into<String>, found: impl Into<String>) -> Result<T, ReadError> {
@@ -166,8 +176,16 @@ fn chunks<'a>(bytes: &'a [u8], path: &Path) -> Result<(&'a [u8], Option<&'a [u8]
     }
 }
 
-/// A buffer from a data URI or a file beside the document.
-fn load(path: &Path, index: usize, uri: &str, length: usize) -> Result<Vec<u8>, ReadError> {
+type Buffers = HashMap<PathBuf, Rc<Cow<'static, [u8]>>>;
+
+/// A buffer from a data URI or a file beside the document, where `beside` are those which are known.
+fn load(
+    path: &Path,
+    index: usize,
+    uri: &str,
+    length: usize,
+    beside: &mut Buffers,
+) -> Result<Rc<Cow<'static, [u8]>>, ReadError> {
     let malformed = |expected: &str| {
         let found = format!("buffer {index} with uri {}", excerpt(uri.as_bytes()));
         ReadError::malformed(path, Place::File, expected, found)
@@ -175,7 +193,8 @@ fn load(path: &Path, index: usize, uri: &str, length: usize) -> Result<Vec<u8>, 
     if let Some(data) = uri.strip_prefix("data:") {
         let text = data.split_once(";base64,").ok_or_else(|| malformed("a data uri in base64"))?.1;
         let engine = base64::engine::general_purpose::STANDARD;
-        return engine.decode(text).map_err(|e| malformed(&format!("a data uri in base64 ({e})")));
+        let decoded = engine.decode(text).map_err(|e| malformed(&format!("a data uri in base64 ({e})")))?;
+        return Ok(Rc::new(Cow::Owned(decoded)));
     }
     let expected = "a data uri or the relative path of a file";
     let name = PathBuf::from(percent_decoded(uri).ok_or_else(|| malformed(expected))?);
@@ -186,6 +205,13 @@ fn load(path: &Path, index: usize, uri: &str, length: usize) -> Result<Vec<u8>, 
     }
     let file_path = path.parent().unwrap_or(Path::new("")).join(name);
     let fail = |source| ReadError::io(&file_path, source);
+    let one_file = file_path.canonicalize().map_err(fail)?;
+    if let Some(known) = beside.get(&one_file) {
+        return match known.len() == length {
+            true => Ok(known.clone()),
+            false => Err(malformed(&format!("{} bytes in every buffer of one file", known.len()))),
+        };
+    }
     let file = File::open(&file_path).map_err(fail)?;
     let metadata = file.metadata().map_err(fail)?;
     if !metadata.is_file() || metadata.len() < length as u64 {
@@ -194,7 +220,9 @@ fn load(path: &Path, index: usize, uri: &str, length: usize) -> Result<Vec<u8>, 
     }
     let mut bytes = Vec::with_capacity(length);
     file.take(length as u64).read_to_end(&mut bytes).map_err(fail)?;
-    Ok(bytes)
+    let buffer: Rc<Cow<[u8]>> = Rc::new(Cow::Owned(bytes));
+    beside.insert(one_file, buffer.clone());
+    Ok(buffer)
 }
 
 /// `%20` and the like as the bytes they stand for.

@@ -26,6 +26,7 @@
 //! no check of accessors against their buffers, which is most of the work of reading files that are not trusted.
 
 mod accessor;
+mod budget;
 mod document;
 mod read;
 mod topology;

@@ -1,11 +1,13 @@
 //! Reading: the scene's nodes, their meshes, and all of them as one.
 
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 use serde_json::{Map, Value};
 
 use super::accessor::Accessors;
+use super::budget::weight;
 use super::document::{Document, Loaded, Mesh, Node, Primitive};
 use super::topology::{Note, Restored, Triangles, restore, weld};
 use super::{GltfMesh, MILLIMETRES_PER_METRE};
@@ -43,6 +45,10 @@ pub fn parse_gltf(bytes: &[u8], path: &Path) -> Result<GltfMesh, ReadError> {
     }
     let count: usize = parts.iter().map(|p| p.mesh.positions.len()).sum();
     let corners: usize = parts.iter().map(|p| p.mesh.corners.len()).sum();
+    if parts.len() > 1 {
+        let names: HashSet<&String> = parts.iter().flat_map(|p| &p.targets).map(|(name, _)| name).collect();
+        accessors.budget.spend(3 * count * names.len(), "the morph targets of all meshes")?;
+    }
     if count == 0 {
         return file.malformed("a scene with a mesh that has vertices", "none");
     }
@@ -109,6 +115,7 @@ fn read_part(
     name: &str,
     to_millimetres: &Matrix4<f64>,
 ) -> Result<Part, ReadError> {
+    accessors.budget.spend(weight(&mesh.extras) + name.len(), "names and notes of a mesh")?;
     let target_count = mesh.primitives.first().map_or(0, |p| p.targets.len());
     let names = target_names(file, mesh, target_count)?;
     let mut all = Triangles::default();
@@ -125,6 +132,7 @@ fn read_part(
         if let Some(material) = primitive.material {
             let name = &file.entry(&file.document.materials, material, "materials")?.name;
             if !name.is_empty() {
+                accessors.budget.spend(name.len(), "names of materials")?;
                 materials.push((all.triangles.len() as u32, ObjStatement::Material(name.clone())));
             }
         }
@@ -229,7 +237,10 @@ fn read_primitive(
     }
     for (target, deltas) in primitive.targets.iter().zip(targets) {
         match attribute(target, "POSITION")? {
-            None => deltas.extend(std::iter::repeat_n(0.0, 3 * count)),
+            None => {
+                accessors.budget.spend(3 * count, "a morph target without positions")?;
+                deltas.extend(std::iter::repeat_n(0.0, 3 * count));
+            }
             Some(index) => {
                 let new = accessors.read(index, "VEC3", 3, "POSITION of a morph target")?;
                 check(new.len() / 3, "displacements")?;
@@ -278,21 +289,20 @@ fn joined(mut parts: Vec<Part>) -> GltfMesh {
     let count: usize = parts.iter().map(|p| p.mesh.positions.len()).sum();
     let textured = parts.iter().any(|p| !p.mesh.metadata.corner_uvs.is_empty());
     let mut all = GltfMesh { mesh: PolygonMesh { starts: vec![0], ..PolygonMesh::default() }, ..GltfMesh::default() };
-    for part in &parts {
-        for (name, _) in &part.targets {
-            if !all.target_names.contains(name) {
-                all.target_names.push(name.clone());
-            }
+    let mut index: HashMap<String, usize> = HashMap::new();
+    for (name, _) in parts.iter().flat_map(|p| &p.targets) {
+        if !index.contains_key(name) {
+            index.insert(name.clone(), index.len());
+            all.target_names.push(name.clone());
         }
     }
     all.target_deltas = vec![0.0; 3 * count * all.target_names.len()];
     for Part { name, mesh, targets, .. } in parts {
-        let GltfMesh { mesh: whole, target_names, target_deltas, .. } = &mut all;
+        let GltfMesh { mesh: whole, target_deltas, .. } = &mut all;
         let (vertices, corners) = (whole.positions.len() as u32, whole.corners.len() as u32);
         let (polygons, uvs) = (whole.polygon_count() as u32, whole.metadata.uvs.len() as u32);
         for (name, deltas) in targets {
-            let k = target_names.iter().position(|n| *n == name).expect("proven: all names are in the list");
-            let start = 3 * (k * count + vertices as usize);
+            let start = 3 * (index[&name] * count + vertices as usize);
             target_deltas[start..start + deltas.len()].copy_from_slice(&deltas);
         }
         whole.positions.extend(&mesh.positions);

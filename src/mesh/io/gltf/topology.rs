@@ -1,6 +1,7 @@
 //! From polygons with texture coordinates at their corners to triangles with one at each vertex, and back.
 
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hasher};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -176,12 +177,15 @@ pub(super) fn weld(file: &Triangles, targets: &[Vec<f64>]) -> Restored {
     let count = file.positions.len();
     let mut sources: Vec<u32> = Vec::with_capacity(count);
     let mut vertex_of: Vec<u32> = Vec::with_capacity(count);
-    let mut at: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
+    // by position and a hash of the displacements: there may be any number at one place
+    let mut at: HashMap<([u64; 3], u64), Vec<u32>> = HashMap::new();
     // `+ 0.0`: the two zeros are one place
-    let bits = |p: &Vec3| [p.x, p.y, p.z].map(|x| (x + 0.0).to_bits());
+    let bits = |x: f64| (x + 0.0).to_bits();
     for (i, p) in file.positions.iter().enumerate() {
         let moves = |i: usize| targets.iter().flat_map(move |t| &t[3 * i..3 * i + 3]);
-        let here = at.entry(bits(p)).or_default();
+        let mut hasher = DefaultHasher::new();
+        moves(i).for_each(|d| hasher.write_u64(bits(*d)));
+        let here = at.entry(([p.x, p.y, p.z].map(bits), hasher.finish())).or_default();
         let same = here.iter().find(|&&v| moves(sources[v as usize] as usize).eq(moves(i)));
         let vertex = match same.filter(|_| !file.triangles.is_empty()) {
             Some(&vertex) => vertex,

@@ -69,7 +69,7 @@ pub struct LandmarkCheck {
     pub landmarks: Vec<OnSurface>,
     /// Names of those farther from the surface than the tolerance.
     pub off: Vec<String>,
-    /// Names of landmarks that are at the same point.
+    /// Names of landmarks that are at the same point, each with one other there.
     pub duplicates: Vec<[String; 2]>,
     /// How many pairs of left and right are known.
     pub pairs: usize,
@@ -112,9 +112,7 @@ impl LandmarkCheck {
         let names: Vec<&str> = set.landmarks.iter().map(|l| l.name.as_str()).collect();
         let both = |[a, b]: [usize; 2]| [names[a].to_owned(), names[b].to_owned()];
         let close = SAME * bounding_box_diagonal(&mesh.positions);
-        let after = |a: usize| (a + 1..positions.len()).map(move |b| [a, b]);
-        let duplicates = (0..positions.len()).flat_map(after);
-        let duplicates = duplicates.filter(|&[a, b]| (positions[a] - positions[b]).norm() <= close).map(both).collect();
+        let duplicates = duplicates(positions, close).into_iter().map(both).collect();
 
         let pairs = pairs(&names);
         let directions: Vec<Vec3> = pairs.iter().map(|&[right, left]| positions[left] - positions[right]).collect();
@@ -138,6 +136,21 @@ impl LandmarkCheck {
     pub fn problems(&self) -> usize {
         self.off.len() + self.duplicates.len() + self.swapped.len() + usize::from(self.mirrored == Some(true))
     }
+}
+
+/// Pairs of points that are at most `close` to each other: each point with the first one after it along x.
+fn duplicates(positions: &[Vec3], close: f64) -> Vec<[usize; 2]> {
+    let mut by_x: Vec<usize> = (0..positions.len()).collect();
+    by_x.sort_by(|&a, &b| positions[a].x.total_cmp(&positions[b].x));
+    let mut pairs = Vec::new();
+    for (i, &a) in by_x.iter().enumerate() {
+        let mut within = by_x[i + 1..].iter().take_while(|&&b| positions[b].x - positions[a].x <= close);
+        if let Some(&b) = within.find(|&&b| (positions[a] - positions[b]).norm() <= close) {
+            pairs.push([a.min(b), a.max(b)]);
+        }
+    }
+    pairs.sort_unstable();
+    pairs
 }
 
 /// Indices of pairs, right first.

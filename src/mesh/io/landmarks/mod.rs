@@ -355,22 +355,18 @@ pub fn write_landmark_set(path: &Path, set: &LandmarkSet, format: LandmarkFormat
         let found = format!("{:?} at {:?}", landmark.name, landmark.place);
         return fail(format!("landmarks whose places {format} can hold (give the mesh that they are on)"), found);
     }
-    let text = match format {
-        LandmarkFormat::Native => native::render(set),
-        LandmarkFormat::Points | LandmarkFormat::Wrap => plain::render(set),
-        LandmarkFormat::ScalismoJson => scalismo::render_json(set),
-        LandmarkFormat::Csv => scalismo::render_csv(set),
-        LandmarkFormat::SlicerJson => slicer::render_json(set),
-        LandmarkFormat::SlicerFcsv => slicer::render_fcsv(set),
-        LandmarkFormat::MeshLab => meshlab::render(set),
-        LandmarkFormat::Pts => menpo::render_pts(set),
-        LandmarkFormat::Lm3 => menpo::render_lm3(set),
-        LandmarkFormat::Ljson => menpo::render_ljson(set),
-        LandmarkFormat::Text => text::render(set),
-    };
+    let text = render(set, format);
     let again = match parse_landmark_set(text.as_bytes(), path) {
         Ok(again) => again,
-        Err(error) => return fail(format!("landmarks that {format} can hold"), error.to_string()),
+        Err(error) => {
+            let mut one = set.clone();
+            let unreadable = set.landmarks.iter().find(|landmark| {
+                one.landmarks = vec![(*landmark).clone()];
+                parse_landmark_set(render(&one, format).as_bytes(), path).is_err()
+            });
+            let found = unreadable.map_or_else(|| error.to_string(), |l| format!("{:?} at {:?}", l.name, l.place));
+            return fail(format!("landmarks that {format} can hold"), found);
+        }
     };
     let changed = (0..set.landmarks.len()).find(|&i| {
         let (ours, theirs) = (&set.landmarks[i], again.landmarks.get(i));
@@ -383,6 +379,22 @@ pub fn write_landmark_set(path: &Path, set: &LandmarkSet, format: LandmarkFormat
         return fail(format!("names and places that {format}, with this file extension, can hold"), found);
     }
     write_atomically(path, |out| out.write_all(text.as_bytes()))
+}
+
+fn render(set: &LandmarkSet, format: LandmarkFormat) -> String {
+    match format {
+        LandmarkFormat::Native => native::render(set),
+        LandmarkFormat::Points | LandmarkFormat::Wrap => plain::render(set),
+        LandmarkFormat::ScalismoJson => scalismo::render_json(set),
+        LandmarkFormat::Csv => scalismo::render_csv(set),
+        LandmarkFormat::SlicerJson => slicer::render_json(set),
+        LandmarkFormat::SlicerFcsv => slicer::render_fcsv(set),
+        LandmarkFormat::MeshLab => meshlab::render(set),
+        LandmarkFormat::Pts => menpo::render_pts(set),
+        LandmarkFormat::Lm3 => menpo::render_lm3(set),
+        LandmarkFormat::Ljson => menpo::render_ljson(set),
+        LandmarkFormat::Text => text::render(set),
+    }
 }
 
 /// Whether places are equal; a third weight that a file leaves out is rounded.

@@ -55,15 +55,19 @@ pub(super) fn parse(json: &Json, path: &Path) -> Result<LandmarkSet, ReadError> 
                 LandmarkPlace::Face { triangle: triangle as u64, barycentric }
             }
             (None, None, Some(position)) => {
-                LandmarkPlace::Position(position.point(path, name, "a position [x, y, z]")? * scale)
+                let p = position.point(path, name, "a position [x, y, z]")? * scale;
+                if !p.iter().all(|c| c.is_finite()) {
+                    return Err(wrong("a position that is finite in millimetres", position));
+                }
+                LandmarkPlace::Position(p)
             }
             _ => return Err(wrong("one of \"vertex\", \"face\" and \"position\"", entry)),
         };
         let sigma = match entry.get("sigma") {
             None => None,
             Some(sigma) => {
-                let value = sigma.number().filter(|s| *s > 0.0 && s.is_finite());
-                Some(scale * value.ok_or_else(|| wrong("a positive \"sigma\"", sigma))?)
+                let value = sigma.number().map(|s| scale * s).filter(|s| *s > 0.0 && s.is_finite());
+                Some(value.ok_or_else(|| wrong("a positive \"sigma\"", sigma))?)
             }
         };
         landmarks.push(PlacedLandmark { name: name.to_owned(), place, sigma });

@@ -65,6 +65,21 @@ pub(super) fn parse_json(json: &Json, path: &Path) -> Result<LandmarkSet, ReadEr
     Ok(set)
 }
 
+/// The columns of a file, and where those are that a point needs: x, y, z, label and id.
+struct Columns {
+    names: String,
+    count: usize,
+    at: [Option<usize>; 5],
+}
+
+impl Columns {
+    fn new(names: &str) -> Self {
+        let columns = split_quoted(names);
+        let at = ["x", "y", "z", "label", "id"].map(|name| columns.iter().position(|c| c == name));
+        Self { names: names.to_owned(), count: columns.len(), at }
+    }
+}
+
 pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadError> {
     let mut set = LandmarkSet {
         format: LandmarkFormat::SlicerFcsv,
@@ -72,14 +87,14 @@ pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadErr
         unit: Some(LengthUnit::Millimetre),
         ..LandmarkSet::default()
     };
-    let mut columns = split_quoted(COLUMNS);
+    let mut columns = Columns::new(COLUMNS);
     for line in Lines::new(text, path) {
         if let Some(comment) = line.text.strip_prefix('#') {
             match comment.split_once('=').map(|(key, value)| (key.trim(), value.trim())) {
                 Some(("CoordinateSystem", "LPS" | "1")) => set.space = Some(PatientSpace::Lps),
                 Some(("CoordinateSystem", "RAS" | "0")) => set.space = Some(PatientSpace::Ras),
                 Some(("CoordinateSystem", _)) => return Err(line.wrong("`# CoordinateSystem = ` LPS, RAS, 1 or 0")),
-                Some(("columns", names)) => columns = split_quoted(names),
+                Some(("columns", names)) => columns = Columns::new(names),
                 _ => {}
             }
             continue;
@@ -88,13 +103,13 @@ pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadErr
             return Err(line.error("a line `# CoordinateSystem = LPS` or RAS first", "a point"));
         };
         let fields = split_quoted(line.text);
-        let column = |name: &str| columns.iter().position(|c| c == name).and_then(|i| fields.get(i));
-        let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
-            return Err(line.error(format!("columns {}", columns.join(",")), format!("{} fields", fields.len())));
+        let [x, y, z, label, id] = columns.at.map(|i| fields.get(i?));
+        let (Some(x), Some(y), Some(z)) = (x, y, z) else {
+            return Err(line.error(format!("columns {}", columns.names), format!("{} fields", fields.len())));
         };
-        let named = column("label").or(column("id")).filter(|n| !n.is_empty()).cloned();
+        let named = label.or(id).filter(|n| !n.is_empty()).cloned();
         let name = named.unwrap_or_else(|| (set.landmarks.len() + set.missing.len()).to_string());
-        let status = fields.get(columns.len());
+        let status = fields.get(columns.count);
         if status.is_some_and(|s| NOT_PLACED.contains(&s.as_str())) {
             set.missing.push(name);
             continue;

@@ -1,0 +1,353 @@
+//! A bounding volume hierarchy in a flat array (binned surface-area heuristic, Wald 2007), eight boxes to a node so that
+//! registers test them together (Wald, Benthin & Boulos 2008), searched nearest box first.
+
+use std::ops::Range;
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::Point;
+
+/// Primitives in a leaf at most.
+const LEAF: usize = 4;
+const BINS: usize = 16;
+/// From here on, halves instead of the heuristic: bounds the depth, and with it the stack of a search.
+const HALVES_FROM_DEPTH: usize = 40;
+/// Entries that the stack of a search has without asking for memory.
+const STACK: usize = 96;
+/// Children of a node.
+const WIDTH: usize = 8;
+/// Slots of a child that is not there.
+const EMPTY: u32 = u32::MAX;
+
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bounds {
+    pub low: Point,
+    pub high: Point,
+}
+
+impl Bounds {
+    pub const EMPTY: Self = Self { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3] };
+
+    pub fn include(&mut self, other: &Self) {
+        for axis in 0..3 {
+            self.low[axis] = self.low[axis].min(other.low[axis]);
+            self.high[axis] = self.high[axis].max(other.high[axis]);
+        }
+    }
+
+    fn half_area(&self) -> f64 {
+        let [x, y, z] = [0, 1, 2].map(|axis| (self.high[axis] - self.low[axis]).max(0.0));
+        x * y + y * z + z * x
+    }
+
+    fn center(&self, axis: usize) -> f64 {
+        0.5 * self.low[axis] + 0.5 * self.high[axis]
+    }
+}
+
+/// One child of a node: its box, rounded outwards, and what it is.
+#[derive(Debug, Clone, Copy)]
+struct Child {
+    low: [f32; 3],
+    high: [f32; 3],
+    /// First slot of a leaf, or index of a node.
+    first: u32,
+    /// Slots in a leaf, 0 for a node.
+    count: u32,
+}
+
+impl Child {
+    const NONE: Self = Self { low: [f32::MAX; 3], high: [f32::MAX; 3], first: 0, count: EMPTY };
+
+    fn new(bounds: &Bounds, first: usize, count: usize) -> Self {
+        let (first, count) = (first as u32, count as u32);
+        Self { low: bounds.low.map(below), high: bounds.high.map(above), first, count }
+    }
+
+    fn half_area(&self) -> f32 {
+        let [x, y, z] = [0, 1, 2].map(|axis| self.high[axis] - self.low[axis]);
+        x * y + y * z + z * x
+    }
+}
+
+/// Children side by side.
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    low: [[f32; WIDTH]; 3],
+    high: [[f32; WIDTH]; 3],
+    first: [u32; WIDTH],
+    count: [u32; WIDTH],
+}
+
+impl Node {
+    fn new(children: &[Child]) -> Self {
+        let child = |i: usize| children.get(i).unwrap_or(&Child::NONE);
+        Self {
+            low: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).low[axis])),
+            high: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).high[axis])),
+            first: std::array::from_fn(|i| child(i).first),
+            count: std::array::from_fn(|i| child(i).count),
+        }
+    }
+}
+
+/// The largest `f32` not above `x`.
+fn below(x: f64) -> f32 {
+    let rounded = x as f32;
+    if f64::from(rounded) > x { rounded.next_down() } else { rounded }
+}
+
+/// The smallest `f32` not below `x`.
+fn above(x: f64) -> f32 {
+    -below(-x)
+}
+
+/// Boxes of boxes; knows nothing of what lies in them.
+#[derive(Debug, Clone, Default)]
+pub(super) struct BoxTree {
+    /// The root first.
+    nodes: Vec<Node>,
+    /// Primitive in every slot.
+    pub order: Vec<u32>,
+    /// Entries that the stack of a search may need.
+    stack: usize,
+}
+
+/// What a search has found so far: the lexicographically least (squared distance, primitive).
+#[derive(Clone, Copy)]
+pub(super) struct Best {
+    pub squared_distance: f64,
+    pub primitive: u32,
+}
+
+impl Best {
+    #[inline(always)]
+    pub fn beaten_by(&self, squared_distance: f64, primitive: u32) -> bool {
+        squared_distance < self.squared_distance
+            || (squared_distance == self.squared_distance && primitive < self.primitive)
+    }
+}
+
+impl BoxTree {
+    pub fn build(boxes: impl ExactSizeIterator<Item = Bounds>) -> Self {
+        // Boxes move with their numbers: a million of them are more than the caches hold, and every level reads all.
+        let mut items: Vec<Item> = boxes.zip(0..).collect();
+        let mut tree = Self::default();
+        if !items.is_empty() {
+            let mut pairs = Vec::with_capacity(items.len() / 2 + 1);
+            let all = bounds_of(&items);
+            let root = halve(&mut items, 0, &all, 0, &mut pairs);
+            tree.widen(&[root], &pairs, 1);
+            tree.order = items.into_iter().map(|item| item.1).collect();
+        }
+        tree
+    }
+
+    /// Adds the node of some children, each pair of which is opened as long as there is room, the largest first.
+    fn widen(&mut self, children: &[Child], pairs: &[[Child; 2]], depth: usize) -> u32 {
+        let mut children = children.to_vec();
+        while children.len() < WIDTH {
+            let inner = children.iter().enumerate().filter(|(_, child)| child.count == 0);
+            let Some((largest, _)) = inner.max_by(|a, b| a.1.half_area().total_cmp(&b.1.half_area())) else { break };
+            let opened = children.swap_remove(largest);
+            children.extend(pairs[opened.first as usize]);
+        }
+        let index = self.nodes.len();
+        self.nodes.push(Node::new(&children));
+        self.stack = self.stack.max(depth * WIDTH);
+        for (i, child) in children.iter().enumerate().filter(|(_, child)| child.count == 0) {
+            self.nodes[index].first[i] = self.widen(&pairs[child.first as usize], pairs, depth + 1);
+        }
+        index as u32
+    }
+
+    /// Visits the leaves that may hold something at least as good as `best`, nearest first.
+    #[inline(always)]
+    pub fn search(&self, query: Point, best: &mut Best, leaf: impl FnMut(Range<usize>, &mut Best)) {
+        Arch::new().dispatch(Search { tree: self, query, best, leaf });
+    }
+
+    /// Visits the leaves whose box meets `query`, both closed.
+    pub fn meeting(&self, query: &Bounds, mut leaf: impl FnMut(Range<usize>)) {
+        let (mut short, mut long) = ([0u32; STACK], Vec::new());
+        let stack = if self.stack <= STACK { &mut short[..] } else { with_length(&mut long, self.stack) };
+        let mut height = usize::from(!self.nodes.is_empty());
+        while height > 0 {
+            height -= 1;
+            let node = &self.nodes[stack[height] as usize];
+            for i in 0..WIDTH {
+                let meets = (0..3).all(|axis| {
+                    f64::from(node.low[axis][i]) <= query.high[axis] && f64::from(node.high[axis][i]) >= query.low[axis]
+                });
+                let (first, count) = (node.first[i], node.count[i]);
+                if !meets || count == EMPTY {
+                    continue;
+                }
+                if count > 0 {
+                    leaf(first as usize..(first + count) as usize);
+                } else {
+                    stack[height] = first;
+                    height += 1;
+                }
+            }
+        }
+    }
+}
+
+fn with_length<T: Default + Clone>(memory: &mut Vec<T>, length: usize) -> &mut [T] {
+    memory.resize(length, T::default());
+    memory
+}
+
+/// What waits on the stack of a search: a child, and the squared distance of its box.
+#[derive(Clone, Copy, Default)]
+struct Waiting {
+    squared_distance: f64,
+    first: u32,
+    count: u32,
+}
+
+/// [`BoxTree::search`], compiled for the best instruction set that the processor has.
+struct Search<'a, F> {
+    tree: &'a BoxTree,
+    query: Point,
+    best: &'a mut Best,
+    leaf: F,
+}
+
+impl<F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { tree, query, best, mut leaf } = self;
+        let (mut short, mut long) = ([Waiting::default(); STACK], Vec::new());
+        let stack = if tree.stack <= STACK { &mut short[..] } else { with_length(&mut long, tree.stack) };
+        // Slot 0 holds the root, if there is one.
+        let mut height = usize::from(!tree.nodes.is_empty());
+        while height > 0 {
+            height -= 1;
+            let Waiting { squared_distance, first, count } = stack[height];
+            if squared_distance > best.squared_distance {
+                continue;
+            }
+            if count > 0 {
+                leaf(first as usize..(first + count) as usize, best);
+                continue;
+            }
+            let node = &tree.nodes[first as usize];
+            let mut squared = [0.0f64; WIDTH];
+            for axis in 0..3 {
+                for i in 0..WIDTH {
+                    let under = f64::from(node.low[axis][i]) - query[axis];
+                    let over = query[axis] - f64::from(node.high[axis][i]);
+                    let outside = if under > over { under } else { over };
+                    let outside = if outside > 0.0 { outside } else { 0.0 };
+                    squared[i] += outside * outside;
+                }
+            }
+            let mut near = 0u32;
+            for i in 0..WIDTH {
+                near |= u32::from(squared[i] <= best.squared_distance && node.count[i] != EMPTY) << i;
+            }
+            // The nearest on top.
+            let bottom = height;
+            while near != 0 {
+                let i = near.trailing_zeros() as usize;
+                near &= near - 1;
+                let new = Waiting { squared_distance: squared[i], first: node.first[i], count: node.count[i] };
+                let mut at = height;
+                while at > bottom && stack[at - 1].squared_distance < new.squared_distance {
+                    stack[at] = stack[at - 1];
+                    at -= 1;
+                }
+                stack[at] = new;
+                height += 1;
+            }
+        }
+    }
+}
+
+/// A box, and the number of what lies in it.
+type Item = (Bounds, u32);
+
+fn bounds_of(items: &[Item]) -> Bounds {
+    let mut bounds = Bounds::EMPTY;
+    items.iter().for_each(|(b, _)| bounds.include(b));
+    bounds
+}
+
+/// The child that holds `items`, slots from `first` on, in the box `bounds`: a leaf, or one of `pairs`.
+fn halve(items: &mut [Item], first: usize, bounds: &Bounds, depth: usize, pairs: &mut Vec<[Child; 2]>) -> Child {
+    if items.len() <= LEAF {
+        return Child::new(bounds, first, items.len());
+    }
+    let (middle, left, right) = split(items, depth);
+    let index = pairs.len();
+    pairs.push([Child::NONE; 2]);
+    let (low, high) = items.split_at_mut(middle);
+    let low = halve(low, first, &left, depth + 1, pairs);
+    let high = halve(high, first + middle, &right, depth + 1, pairs);
+    pairs[index] = [low, high];
+    Child::new(bounds, index, 0)
+}
+
+/// Reorders `items` into two parts; returns the size of the first and the boxes of both. Neither part is empty.
+fn split(items: &mut [Item], depth: usize) -> (usize, Bounds, Bounds) {
+    let mut low = [f64::INFINITY; 3];
+    let mut high = [f64::NEG_INFINITY; 3];
+    for (bounds, _) in items.iter() {
+        for axis in 0..3 {
+            let center = bounds.center(axis);
+            low[axis] = low[axis].min(center);
+            high[axis] = high[axis].max(center);
+        }
+    }
+    let extent = [0, 1, 2].map(|axis| high[axis] - low[axis]);
+    let axis = (0..3).fold(0, |widest, axis| if extent[axis] > extent[widest] { axis } else { widest });
+    let scale = BINS as f64 / extent[axis];
+    if depth < HALVES_FROM_DEPTH && scale.is_finite() && scale > 0.0 {
+        let bin = |item: &Item| (((item.0.center(axis) - low[axis]) * scale) as usize).min(BINS - 1);
+        let mut bins = [(Bounds::EMPTY, 0usize); BINS];
+        for item in items.iter() {
+            let (bounds, count) = &mut bins[bin(item)];
+            bounds.include(&item.0);
+            *count += 1;
+        }
+        // cost of the part from bin b on, for every cut b
+        let mut after = [f64::INFINITY; BINS];
+        let (mut bounds, mut count) = bins[BINS - 1];
+        for b in (1..BINS).rev() {
+            after[b] = bounds.half_area() * count as f64;
+            bounds.include(&bins[b - 1].0);
+            count += bins[b - 1].1;
+        }
+        let (mut bounds, mut count) = (Bounds::EMPTY, 0);
+        let mut best = (f64::INFINITY, 0);
+        for b in 1..BINS {
+            bounds.include(&bins[b - 1].0);
+            count += bins[b - 1].1;
+            let cost = bounds.half_area() * count as f64 + after[b];
+            if count > 0 && count < items.len() && cost < best.0 {
+                best = (cost, b);
+            }
+        }
+        if best.1 > 0 {
+            let mut middle = 0;
+            for i in 0..items.len() {
+                if bin(&items[i]) < best.1 {
+                    items.swap(i, middle);
+                    middle += 1;
+                }
+            }
+            let (mut left, mut right) = (Bounds::EMPTY, Bounds::EMPTY);
+            bins[..best.1].iter().for_each(|(b, _)| left.include(b));
+            bins[best.1..].iter().for_each(|(b, _)| right.include(b));
+            return (middle, left, right);
+        }
+    }
+    let middle = items.len() / 2;
+    let by_center = |a: &Item, b: &Item| a.0.center(axis).total_cmp(&b.0.center(axis)).then(a.1.cmp(&b.1));
+    items.select_nth_unstable_by(middle, by_center);
+    (middle, bounds_of(&items[..middle]), bounds_of(&items[middle..]))
+}

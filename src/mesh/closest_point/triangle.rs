@@ -1,0 +1,91 @@
+//! The point of a triangle that is closest to the origin.
+
+use super::Point;
+
+#[inline(always)]
+pub(super) fn sub(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
+fn dot(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+fn cross(a: Point, b: Point) -> Point {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline(always)]
+pub(super) fn squared(a: Point) -> f64 {
+    a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+}
+
+/// Closest point to the origin of a segment: weight of `b`, the point, its squared length.
+#[inline(always)]
+fn closest_on_segment(a: Point, b: Point) -> (f64, Point, f64) {
+    let along = sub(b, a);
+    let length = squared(along);
+    let t = -dot(a, along);
+    // not(>) so that a segment without length is its first end
+    let (t, point) = if !(t > 0.0 && length > 0.0) {
+        (0.0, a)
+    } else if t >= length {
+        (1.0, b)
+    } else {
+        let t = t / length;
+        (t, [a[0] + t * along[0], a[1] + t * along[1], a[2] + t * along[2]])
+    };
+    (t, point, squared(point))
+}
+
+/// Closest point to the origin of triangle `a b c`: barycentric coordinates, the point, its squared length.
+///
+/// Inside, by the sub-triangles' areas along the normal (whose relative error is that of the normal, not of its square,
+/// so slivers stay accurate); otherwise on a side that the projection lies beyond.
+#[inline(always)]
+pub(super) fn closest_on_triangle(a: Point, b: Point, c: Point) -> ([f64; 3], Point, f64) {
+    let normal = cross(sub(b, a), sub(c, a));
+    let areas = [dot(normal, cross(b, c)), dot(normal, cross(c, a)), dot(normal, cross(a, b))];
+    let inside = areas.map(|area| area > 0.0);
+    let (barycentric, mut point) = if inside == [true; 3] {
+        let sum = areas[0] + areas[1] + areas[2];
+        let w = [areas[0] / sum, areas[1] / sum, areas[2] / sum];
+        // the projection of the origin along the normal
+        let height = dot(normal, a) / squared(normal);
+        (w, [height * normal[0], height * normal[1], height * normal[2]])
+    } else {
+        let mut best = ([1.0, 0.0, 0.0], a, f64::INFINITY);
+        if !inside[2] {
+            let (t, point, d) = closest_on_segment(a, b);
+            best = ([1.0 - t, t, 0.0], point, d);
+        }
+        if !inside[0] {
+            let (t, point, d) = closest_on_segment(b, c);
+            if d < best.2 {
+                best = ([0.0, 1.0 - t, t], point, d);
+            }
+        }
+        if !inside[1] {
+            let (t, point, d) = closest_on_segment(c, a);
+            if d < best.2 {
+                best = ([t, 0.0, 1.0 - t], point, d);
+            }
+        }
+        (best.0, best.1)
+    };
+    // rounding may have left the triangle's box: see "Ties" of the module
+    for i in 0..3 {
+        let low = a[i].min(b[i]).min(c[i]);
+        let high = a[i].max(b[i]).max(c[i]);
+        point[i] = if point[i] < low {
+            low
+        } else if point[i] > high {
+            high
+        } else {
+            point[i]
+        };
+    }
+    (barycentric, point, squared(point))
+}

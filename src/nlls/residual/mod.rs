@@ -1,0 +1,189 @@
+//! Residual families: any residuals over any parameter blocks, differentiated by dual numbers.
+//!
+//! ```text
+//!     E(x) = sum_families alpha sum_m rho( |r_m(x)|^2 )
+//!
+//!     J_m = d r_m(x [+] delta) / d delta at delta = 0        one pass with duals of static width, all blocks of r_m at once
+//!     w_m = alpha rho'(|r_m|^2)
+//!     g  += w_m J_m' r_m          H += w_m J_m' J_m
+//! ```
+//!
+//! Linearising has two phases, both parallel and both independent of the number of threads: every residual writes its own
+//! slot (r, J, w); then every block row sums the residuals that touch it, in the order in which they were added.
+
+mod builder;
+mod family;
+mod problem;
+#[cfg(test)]
+mod tests;
+
+use std::any::TypeId;
+
+use thiserror::Error;
+
+use super::manifold::{Manifold, PointArray};
+use super::{OptionError, Scalar};
+
+pub use builder::ResidualProblemBuilder;
+pub use family::Family;
+pub use problem::ResidualProblem;
+
+/// A residual with `R` entries over blocks with `T` tangent coordinates altogether.
+///
+/// ```
+/// use nonrigid::nlls::{Residual, Scalar, Se3};
+///
+/// /// A point of a rigid body, measured: r = T p - q.
+/// struct Measured { p: [f64; 3], q: [f64; 3] }
+///
+/// impl Residual<3, 6> for Measured {
+///     type Blocks = (Se3,);
+///
+///     fn evaluate<D: Scalar>(&self, (pose,): &([D; 12],)) -> [D; 3] {
+///         let moved = Se3::transform(pose, self.p.map(D::from));
+///         std::array::from_fn(|i| moved[i] - self.q[i])
+///     }
+/// }
+/// ```
+///
+/// `T` is the width of the dual numbers. It must be the sum of the blocks' `TANGENT`; a wrong sum does not compile.
+pub trait Residual<const R: usize, const T: usize>: Send + Sync + 'static {
+    /// The manifolds of the parameter blocks, as a tuple: `(Se3, Euclidean<2>)`.
+    type Blocks: BlockList;
+
+    /// The residual at the points of its blocks.
+    fn evaluate<D: Scalar>(&self, points: &<Self::Blocks as BlockList>::Points<D>) -> [D; R];
+}
+
+/// Tuples of one to six [`Manifold`]s.
+pub trait BlockList: 'static {
+    /// A tuple of arrays, one a block.
+    type Points<D: Scalar>;
+    /// `[BlockId; COUNT]`.
+    type Ids: AsRef<[BlockId]>;
+    /// Number of blocks.
+    const COUNT: usize;
+    /// Tangent coordinates of all blocks.
+    const TANGENT: usize;
+    /// Type and tangent dimension of each block.
+    fn manifolds() -> Vec<(TypeId, &'static str, usize)>;
+    /// Copies the points `x(0), x(1), ..`.
+    fn load<'a>(x: impl Fn(usize) -> &'a [f64]) -> Self::Points<f64>;
+    /// Moves the points `x(0), x(1), ..` by the tangent steps laid one after the other in `delta`.
+    fn plus<'a, D: Scalar>(x: impl Fn(usize) -> &'a [f64], delta: &[D]) -> Self::Points<D>;
+}
+
+macro_rules! block_list {
+    ($count:literal: $($m:ident $k:tt),+) => {
+        impl<$($m: Manifold),+> BlockList for ($($m,)+) {
+            type Points<D: Scalar> = ($($m::Point<D>,)+);
+            type Ids = [BlockId; $count];
+            const COUNT: usize = $count;
+            const TANGENT: usize = 0 $(+ $m::TANGENT)+;
+
+            fn manifolds() -> Vec<(TypeId, &'static str, usize)> {
+                vec![$((TypeId::of::<$m>(), std::any::type_name::<$m>(), $m::TANGENT)),+]
+            }
+
+            fn load<'a>(x: impl Fn(usize) -> &'a [f64]) -> Self::Points<f64> {
+                ($({
+                    let mut point = $m::Point::<f64>::filled(0.0);
+                    point.as_mut().copy_from_slice(x($k));
+                    point
+                },)+)
+            }
+
+            fn plus<'a, D: Scalar>(x: impl Fn(usize) -> &'a [f64], delta: &[D]) -> Self::Points<D> {
+                let mut rest = delta;
+                ($({
+                    let (own, others) = rest.split_at($m::TANGENT);
+                    rest = others;
+                    let _ = rest;
+                    let mut point = $m::Point::<D>::filled(D::from(0.0));
+                    $m::plus(x($k), own, point.as_mut());
+                    point
+                },)+)
+            }
+        }
+    };
+}
+
+block_list!(1: A 0);
+block_list!(2: A 0, B 1);
+block_list!(3: A 0, B 1, C 2);
+block_list!(4: A 0, B 1, C 2, D4 3);
+block_list!(5: A 0, B 1, C 2, D4 3, E 4);
+block_list!(6: A 0, B 1, C 2, D4 3, E 4, F 5);
+
+/// Names a parameter block of a [`ResidualProblem`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct BlockId(usize);
+
+/// Names a family of a [`ResidualProblem`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct FamilyId(usize);
+
+/// Why a problem could not be built.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ProblemError {
+    /// A family's residuals and lists of blocks do not pair up.
+    #[error("family {family} has {residuals} residuals, but {block_lists} lists of blocks; give one list a residual")]
+    LengthMismatch {
+        /// Index of the family.
+        family: usize,
+        /// Number of residuals.
+        residuals: usize,
+        /// Number of lists.
+        block_lists: usize,
+    },
+    /// A residual names a block of another problem.
+    #[error("residual {residual} of family {family} names block {block}, but the problem has {blocks}")]
+    BlockOutOfRange {
+        /// Index of the family.
+        family: usize,
+        /// Index of the residual.
+        residual: usize,
+        /// The block.
+        block: usize,
+        /// Number of blocks.
+        blocks: usize,
+    },
+    /// A block is not of the manifold that the residual is written for.
+    #[error(
+        "residual {residual} of family {family} wants a block of type {expected} in place {place}, but block {block} is {found}"
+    )]
+    WrongManifold {
+        /// Index of the family.
+        family: usize,
+        /// Index of the residual.
+        residual: usize,
+        /// Position in the residual's tuple of blocks.
+        place: usize,
+        /// The block.
+        block: usize,
+        /// Manifold of the residual.
+        expected: &'static str,
+        /// Manifold of the block.
+        found: &'static str,
+    },
+    /// The initial value of a block has the wrong length or is not finite.
+    #[error("the initial value of block {block} ({manifold}) must be {expected} finite numbers, but is {found:?}")]
+    BadInitialValue {
+        /// The block.
+        block: usize,
+        /// Its manifold.
+        manifold: &'static str,
+        /// Ambient coordinates of the manifold.
+        expected: usize,
+        /// What was given.
+        found: Vec<f64>,
+    },
+    /// A weight or a kernel is out of bounds.
+    #[error("family {family}: {source}")]
+    Setting {
+        /// Index of the family.
+        family: usize,
+        /// What is wrong.
+        source: OptionError,
+    },
+}
