@@ -204,6 +204,7 @@ pub fn register_with(
 
     let mut samples = Samples::vertices(template.mesh.positions.len());
     let mut landmarks = Vec::new();
+    let sigma = schedule.sigma.landmark * template.unit * start.scale;
     for landmark in input.landmarks {
         let sample = match landmark.template {
             TemplatePoint::Vertex(vertex) => vertex as usize,
@@ -211,7 +212,7 @@ pub fn register_with(
                 samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?
             }
         };
-        landmarks.push((sample, to_rest(landmark.target)));
+        landmarks.push((sample, to_rest(landmark.target), landmark.weight(sigma)));
     }
     let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
     let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
@@ -334,7 +335,7 @@ fn start_of(
     schedule: &Schedule,
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
-    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
     let discs =
         input.scan.triangles.is_empty().then(|| start::discs(input.scan, input.scan_normals.unwrap_or_default()));
     let (scan, scan_normals) = match &discs {
@@ -350,6 +351,7 @@ fn start_of(
         scan,
         scan_normals,
         landmarks: &landmarks,
+        sigma: schedule.sigma.landmark * rest.unit,
     };
     start::find_start(&search, schedule.start, &schedule.search)
 }
@@ -436,6 +438,11 @@ fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError>
     ] {
         if let Some(index) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(RegistrationError::NotFinite { what, index });
+        }
+    }
+    for landmark in input.landmarks {
+        if let Some(sigma) = landmark.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
+            return Err(RegistrationError::LandmarkSigma { name: landmark.name.clone(), sigma });
         }
     }
     input.scan.check_indices().map_err(|e| RegistrationError::Scan(e.to_string()))?;
