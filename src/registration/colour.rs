@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::masks::check_mask;
 use super::{RegistrationError, RegistrationInput, ScanOptions, ScanSurface, VertexMasks, WITHIN_MM};
 use crate::mesh::adjacency::{Components, EdgeGraph};
 use crate::mesh::closest_point::ClosestVertices;
@@ -52,7 +53,8 @@ impl VertexColors {
 /// interpolated as light ([`srgb`](crate::mesh::srgb)).
 ///
 /// # Errors
-/// When there is not one colour per scan vertex, the scan has no surface, or the template's geometry cannot be used.
+/// When there is not one colour per scan vertex, the scan has no surface, the template's geometry cannot be used, or positions or
+/// masks are not one per template vertex.
 pub fn scan_colors(
     input: &RegistrationInput<'_>,
     colors: &[[u8; 3]],
@@ -70,6 +72,9 @@ pub fn scan_colors(
     }
     template.positions.copy_from_slice(positions);
     template.check_indices().map_err(|e| RegistrationError::Template(e.to_string()))?;
+    input.scan.check_indices().map_err(|e| RegistrationError::Scan(e.to_string()))?;
+    check_mask("mask", input.mask, positions.len())?;
+    check_mask("free mask", input.free_mask, positions.len())?;
     let light: Vec<Vec3> = colors.iter().map(|&c| to_light(c)).collect();
     let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
     let seen = observed(input, &light, &template, &masks)?;
