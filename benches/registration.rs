@@ -41,6 +41,7 @@ fn registration(c: &mut Criterion) {
             name: v.to_string(),
             template: TemplatePoint::Vertex(*v),
             target: *target,
+            sigma: None,
         };
         let landmarks: Vec<Landmark> = case.landmarks.iter().map(landmark).collect();
         let input = RegistrationInput {

@@ -52,7 +52,12 @@ impl SampleResidual<3> for Rays {
 fn main() -> Result<(), Box<dyn Error>> {
     let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
     let case = simulate_scan(&rig, &ScanOptions::default(), 4)?;
-    let mark = |(v, p): &(u32, Vec3)| Landmark { name: v.to_string(), template: TemplatePoint::Vertex(*v), target: *p };
+    let mark = |(v, p): &(u32, Vec3)| Landmark {
+        name: v.to_string(),
+        template: TemplatePoint::Vertex(*v),
+        target: *p,
+        sigma: None,
+    };
     let landmarks: Vec<Landmark> = case.landmarks.iter().map(mark).collect();
     let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
 

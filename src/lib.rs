@@ -1,6 +1,8 @@
 //! Deform meshes by nonlinear least squares: wrap a template onto a raw scan, compare deformation models, or put your own
 //! model, data term or residual on the same solver.
 //!
+//! New here? Begin with the [`guide`].
+//!
 //! From the ground up; nothing imports from above itself:
 //!
 //! - [`nlls`]: generic least squares. Start here with a problem that has nothing to do with meshes.
@@ -18,6 +20,7 @@ pub mod batch;
 pub mod cli;
 pub mod energy;
 pub mod evaluation;
+pub mod guide;
 pub mod measurement;
 pub mod mesh;
 pub mod model;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// Each floor and what it may import of the crate besides itself.
 const FLOORS: &[(&str, &[&str])] = &[
+    ("guide", &[]),
     ("nlls", &[]),
     ("mesh", &[]),
     ("page", &[]),

@@ -286,7 +286,12 @@ fn shapes(mesh: &PolygonMesh) -> ShapeBasis {
 fn landmarks(mesh: &PolygonMesh, truth: &[Vec3]) -> Vec<Landmark> {
     let step = (mesh.positions.len() / 8).max(1);
     let on = (0..mesh.positions.len()).step_by(step).filter(|&v| mesh.corners.contains(&(v as u32)));
-    let mark = |v: usize| Landmark { name: v.to_string(), template: TemplatePoint::Vertex(v as u32), target: truth[v] };
+    let mark = |v: usize| Landmark {
+        name: v.to_string(),
+        template: TemplatePoint::Vertex(v as u32),
+        target: truth[v],
+        sigma: None,
+    };
     on.map(mark).collect()
 }
 

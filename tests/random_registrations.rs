@@ -133,7 +133,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
             seam: SeamOptions { width: n.2, widest: 2.0 * n.2 },
             stop: Default::default(),
             warm_start: WarmStartOptions { steps: 1 + kind },
-            sigma: SigmaOptions { expression: n.3, identity: n.3 },
+            sigma: SigmaOptions { expression: n.3, identity: n.3, ..SigmaOptions::default() },
             bounds: BoundsOptions {
                 expression: [None, None, Some([0.0, 1.0]), Some([0.3, 0.3])][bounds],
                 identity: None,
@@ -224,7 +224,7 @@ impl Task {
         let mark = |_: usize| {
             let vertex = rng.random_range(0..truth.len());
             let target = truth[vertex] + random_vec(&mut rng, 0.3 * case.spacing);
-            Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex as u32), target }
+            Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex as u32), target, sigma: None }
         };
         let landmarks = (0..case.landmarks).map(mark).collect();
         let mask =
@@ -346,6 +346,7 @@ fn moved(template: &PolygonMesh, pose: &Pose) -> Task {
         name: vertex.to_string(),
         template: TemplatePoint::Vertex(vertex as u32),
         target: truth[vertex],
+        sigma: None,
     };
     let landmarks = [0, 8, count / 2, count - 9, count - 1].map(mark).to_vec();
     let shapes = random_shapes(&mut rng, template, 4, 10.0);

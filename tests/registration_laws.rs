@@ -57,6 +57,7 @@ impl Task {
             name: v.to_string(),
             template: TemplatePoint::Vertex(*v),
             target: *p,
+            sigma: None,
         });
         let landmarks = landmarks.collect();
         let (template, scan) = (rig.mesh.clone(), case.scan.clone());

@@ -201,7 +201,7 @@ fn the_given_pose_wins_if_it_is_as_good_and_a_landmark_decides_between_two() {
 }
 
 fn landmark(vertex: u32, target: Vec3) -> Landmark {
-    Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex), target }
+    Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex), target, sigma: None }
 }
 
 fn search_of(

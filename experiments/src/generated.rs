@@ -136,6 +136,7 @@ impl Studio {
             name: vertex.to_string(),
             template: TemplatePoint::Vertex(vertex),
             target,
+            sigma: None,
         };
         Ok(BenchCase {
             name: shot.name.clone(),

@@ -17,7 +17,7 @@ use crate::mesh::io::{self, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Report, Schedule, StepRecord, WITHIN_MM, WarmStart, register,
+    RegistrationStop, Report, Schedule, StepRecord, VertexColors, WITHIN_MM, WarmStart, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -68,7 +68,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj, .ply or .glb)
+    /// Result (.obj, .ply or .glb), with the scan's colours at its vertices if the scan has any
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
     /// Report (.json); times go to a second file, *.timing.json
@@ -148,17 +148,21 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
     let doubts = Doubt::of(&input, &result, &quality);
+    let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions)).transpose();
+    let colors = colors.map_err(Failure::computation)?;
     let report = match &a.report {
         Some(path) => {
             let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone(), doubts.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
+            let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
-            Some((path, Report { regions, free_regions, units, ..report }))
+            Some((path, Report { regions, free_regions, units, colors_observed, ..report }))
         }
         None => None,
     };
     // Everything is computed; only writing can still fail, and what is printed is true.
-    io::write_polygon_mesh(&a.out, &registered).map_err(Failure::writing)?;
+    let of_vertices = colors.as_ref().map(|c| &c.colors[..]);
+    io::write_colored_mesh(&a.out, &registered, of_vertices).map_err(Failure::writing)?;
     if let Some((path, report)) = report {
         write_json(path, &report)?;
         let timing = Timing {
@@ -178,6 +182,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     doubts.iter().for_each(warn);
+    if let Some(colors) = &colors {
+        let (seen, of) = (colors.observed_count(), colors.colors.len());
+        say(format_args!("colour: {seen} of {of} vertices as on the scan, the others' diffused from them"))?;
+    }
     print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())?;
     if result.stop == RegistrationStop::StoppedByObserver {
         let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());

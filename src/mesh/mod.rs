@@ -10,6 +10,7 @@ pub mod normals;
 mod oriented_points;
 mod polygon_mesh;
 mod pose;
+pub mod srgb;
 #[cfg(test)]
 pub(crate) mod testing;
 mod triangle_mesh;

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{Quality, RegistrationInput, RegistrationResult, StartSearch, WITHIN_MM};
 use crate::mesh::Vec3;
+use crate::mesh::io::Landmark;
 
 /// A sign that a result is probably wrong, with the number that gave it away.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -34,7 +35,7 @@ pub enum Doubt {
     },
     /// Landmarks are not where they were said to be.
     Landmarks {
-        /// Root mean square distance, millimetres.
+        /// Root mean square distance, millimetres; a landmark of standard deviation sigma counts `1 / sigma^2`.
         rms: f64,
     },
     /// Triangles turned over.
@@ -71,8 +72,9 @@ impl Doubt {
     pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Vec<Self> {
         let start = result.start_search.as_ref().filter(|search| search.is_doubtful()).map(Self::start);
         let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-        let landmarks = landmark_distance(input, &result.positions);
         let size = size(input.rest_positions());
+        let unit = result.start.scale * size / result.schedule.reference_size;
+        let landmarks = landmark_distance(input, &result.positions, result.schedule.sigma.landmark * unit);
         let triangles = input.template.triangulate().triangles.len();
         let extreme = extreme_weights(result);
         let (median, of) = (quality.median_within, result.weights.len());
@@ -142,10 +144,12 @@ impl std::fmt::Display for Doubt {
     }
 }
 
-/// Root mean square distance of the landmarks from their targets; 0 without any.
-fn landmark_distance(input: &RegistrationInput<'_>, positions: &[Vec3]) -> f64 {
-    let squares = input.landmarks.iter().map(|l| (l.template.position(positions) - l.target).norm_squared());
-    (squares.sum::<f64>() / input.landmarks.len().max(1) as f64).sqrt()
+/// Root mean square distance of the landmarks from their targets, each with its weight next to one of deviation `sigma`; 0
+/// without any.
+fn landmark_distance(input: &RegistrationInput<'_>, positions: &[Vec3], sigma: f64) -> f64 {
+    let weighted = |l: &Landmark| l.weight(sigma) * (l.template.position(positions) - l.target).norm_squared();
+    let total: f64 = input.landmarks.iter().map(|l| l.weight(sigma)).sum();
+    if total > 0.0 { (input.landmarks.iter().map(weighted).sum::<f64>() / total).sqrt() } else { 0.0 }
 }
 
 /// Root mean square distance from the centroid.

@@ -223,7 +223,7 @@ pub fn register_with(
         None => start_of(input, &template, schedule)?,
         Some(warm) => {
             let vertices = problem.vertices(&x);
-            let at = |l: &Landmark| (l.template.position(vertices) + template.centre, l.target);
+            let at = |l: &Landmark| (l.template.position(vertices) + template.centre, l.target, l.weight(1.0));
             (warm.pose_by(&input.landmarks.iter().map(at).collect::<Vec<_>>()), None)
         }
     };
@@ -238,8 +238,10 @@ pub fn register_with(
     let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
     let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
 
-    let targets = input.landmarks.iter().map(|l| to_rest(l.target));
-    let landmarks: Vec<(usize, Vec3)> = on_template.into_iter().zip(targets).collect();
+    let sigma = schedule.sigma.landmark * template.unit * start.scale;
+    let targets = input.landmarks.iter().map(|l| (to_rest(l.target), l.weight(sigma)));
+    let landmarks: Vec<(usize, Vec3, f64)> =
+        on_template.into_iter().zip(targets).map(|(s, (p, w))| (s, p, w)).collect();
     let frame = Pose { translation: start.apply(template.centre), ..start };
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
     let mut run = Run {
@@ -356,7 +358,7 @@ fn start_of(
     schedule: &Schedule,
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
-    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l.target)).collect();
+    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
     let discs =
         input.scan.triangles.is_empty().then(|| start::discs(input.scan, input.scan_normals.unwrap_or_default()));
     let (scan, scan_normals) = match &discs {
@@ -372,6 +374,7 @@ fn start_of(
         scan,
         scan_normals,
         landmarks: &landmarks,
+        sigma: schedule.sigma.landmark * rest.unit,
     };
     start::find_start(&search, schedule.start, &schedule.search)
 }
@@ -458,6 +461,11 @@ fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError>
     ] {
         if let Some(index) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(RegistrationError::NotFinite { what, index });
+        }
+    }
+    for landmark in input.landmarks {
+        if let Some(sigma) = landmark.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
+            return Err(RegistrationError::LandmarkSigma { name: landmark.name.clone(), sigma });
         }
     }
     input.scan.check_indices().map_err(|e| RegistrationError::Scan(e.to_string()))?;

@@ -70,6 +70,14 @@ pub enum RegistrationError {
         /// Which vertex, or landmark.
         index: usize,
     },
+    /// A landmark's standard deviation is none.
+    #[error("landmark {name:?} has a standard deviation of {sigma}; it must be positive and finite")]
+    LandmarkSigma {
+        /// Its name.
+        name: String,
+        /// What it states.
+        sigma: f64,
+    },
     /// The model cannot move without blendshapes.
     #[error("model '{0}' needs blendshapes; give a rig")]
     NeedsShapes(String),

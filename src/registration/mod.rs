@@ -1,5 +1,6 @@
 //! Non-rigid registration: from a template, a model and a scan to the scan's shape in the template's topology.
 
+mod colour;
 mod correspondence;
 mod doubt;
 mod driver;
@@ -17,6 +18,7 @@ mod surfels;
 mod terms;
 mod warm_start;
 
+pub use colour::{UNSEEN_COLOR, VertexColors, scan_colors};
 pub use correspondence::{Correspondences, VertexCoincidence};
 pub use doubt::Doubt;
 pub use driver::{

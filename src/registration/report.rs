@@ -133,6 +133,8 @@ pub struct Report {
     pub weak_directions: usize,
     /// How well the result fits.
     pub quality: Quality,
+    /// Vertices whose colour the scan shows, of those of the template; `None` without colours.
+    pub colors_observed: Option<usize>,
     /// Signs that the result is wrong; none, usually.
     pub doubts: Vec<Doubt>,
     /// Blendshape weights by name, with their standard deviations.
@@ -165,6 +167,7 @@ impl Report {
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,
             quality,
+            colors_observed: None,
             doubts,
             weights: result.weights.clone(),
             history: result.history.clone(),

@@ -38,6 +38,8 @@ pub(super) struct Hit {
     /// Triangle or point on which it lies: the hint of the next search.
     pub feature: u32,
     pub point: Vec3,
+    /// Weights of the triangle's corners; of a point, 1.
+    pub barycentric: [f64; 3],
     /// Unit length, or zero where the scan has none.
     pub normal: Vec3,
     /// Whether the scan ends there.
@@ -88,6 +90,7 @@ impl ScanSurface {
                 Some(Hit {
                     feature: hit.triangle,
                     point: hit.point,
+                    barycentric: hit.barycentric,
                     normal: normal.try_normalize(0.0).unwrap_or_default(),
                     on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
                 })
@@ -95,7 +98,7 @@ impl ScanSurface {
             Surface::Points(points) => {
                 let hit = points.query(p, hint, squared_reach)?;
                 let (feature, point, normal) = (hit.index, hit.point, hit.normal);
-                Some(Hit { feature, point, normal, on_boundary: hit.beyond_edge })
+                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
             }
         }
     }
@@ -103,10 +106,15 @@ impl ScanSurface {
     /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
     #[must_use]
     pub fn closest_within(&self, p: Vec3, reach: f64) -> Option<Vec3> {
+        self.closest_hit(p, reach).map(|hit| hit.point)
+    }
+
+    /// [`closest_within`](Self::closest_within), with what is known of the scan there.
+    pub(super) fn closest_hit(&self, p: Vec3, reach: f64) -> Option<Hit> {
         // A disc may be nearer than its point.
         let search = if matches!(self.surface, Surface::Points(_)) { f64::INFINITY } else { reach * reach };
         let hit = self.closest(&p, None, search)?;
-        (!hit.on_boundary && (hit.point - p).norm_squared() <= reach * reach).then_some(hit.point)
+        (!hit.on_boundary && (hit.point - p).norm_squared() <= reach * reach).then_some(hit)
     }
 
     /// Index of the nearest scan vertex within the square root of `squared_reach`, and its squared distance.

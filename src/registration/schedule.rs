@@ -55,7 +55,7 @@ pub struct Schedule {
     /// How a registration runs that goes on from another one's end.
     #[serde(default)]
     pub warm_start: WarmStartOptions,
-    /// Prior standard deviation of each family of shapes.
+    /// Standard deviations: of each family of shapes a priori, and of landmarks that state none.
     #[serde(default)]
     pub sigma: SigmaOptions,
     /// Bounds of the weights of each family of shapes.
@@ -290,7 +290,7 @@ impl Default for StopOptions {
     }
 }
 
-/// Prior standard deviations `sigma_k` of (5) by family of shapes.
+/// Standard deviations of what is known beforehand: `sigma_k` of (5) by family of shapes, and where landmarks are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SigmaOptions {
@@ -298,11 +298,17 @@ pub struct SigmaOptions {
     pub expression: f64,
     /// Identity modes, scaled to standard deviation one by the rig.
     pub identity: f64,
+    /// `sigma_0` of a landmark that states none, millimetres. One that states `sigma` counts `(sigma_0 / sigma)^2` times the
+    /// [level's weight](Level::landmarks) and, next to the others, as much in the start.
+    ///
+    /// A constant and not, say, the median of what a file states, so that landmarks that are all vague hold the template less
+    /// against the scan, and one more landmark does not change what the others count.
+    pub landmark: f64,
 }
 
 impl Default for SigmaOptions {
     fn default() -> Self {
-        Self { expression: 1.0, identity: 1.0 }
+        Self { expression: 1.0, identity: 1.0, landmark: 1.0 }
     }
 }
 
@@ -386,7 +392,7 @@ pub struct Level {
     /// Robust kernel of point-to-point, scale in millimetres; without one, `kernel`.
     #[serde(default)]
     pub point_kernel: Option<Kernel>,
-    /// Weight of each landmark, 1 / square millimetre.
+    /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it [states](SigmaOptions::landmark) sigma.
     #[serde(default)]
     pub landmarks: f64,
     /// Weight, per vertex without an accepted correspondence, of staying with the blendshapes' prediction.
@@ -587,6 +593,7 @@ impl Schedule {
         not_negative("stop.motion".into(), self.stop.motion)?;
         positive("sigma.expression".into(), self.sigma.expression)?;
         positive("sigma.identity".into(), self.sigma.identity)?;
+        positive("sigma.landmark".into(), self.sigma.landmark)?;
         BoundsOptions::validate("bounds.expression", self.bounds.expression)?;
         BoundsOptions::validate("bounds.identity", self.bounds.identity)?;
         for (place, level) in self.levels_by_name() {

@@ -32,8 +32,9 @@ use super::RegistrationError;
 use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
 use crate::mesh::adjacency::vertex_triangles;
 use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::io::Landmark;
 use crate::mesh::normals::face_areas;
-use crate::mesh::{MeshError, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::mesh::{MeshError, Pose, PoseKind, TriangleMesh, Vec3, closest_pose, weighted_closest_pose};
 use crate::rig::{Family, ShapeBasis};
 
 /// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
@@ -136,8 +137,10 @@ pub(super) struct StartInput<'a> {
     /// The scan and its own normals.
     pub scan: &'a TriangleMesh,
     pub scan_normals: Option<&'a [Vec3]>,
-    /// Points of the template, as given, and where they are on the scan.
-    pub landmarks: &'a [(Vec3, Vec3)],
+    /// Points of the template, as given, and the landmarks that say where they are on the scan.
+    pub landmarks: &'a [(Vec3, &'a Landmark)],
+    /// Deviation of a landmark without its own, as long as the template's.
+    pub sigma: f64,
 }
 
 /// The start of a registration: by three or more landmarks in closed form, otherwise by search.
@@ -150,11 +153,17 @@ pub(super) fn find_start(
         let (pose, search) = search_start(input, kind, options)?;
         return Ok((pose, Some(search)));
     }
-    let free = closest_pose(input.landmarks, PoseKind::Similarity)?;
-    if kind == PoseKind::Rigid && !(0.5..=2.0).contains(&free.scale) {
+    let by_landmarks = |kind: PoseKind, sigma: f64| {
+        weighted_closest_pose(input.landmarks.iter().map(|(p, l)| (*p, l.target, l.weight(sigma))), kind)
+    };
+    let free = by_landmarks(PoseKind::Similarity, input.sigma)?;
+    if kind == PoseKind::Similarity {
+        return Ok((by_landmarks(kind, free.scale * input.sigma)?, None));
+    }
+    if !(0.5..=2.0).contains(&free.scale) {
         return Err(RegistrationError::Scale { scale: free.scale });
     }
-    Ok((closest_pose(input.landmarks, kind)?, None))
+    Ok((by_landmarks(kind, input.sigma)?, None))
 }
 
 /// Sizes of the scan's surfels in the first look and in the end, millimetres.
@@ -186,7 +195,7 @@ const SCALE_SIGMA: f64 = 0.15;
 
 /// Parts of a scan farther from its middle than this many times the median distance are none of it.
 const FAR: f64 = 20.0;
-/// Weight of a landmark in the search, as a share of the template.
+/// Weight of a landmark in the search, as a share of the template; less by its variance next to the squared reach of the look.
 const LANDMARK_WEIGHT: f64 = 0.1;
 /// Lever arm that turns radians into millimetres where a step is measured.
 const ARM: f64 = 67.0;
@@ -204,8 +213,8 @@ struct Problem<'a> {
     /// Surfels of the template about its centroid, spread: any first part of them covers all of it.
     template: Vec<Surfel>,
     scan: &'a ScanSurfels,
-    /// Landmarks: on the template, about its centroid, and on the scan.
-    landmarks: &'a [(Vec3, Vec3)],
+    /// Landmarks: on the template, about its centroid; on the scan; and their weight, as a share of the template.
+    landmarks: &'a [(Vec3, Vec3, f64)],
     kind: PoseKind,
 }
 
@@ -269,8 +278,8 @@ impl Problem<'_> {
         }
         let count = template.len() as f64;
         let mut total = count;
-        for (p, q) in self.landmarks {
-            let weight = LANDMARK_WEIGHT * count;
+        for (p, q, share) in self.landmarks {
+            let weight = share * count;
             loss += weight * ((pose.apply(*p) - q).norm_squared() / (LOOK_REACH * LOOK_REACH)).min(1.0);
             total += weight;
         }
@@ -304,11 +313,11 @@ impl Problem<'_> {
                 matched += 1;
             }
         }
-        for (p, q) in self.landmarks {
+        for (p, q, share) in self.landmarks {
             let arm = pose.rotation * p * pose.scale;
             let away = arm + pose.translation - q;
             for axis in 0..3 {
-                add(row(arm, Vec3::ith(axis, 1.0)), away[axis], LANDMARK_WEIGHT * count as f64);
+                add(row(arm, Vec3::ith(axis, 1.0)), away[axis], share * count as f64);
             }
         }
         if matched < 6 {
@@ -456,8 +465,13 @@ fn search_at(
     }
     let template: Vec<Surfel> = farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect();
     let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
-    let local = |(p, q): &(Vec3, Vec3)| ((p - input.centre) / input.unit, frame.to_local(*q));
-    let landmarks: Vec<_> = input.landmarks.iter().map(local).collect();
+    let local = |(p, l): &(Vec3, &Landmark)| {
+        let vagueness = l.sigma.unwrap_or(0.0) / (frame.unit * LOOK_REACH);
+        let weight = LANDMARK_WEIGHT / (1.0 + vagueness * vagueness);
+        // Vaguer than the reach of the look, a landmark says nothing about where to look.
+        (vagueness <= 1.0).then(|| ((p - input.centre) / input.unit, frame.to_local(l.target), weight))
+    };
+    let landmarks: Vec<_> = input.landmarks.iter().filter_map(local).collect();
     let scan = ScanSurfels {
         lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
         coarse,
@@ -625,8 +639,12 @@ fn distinct(problem: &Problem<'_>, mut candidates: Vec<Candidate>, most: usize, 
 fn look(problem: &Problem<'_>, given: &Pose, options: &StartOptions) -> (usize, Vec<Pose>) {
     let anchor = problem.template[0];
     let places = farthest_points(&problem.scan.coarse, 0, MOST_PLACES, options.spacing);
-    let count = problem.landmarks.len() as f64;
-    let (p, q) = problem.landmarks.iter().fold((Vec3::zeros(), Vec3::zeros()), |(p, q), l| (p + l.0, q + l.1));
+    let start = (Vec3::zeros(), Vec3::zeros(), 0.0);
+    let add = |(p, q, total): (Vec3, Vec3, f64), (at, target, share): &(Vec3, Vec3, f64)| {
+        let weight = share / LANDMARK_WEIGHT;
+        (p + at * weight, q + target * weight, total + weight)
+    };
+    let (p, q, total) = problem.landmarks.iter().fold(start, add);
     let sorted = |poses: Vec<Pose>, surfels: usize, most: usize| -> Vec<Candidate> {
         let how = Matching { count: surfels, reach: LOOK_REACH, exact: false };
         let fitted = poses.into_iter().map(|pose| Candidate { fit: problem.fit(&pose, how), pose, given: false });
@@ -637,8 +655,8 @@ fn look(problem: &Problem<'_>, given: &Pose, options: &StartOptions) -> (usize, 
     };
     let poses = |rotation: Matrix3<f64>| -> Vec<Pose> {
         let onto = |p: Vec3, q: Vec3| Pose { scale: 1.0, rotation, translation: q - rotation * p };
-        if count > 0.0 {
-            return vec![onto(p / count, q / count)];
+        if total > 0.0 {
+            return vec![onto(p / total, q / total)];
         }
         let normal = rotation * anchor.normal;
         let facing = places.iter().map(|&i| &problem.scan.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);

@@ -19,8 +19,8 @@ pub trait RegistrationTerm: DataTerm {
 /// What terms are built from.
 #[derive(Debug, Clone, Copy)]
 pub struct TermInput<'a> {
-    /// Landmarks as (sample, target), in the model's frame.
-    pub landmarks: &'a [(usize, Vec3)],
+    /// Landmarks as (sample, target, relative weight), in the model's frame; weight 1 for those without a deviation.
+    pub landmarks: &'a [(usize, Vec3, f64)],
     /// From the model's frame to the scan's: brings what you measured to where the term sees samples by
     /// [`apply_inverse`](Pose::apply_inverse).
     pub frame: Pose,
@@ -80,8 +80,9 @@ impl TermFactory for TermKind {
             Self::Prediction => pull("prediction", Towards::Prediction),
             Self::Seam => pull("seams", Towards::Seam),
             Self::Landmarks => {
-                let (samples, targets): (Vec<_>, Vec<_>) = input.landmarks.iter().copied().unzip();
-                let weights = vec![1.0; samples.len()];
+                let samples = input.landmarks.iter().map(|l| l.0).collect();
+                let targets = input.landmarks.iter().map(|l| l.1).collect();
+                let weights = input.landmarks.iter().map(|l| l.2).collect();
                 let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
                 Box::new(Pointwise::new("landmarks", residuals, Kernel::None))
             }

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::RegistrationError;
-use crate::mesh::{Pose, PoseKind, Vec3, closest_pose};
+use crate::mesh::{Pose, PoseKind, Vec3, weighted_closest_pose};
 
 /// Where a registration has ended, and another one, of the same template with the same model and schedule, can go on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,11 +39,11 @@ impl WarmStart {
         Ok(())
     }
 
-    /// The pose that brings landmarks, here (where they are in the model's frame, on the scan), closest: the head may have moved
+    /// The pose that brings landmarks, here (where they are in the model's frame, on the scan, weight), closest: the head may have moved
     /// farther than correspondences reach. Fewer than three leave the pose as it is.
-    pub(super) fn pose_by(&self, landmarks: &[(Vec3, Vec3)]) -> Pose {
-        let moved: Vec<(Vec3, Vec3)> = landmarks.iter().map(|&(p, q)| (self.pose.apply(p), q)).collect();
-        match closest_pose(&moved, PoseKind::Rigid) {
+    pub(super) fn pose_by(&self, landmarks: &[(Vec3, Vec3, f64)]) -> Pose {
+        let moved = landmarks.iter().map(|&(p, q, weight)| (self.pose.apply(p), q, weight));
+        match weighted_closest_pose(moved, PoseKind::Rigid) {
             Ok(motion) => Pose {
                 scale: self.pose.scale,
                 rotation: motion.rotation * self.pose.rotation,

@@ -49,7 +49,7 @@ impl Rig {
     /// # Errors
     /// When the file cannot be read or is malformed.
     pub(super) fn read_gltf(path: &Path) -> Result<(Self, Vec<RigWarning>), RigError> {
-        let GltfMesh { mesh, target_names, target_deltas, extras } = read_gltf(path)?;
+        let GltfMesh { mesh, target_names, target_deltas, extras, .. } = read_gltf(path)?;
         let malformed = |expected: &str, found: String| ReadError::malformed(path, Place::File, expected, found);
         let extras: Extras = serde_json::from_value(Value::Object(extras))
             .map_err(|e| malformed("families, landmarks and regions in extras.nonrigid.extras", e.to_string()))?;

@@ -12,9 +12,10 @@ pub struct Landmarks {
     pub samples: Vec<usize>,
     /// `c`, millimetres.
     pub targets: Vec<Vec3>,
-    /// Relative weight of each landmark, 1 / square millimetre; `1 / sigma^2` for a landmark of known accuracy.
+    /// Weight of each landmark next to the others: `(sigma_0 / sigma)^2` for one of standard deviation `sigma`, where one of
+    /// `sigma_0` has weight 1.
     pub weights: Vec<f64>,
-    /// `alpha` of the whole term, changed from level to level.
+    /// `alpha` of the whole term, 1 / square millimetre, changed from level to level.
     pub scale: f64,
 }
 

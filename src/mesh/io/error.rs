@@ -118,6 +118,14 @@ impl WriteError {
     pub fn data(path: &Path, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Data { path: path.to_owned(), expected: cut(expected.into()), found: cut(found.into()) }
     }
+
+    /// Refuses `what` unless there is none, or one for each vertex.
+    pub(super) fn check_count(path: &Path, what: &str, found: Option<usize>, vertices: usize) -> Result<(), Self> {
+        match found.filter(|&f| f != vertices) {
+            None => Ok(()),
+            Some(found) => Err(Self::data(path, format!("{what} for each of {vertices} vertices"), found.to_string())),
+        }
+    }
 }
 
 /// At most so many characters of what a message says of a file.

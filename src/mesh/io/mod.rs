@@ -47,7 +47,7 @@ pub struct MeshFile {
     pub mesh: PolygonMesh,
     /// A normal per vertex as in the file, not normalised; zero where the file has none that is finite.
     pub normals: Option<Vec<Vec3>>,
-    /// Red, green, blue per vertex, 0-255.
+    /// Red, green, blue per vertex, 0-255, sRGB.
     pub colors: Option<Vec<[u8; 3]>>,
 }
 
@@ -58,7 +58,7 @@ pub struct Scan {
     pub mesh: TriangleMesh,
     /// A normal per vertex as the file gives it: not normalised, zero where unknown.
     pub normals: Option<Vec<Vec3>>,
-    /// Red, green, blue per vertex.
+    /// Red, green, blue per vertex, 0-255, sRGB.
     pub colors: Option<Vec<[u8; 3]>>,
 }
 
@@ -69,10 +69,11 @@ pub struct Scan {
 /// When the file cannot be read or is malformed, or for another extension.
 pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
     if matches!(extension(path).as_str(), "glb" | "gltf") {
-        return Ok(read_gltf(path)?.mesh.into());
+        let GltfMesh { mesh, colors, .. } = read_gltf(path)?;
+        return Ok(MeshFile { colors, ..mesh.into() });
     }
     let parse: fn(&[u8], &Path) -> Result<MeshFile, ReadError> = match gzip::inner_extension(path).as_str() {
-        "obj" => |bytes, path| parse_obj(bytes, path).map(MeshFile::from),
+        "obj" => obj::parse_obj_file,
         "ply" => parse_ply,
         "stl" => |bytes, path| parse_stl(bytes, path).map(MeshFile::from),
         "off" => parse_off,
@@ -112,13 +113,19 @@ pub fn read_scan(path: &Path) -> Result<Scan, ReadError> {
 /// # Errors
 /// When the file cannot be written, or for another extension.
 pub fn write_polygon_mesh(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
+    write_colored_mesh(path, mesh, None)
+}
+
+/// [`write_polygon_mesh`] with red, green, blue per vertex, 0-255 in sRGB: `red`, `green`, `blue` in `.ply`; after the coordinates in
+/// `.obj`, from 0 to 1; as light ([`srgb`](super::srgb)), which the format asks for, in `COLOR_0` of `.glb`.
+///
+/// # Errors
+/// As [`write_polygon_mesh`], and when the colours are not one per vertex.
+pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8; 3]]>) -> Result<(), WriteError> {
     match extension(path).as_str() {
-        "obj" => write_obj(path, mesh),
-        "ply" => {
-            let options = PlyOptions { precision: PlyPrecision::Double, ..PlyOptions::default() };
-            write_ply_polygons(path, mesh, options)
-        }
-        "glb" => write_glb(path, mesh, &[], &[], &serde_json::Map::new()),
+        "obj" => obj::write_colored_obj(path, mesh, colors),
+        "ply" => write_ply_polygons(path, mesh, PlyOptions { colors, precision: PlyPrecision::Double, normals: None }),
+        "glb" => gltf::write_colored_glb(path, mesh, colors, &[], &[], &serde_json::Map::new()),
         found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }

@@ -2,14 +2,17 @@
 //! writes them back with the same vertex order. Source: "Object Files (.obj)", Wavefront Advanced Visualizer manual,
 //! appendix B1.
 //!
-//! Normals (`vn`) are checked but not kept: they describe the shape before the deformation. Vertex colours after the
-//! coordinates, points, lines and free-form statements are skipped.
+//! Normals (`vn`) are checked but not kept: they describe the shape before the deformation. Points, lines and free-form
+//! statements are skipped.
+//!
+//! Red, green and blue after the coordinates are no part of the manual, but MeshLab, Blender, ZBrush and others write and read
+//! them. They are kept where every vertex has six numbers: from 0 to 1, or from 0 to 255 if any is above 1; sRGB.
 
 use std::io::Write;
 use std::path::Path;
 
 use super::error::{excerpt, read_file};
-use super::{Place, ReadError, WriteError, write_atomically};
+use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 
 /// Reads an OBJ file. Vertex indices are those of the file, counted from 0.
@@ -26,7 +29,13 @@ pub fn read_obj(path: &Path) -> Result<PolygonMesh, ReadError> {
 /// # Errors
 /// As [`read_obj`].
 pub fn parse_obj(bytes: &[u8], path: &Path) -> Result<PolygonMesh, ReadError> {
-    let mut parser = Parser { path, line: 0, mesh: PolygonMesh::default(), normals: 0, face_lines: Vec::new() };
+    parse_obj_file(bytes, path).map(|file| file.mesh)
+}
+
+/// [`parse_obj`] with colours, if the file has any.
+pub(super) fn parse_obj_file(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
+    let mut parser =
+        Parser { path, line: 0, mesh: PolygonMesh::default(), colors: Vec::new(), normals: 0, face_lines: Vec::new() };
     parser.mesh.starts.push(0);
     let mut number = 0;
     let mut joined: Vec<u8> = Vec::new(); // a logical line that spans several
@@ -56,6 +65,8 @@ struct Parser<'a> {
     path: &'a Path,
     line: usize,
     mesh: PolygonMesh,
+    /// As in the file; fewer than vertices from the first on that has none.
+    colors: Vec<[f64; 3]>,
     normals: usize,
     /// Line of every face: indices past the end may be explained by later lines, so they are checked last.
     face_lines: Vec<u32>,
@@ -76,6 +87,9 @@ impl Parser<'_> {
         match keyword {
             b"v" => {
                 let [x, y, z] = self.numbers::<3>(rest, 3, "vertex")?;
+                if self.colors.len() == self.mesh.positions.len() {
+                    self.colors.extend(color(rest));
+                }
                 self.mesh.positions.push(Vec3::new(x, y, z));
             }
             b"vt" => {
@@ -170,7 +184,7 @@ impl Parser<'_> {
         }
     }
 
-    fn finish(mut self) -> Result<PolygonMesh, ReadError> {
+    fn finish(mut self) -> Result<MeshFile, ReadError> {
         if self.mesh.positions.is_empty() {
             return Err(ReadError::malformed(self.path, Place::File, "vertices (lines `v x y z`)", "none"));
         }
@@ -197,8 +211,19 @@ impl Parser<'_> {
                 return Err(self.error(range("texture", uvs), format!("{}", u64::from(*uv) + 1)));
             }
         }
-        Ok(self.mesh)
+        let whole = if self.colors.as_flattened().iter().any(|c| *c > 1.0) { 1.0 } else { 255.0 };
+        let colored = self.colors.len() == vertices;
+        let bytes = |c: &[f64; 3]| c.map(|c| (c * whole).round() as u8); // `as` saturates
+        let colors = colored.then(|| self.colors.iter().map(bytes).collect());
+        Ok(MeshFile { colors, ..self.mesh.into() })
     }
+}
+
+/// The last three of exactly six finite numbers.
+fn color(rest: &[u8]) -> Option<[f64; 3]> {
+    let mut numbers = tokens(rest).skip(3).map(|t| std::str::from_utf8(t).ok()?.parse().ok());
+    let color: [f64; 3] = [numbers.next()??, numbers.next()??, numbers.next()??];
+    (numbers.next().is_none() && color.iter().all(|c| c.is_finite())).then_some(color)
 }
 
 fn tokens(line: &[u8]) -> impl Iterator<Item = &[u8]> {
@@ -215,7 +240,13 @@ fn text(rest: &[u8]) -> String {
 /// # Errors
 /// When the file cannot be written, or texture indices do not belong to the corners.
 pub fn write_obj(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
+    write_colored_obj(path, mesh, None)
+}
+
+/// [`write_obj`] with colours, to four decimals, which is more than their 8 bits.
+pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8; 3]]>) -> Result<(), WriteError> {
     let metadata = &mesh.metadata;
+    WriteError::check_count(path, "colours", colors.map(<[_]>::len), mesh.positions.len())?;
     if !metadata.corner_uvs.is_empty() && metadata.corner_uvs.len() != mesh.corners.len() {
         let expected = format!("a texture index for each of {} corners", mesh.corners.len());
         return Err(WriteError::data(path, expected, metadata.corner_uvs.len().to_string()));
@@ -228,8 +259,12 @@ pub fn write_obj(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
         for library in &metadata.material_libraries {
             writeln!(w, "mtllib {library}")?;
         }
-        for p in &mesh.positions {
-            writeln!(w, "v {} {} {}", p.x, p.y, p.z)?;
+        for (i, p) in mesh.positions.iter().enumerate() {
+            write!(w, "v {} {} {}", p.x, p.y, p.z)?;
+            match colors.map(|c| c[i].map(|c| f64::from(c) / 255.0)) {
+                Some([red, green, blue]) => writeln!(w, " {red:.4} {green:.4} {blue:.4}")?,
+                None => w.write_all(b"\n")?,
+            }
         }
         for [u, v] in &metadata.uvs {
             writeln!(w, "vt {u} {v}")?;

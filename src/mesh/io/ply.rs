@@ -532,10 +532,7 @@ fn write_faces<'a>(
     for (what, length) in
         [("normals", options.normals.map(<[Vec3]>::len)), ("colours", options.colors.map(<[[u8; 3]]>::len))]
     {
-        if let Some(length) = length.filter(|&l| l != positions.len()) {
-            let expected = format!("{what} for each of {} vertices", positions.len());
-            return Err(WriteError::data(path, expected, length.to_string()));
-        }
+        WriteError::check_count(path, what, length, positions.len())?;
     }
     let double = options.precision == PlyPrecision::Double;
     let scalar = if double { "double" } else { "float" };

@@ -37,6 +37,7 @@ use serde_json::{Map, Value};
 use crate::mesh::PolygonMesh;
 
 pub use read::{parse_gltf, read_gltf};
+pub(super) use write::write_colored_glb;
 pub use write::write_glb;
 
 const MILLIMETRES_PER_METRE: f64 = 1000.0;
@@ -46,6 +47,8 @@ const MILLIMETRES_PER_METRE: f64 = 1000.0;
 pub struct GltfMesh {
     /// Positions in millimetres, polygons, texture coordinates.
     pub mesh: PolygonMesh,
+    /// Red, green, blue per vertex, 0-255, sRGB, of `COLOR_0`; white where a part has none.
+    pub colors: Option<Vec<[u8; 3]>>,
     /// Names of the morph targets: `extras.targetNames`, or `target000` and so on.
     pub target_names: Vec<String>,
     /// Displacements target by target, vertex by vertex, x y z: millimetres.

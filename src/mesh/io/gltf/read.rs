@@ -13,6 +13,7 @@ use super::topology::{Note, Restored, Triangles, restore, weld};
 use super::{GltfMesh, MILLIMETRES_PER_METRE};
 use crate::mesh::io::error::read_file;
 use crate::mesh::io::{Place, ReadError};
+use crate::mesh::srgb::from_light;
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 
 /// Reads a `.glb` or `.gltf` file, with its buffers inside or beside it. There is at least one vertex, numbers are finite,
@@ -58,10 +59,15 @@ pub fn parse_gltf(bytes: &[u8], path: &Path) -> Result<GltfMesh, ReadError> {
     Ok(joined(parts))
 }
 
+/// The colour of vertices without one, for it would multiply the material's.
+const WHITE: [u8; 3] = [255; 3];
+
 /// One mesh of the scene.
 struct Part {
     name: String,
     mesh: PolygonMesh,
+    /// One per vertex, or none.
+    colors: Vec<[u8; 3]>,
     /// Name and displacements, vertex by vertex, x y z.
     targets: Vec<(String, Vec<f32>)>,
     extras: Map<String, Value>,
@@ -167,6 +173,9 @@ fn read_part(
     if linear.determinant() < 0.0 {
         turn_over(&mut mesh);
     }
+    let colored = all.light.iter().any(Option::is_some);
+    let color = |i: &u32| all.light[*i as usize].map_or(WHITE, from_light);
+    let colors = if colored { sources.iter().map(color).collect() } else { Vec::new() };
     let moved = |deltas: &Vec<f64>| -> Vec<f32> {
         let delta = |&i: &u32| linear * Vec3::from_column_slice(&deltas[3 * i as usize..3 * i as usize + 3]);
         sources.iter().map(delta).flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]).collect()
@@ -176,7 +185,7 @@ fn read_part(
     if !finite || !targets.iter().flat_map(|t| &t.1).all(|x| x.is_finite()) {
         return file.malformed("finite positions in the scene", format!("others, of mesh {name:?}"));
     }
-    Ok(Part { name: name.to_owned(), mesh, targets, extras })
+    Ok(Part { name: name.to_owned(), mesh, colors, targets, extras })
 }
 
 fn target_names(file: &Loaded<'_>, mesh: &Mesh, count: usize) -> Result<Vec<String>, ReadError> {
@@ -235,6 +244,16 @@ fn read_primitive(
             all.uvs.extend(uvs.chunks_exact(2).map(|uv| [uv[0], 1.0 - uv[1]]));
         }
     }
+    match attribute(&primitive.attributes, "COLOR_0")? {
+        None => all.light.extend(std::iter::repeat_n(None, count)),
+        Some(index) => {
+            let kind = &file.entry(&file.document.accessors, index, "accessors")?.kind;
+            let (kind, width) = if kind == "VEC3" { ("VEC3", 3) } else { ("VEC4", 4) };
+            let light = accessors.read(index, kind, width, "COLOR_0")?;
+            check(light.len() / width, "colours")?;
+            all.light.extend(light.chunks_exact(width).map(|c| Some(Vec3::new(c[0], c[1], c[2]))));
+        }
+    }
     for (target, deltas) in primitive.targets.iter().zip(targets) {
         match attribute(target, "POSITION")? {
             None => {
@@ -282,13 +301,18 @@ fn turn_over(mesh: &mut PolygonMesh) {
 /// All parts as one mesh, each an object of its own if there are several; targets of one name become one.
 fn joined(mut parts: Vec<Part>) -> GltfMesh {
     if parts.len() == 1 {
-        let Part { mesh, targets, extras, .. } = parts.remove(0);
+        let Part { mesh, colors, targets, extras, .. } = parts.remove(0);
+        let colors = (!colors.is_empty()).then_some(colors);
         let (target_names, deltas): (Vec<String>, Vec<Vec<f32>>) = targets.into_iter().unzip();
-        return GltfMesh { mesh, target_names, target_deltas: deltas.concat(), extras };
+        return GltfMesh { mesh, colors, target_names, target_deltas: deltas.concat(), extras };
     }
     let count: usize = parts.iter().map(|p| p.mesh.positions.len()).sum();
     let textured = parts.iter().any(|p| !p.mesh.metadata.corner_uvs.is_empty());
     let mut all = GltfMesh { mesh: PolygonMesh { starts: vec![0], ..PolygonMesh::default() }, ..GltfMesh::default() };
+    if parts.iter().any(|p| !p.colors.is_empty()) {
+        let of = |p: &Part| if p.colors.is_empty() { vec![WHITE; p.mesh.positions.len()] } else { p.colors.clone() };
+        all.colors = Some(parts.iter().flat_map(of).collect());
+    }
     let mut index: HashMap<String, usize> = HashMap::new();
     for (name, _) in parts.iter().flat_map(|p| &p.targets) {
         if !index.contains_key(name) {

@@ -34,6 +34,8 @@ pub(super) struct Triangles {
     pub positions: Vec<Vec3>,
     /// One per vertex, v upwards; empty if there are none, NaN where a part has none.
     pub uvs: Vec<[f64; 2]>,
+    /// Red, green and blue light of each vertex of a file, where it states any.
+    pub light: Vec<Option<Vec3>>,
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -102,7 +104,7 @@ pub(super) fn split(mesh: &PolygonMesh) -> (Triangles, Note) {
     let positions = positions.chain(note.copies.iter().map(|&v| mesh.positions[v as usize])).collect();
     let uvs = note.uvs.iter().map(|&k| usize::try_from(k).map_or([0.0; 2], |k| values[k])).collect();
     let fans = PolygonMesh { starts: mesh.starts.clone(), corners, ..PolygonMesh::default() };
-    (Triangles { positions, uvs, triangles: fans.triangulate().triangles }, note)
+    (Triangles { positions, uvs, light: Vec::new(), triangles: fans.triangulate().triangles }, note)
 }
 
 /// The polygons that triangles were, as the note says.

@@ -9,6 +9,7 @@ use super::MILLIMETRES_PER_METRE;
 use super::topology::{Triangles, split};
 use crate::mesh::io::{WriteError, write_atomically};
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::srgb::to_light;
 use crate::mesh::{PolygonMesh, Vec3};
 
 const FLOAT: u32 = 5126;
@@ -31,8 +32,21 @@ pub fn write_glb(
     target_deltas: &[f32],
     extras: &Map<String, Value>,
 ) -> Result<(), WriteError> {
+    write_colored_glb(path, mesh, None, target_names, target_deltas, extras)
+}
+
+/// [`write_glb`] with colours.
+pub(in crate::mesh::io) fn write_colored_glb(
+    path: &Path,
+    mesh: &PolygonMesh,
+    colors: Option<&[[u8; 3]]>,
+    target_names: &[&str],
+    target_deltas: &[f32],
+    extras: &Map<String, Value>,
+) -> Result<(), WriteError> {
+    WriteError::check_count(path, "colours", colors.map(<[_]>::len), mesh.positions.len())?;
     check(path, mesh, target_names, target_deltas)?;
-    let (Triangles { positions, uvs, triangles }, mut note) = split(mesh);
+    let (Triangles { positions, uvs, triangles, .. }, mut note) = split(mesh);
     note.extras = extras.clone();
     let sources = || (0..mesh.positions.len()).chain(note.copies.iter().map(|&v| v as usize));
 
@@ -40,6 +54,10 @@ pub fn write_glb(
     let metres = |mm: f64| (mm / MILLIMETRES_PER_METRE) as f32;
     let points: Vec<[f32; 3]> = positions.iter().map(|p| [metres(p.x), metres(p.y), metres(p.z)]).collect();
     let mut attributes = json!({ "POSITION": file.points(&points) });
+    if let Some(colors) = colors {
+        let light: Vec<f32> = sources().flat_map(|v| <[f64; 3]>::from(to_light(colors[v])).map(|c| c as f32)).collect();
+        attributes["COLOR_0"] = json!(file.floats(&light, "VEC3"));
+    }
     let mut primitive = Map::new();
     if triangles.is_empty() {
         primitive.insert("mode".into(), json!(0));

@@ -4,7 +4,8 @@
 //! **template** file says what the names mean: vertices, points of triangles, or points in space; those of plain JSON are
 //! snapped to the nearest vertex, those of other formats to the closest point of the surface. Without a template file the
 //! names have to be vertex indices of the template. Triangle indices refer to the fan triangulation of the polygons,
-//! [`PolygonMesh::triangulate`]. Landmarks come in the order of the target file. Deviations are not used: all pairs count alike.
+//! [`PolygonMesh::triangulate`]. Landmarks come in the order of the target file. Where either
+//! file gives a deviation, the pair has one: of two, the root of the sum of their squares, for either point may be off.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -55,6 +56,17 @@ pub struct Landmark {
     pub template: TemplatePoint,
     /// In the scan's space, millimetres.
     pub target: Vec3,
+    /// Standard deviation of where it is, along each axis, millimetres; `None` if it is not known.
+    pub sigma: Option<f64>,
+}
+
+impl Landmark {
+    /// What it counts next to a landmark of deviation `reference`, which is that of landmarks without their own:
+    /// `(reference / sigma)^2`, the ratio of their inverse variances; 1 without a deviation.
+    #[must_use]
+    pub fn weight(&self, reference: f64) -> f64 {
+        self.sigma.map_or(1.0, |sigma| (reference / sigma).powi(2))
+    }
 }
 
 /// Reads the landmarks of `target`, resolved through the file `names` if there is one.
@@ -116,12 +128,12 @@ pub fn pair_landmarks(
         let vertices = template.positions.len();
         return points
             .into_iter()
-            .map(|(name, target_point)| {
+            .map(|(name, point, sigma)| {
                 let plain = name == "0" || !(name.starts_with('0') || name.starts_with('+'));
                 let index = if plain { name.parse::<u32>().ok() } else { None };
                 match index {
                     Some(v) if (v as usize) < vertices => {
-                        Ok(Landmark { name, template: TemplatePoint::Vertex(v), target: target_point })
+                        Ok(Landmark { name, template: TemplatePoint::Vertex(v), target: point, sigma })
                     }
                     Some(_) => Err(out_of_range(target, &name, "template vertex", name.clone(), vertices)),
                     None => {
@@ -132,17 +144,22 @@ pub fn pair_landmarks(
             })
             .collect();
     };
-    let (known, names) = names;
-    let known = known.on_template(names, template)?;
+    let (set, names) = names;
+    let known = set.on_template(names, template)?;
     if !named && count != known.len() {
         let expected = format!("{} points, as many as {} has", known.len(), names.display());
         return Err(ReadError::malformed(target, Place::File, expected, count.to_string()));
     }
-    let by_name: HashMap<&str, TemplatePoint> = known.iter().map(|(name, point)| (name.as_str(), *point)).collect();
+    let own = set.landmarks.iter().map(|l| l.sigma);
+    let by_name: HashMap<&str, (TemplatePoint, Option<f64>)> =
+        known.iter().zip(own).map(|((name, point), sigma)| (name.as_str(), (*point, sigma))).collect();
     points
         .into_iter()
-        .map(|(name, point)| match by_name.get(name.as_str()) {
-            Some(template) => Ok(Landmark { name, template: *template, target: point }),
+        .map(|(name, point, sigma)| match by_name.get(name.as_str()) {
+            Some(&(template, own)) => {
+                let sigma = sigma.zip(own).map(|(a, b)| a.hypot(b)).or(sigma).or(own);
+                Ok(Landmark { name, template, target: point, sigma })
+            }
             None => {
                 let list: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
                 let expected = format!("landmarks that {} names: {}", names.display(), list.join(", "));
@@ -204,8 +221,12 @@ pub(super) fn nearest_vertex(positions: &[Vec3], p: Vec3) -> Option<u32> {
     squared.zip(0..).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, v)| v)
 }
 
-/// Names and points in space of the landmarks of a scan.
-fn on_scan(set: LandmarkSet, path: &Path, scan: Option<&TriangleMesh>) -> Result<Vec<(String, Vec3)>, ReadError> {
+/// Names, points in space and deviations of the landmarks of a scan.
+fn on_scan(
+    set: LandmarkSet,
+    path: &Path,
+    scan: Option<&TriangleMesh>,
+) -> Result<Vec<(String, Vec3, Option<f64>)>, ReadError> {
     let needs_scan = |name: &str, what: &str| {
         let expected = format!("points [x, y, z], or a scan with triangles for {what}");
         ReadError::malformed(path, Place::File, expected, format!("{name:?} as {what}"))
@@ -231,7 +252,7 @@ fn on_scan(set: LandmarkSet, path: &Path, scan: Option<&TriangleMesh>) -> Result
             Ok(TemplatePoint::Face { corners, weights }.position(&scan.positions))
         }
     };
-    set.landmarks.into_iter().map(|l| on_surface(&l.name, l.place).map(|p| (l.name, p))).collect()
+    set.landmarks.into_iter().map(|l| on_surface(&l.name, l.place).map(|p| (l.name, p, l.sigma))).collect()
 }
 
 fn corners(triangle: u64, triangles: &[[u32; 3]], what: &str, name: &str, path: &Path) -> Result<[u32; 3], ReadError> {

@@ -31,8 +31,9 @@ pub(super) fn parse_json(json: &Json, path: &Path) -> Result<LandmarkSet, ReadEr
             None | Some(Json::Null) => None,
             Some(uncertainty) => {
                 let deviations = uncertainty.get("stddevs").and_then(Json::triple);
-                let sigma = deviations.map(|d| (d.iter().map(|s| s * s).sum::<f64>() / 3.0).sqrt());
-                let Some(sigma) = sigma.filter(|s| *s > 0.0 && s.is_finite()) else {
+                let positive = deviations.filter(|d| d.iter().all(|s| *s > 0.0));
+                let sigma = positive.map(|d| (d.iter().map(|s| s * s).sum::<f64>() / 3.0).sqrt());
+                let Some(sigma) = sigma.filter(|s| s.is_finite()) else {
                     return Err(wrong_entry(path, name, "three positive \"stddevs\"", uncertainty.kind()));
                 };
                 Some(sigma)
