@@ -11,6 +11,7 @@
 //! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
 //! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
 //! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
+//! - [`self_test`]: does this build compute what it should on this machine?
 //! - [`cli`]: the `nonrigid` command.
 
 pub mod cli;
@@ -25,6 +26,7 @@ pub mod page;
 pub mod registration;
 pub mod render;
 pub mod rig;
+pub mod self_test;
 pub mod term;
 
 /// The README's program compiles.

@@ -18,6 +18,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("measurement", &["evaluation", "mesh", "page", "render"]),
+    ("self_test", &["evaluation", "mesh", "nlls", "registration", "rig"]),
     (
         "cli",
         &[
@@ -32,6 +33,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "registration",
             "render",
             "rig",
+            "self_test",
             "term",
         ],
     ),
