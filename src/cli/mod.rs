@@ -1,5 +1,7 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
+mod completions;
+mod doctor;
 mod eval;
 mod failure;
 mod inputs;
@@ -19,7 +21,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
 use crate::mesh::io::write_atomically;
@@ -29,13 +31,21 @@ pub use output::{answer, say, say_to, tell};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
-#[command(name = "nonrigid", version, about, max_term_width = 110, after_help = EXIT_CODES)]
+#[command(name = "nonrigid", version, about, max_term_width = 110, after_help = AFTER_HELP)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.";
+const AFTER_HELP: &str = "\
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.
+Lengths are millimetres. `nonrigid COMMAND --help` ends with examples of that command.
+
+Examples, on what `data-gen --seed 7 --out out/data` makes (`cargo run --release -p data-gen -- ...` in a checkout):
+  nonrigid doctor
+  nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\
+      --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json --out wrapped.obj
+  nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --truth out/data/cases/same_open/truth.npy";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -48,11 +58,21 @@ enum Command {
     /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
     Measure(measure::Arguments),
     /// Convert landmark files, check landmarks on a mesh, carry them to another one.
-    #[command(subcommand)]
+    #[command(subcommand, after_help = landmarks::EXAMPLES)]
     Landmarks(landmarks::Command),
     /// Look into a blendshape rig, make or convert one, fit its weights.
-    #[command(subcommand)]
+    #[command(subcommand, after_help = rig::EXAMPLES)]
     Rig(rig::Command),
+    /// Show what this build runs on, and compute in some seconds whether it computes what it should.
+    Doctor(doctor::Arguments),
+    /// Print a script that completes commands and options in a shell.
+    Completions(completions::Arguments),
+}
+
+/// The whole command line, as clap knows it.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Runs the command line of this process.
@@ -69,6 +89,8 @@ pub fn main() -> ExitCode {
         Command::Measure(arguments) => measure::run(&arguments),
         Command::Landmarks(command) => landmarks::run(&command),
         Command::Rig(command) => rig::run(&command),
+        Command::Doctor(arguments) => doctor::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
