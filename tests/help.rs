@@ -30,7 +30,9 @@ fn the_reader_of_examples_sees_what_is_wrong() {
 fn every_example_works_in_a_shell() {
     let bench = support::Bench::new();
     let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
-    write_rig(&bench.path("out/data/rig"), &rig).unwrap();
+    for folder in ["out/data/rig", "rig"] {
+        write_rig(&bench.path(folder), &rig).unwrap();
+    }
     write_population(&bench.path("out/data/population"), &rig, 50, 7).unwrap();
     for (name, expression, subject) in [("same_open", 0.6, None), ("new_neutral", 0.0, Some(Subject::new(&rig)))] {
         let expressions = Some(vec![("jawOpen".to_owned(), expression)]);

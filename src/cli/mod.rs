@@ -39,9 +39,10 @@ struct Cli {
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.
-Lengths are millimetres. `nonrigid COMMAND --help` ends with examples of that command.
+Lengths are millimetres. `nonrigid COMMAND --help` ends with examples of that command. In a checkout, `nonrigid` is
+`cargo run --release --`, and `data-gen`, which makes the examples' files, `cargo run --release -p data-gen --`.
 
-Examples, on what `data-gen --seed 7 --out out/data` makes (`cargo run --release -p data-gen -- ...` in a checkout):
+Examples, on what `data-gen --seed 7 --out out/data` makes:
   nonrigid doctor
   nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\
       --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json --out wrapped.obj

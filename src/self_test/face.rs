@@ -8,7 +8,7 @@ use crate::rig::{Family, Shape, ShapeBasis};
 /// A template, its shapes and a scan.
 #[derive(Debug, Clone)]
 pub struct Face {
-    /// The neutral face: quads, [`TEMPLATE`] vertices.
+    /// The neutral face: 66 x 76 vertices, quads.
     pub template: PolygonMesh,
     /// Its shapes.
     pub shapes: ShapeBasis,

@@ -3,8 +3,8 @@
 use std::error::Error;
 use std::path::Path;
 
-use super::Check;
 use super::face::Face;
+use super::{Check, largest};
 use crate::mesh::PolygonMesh;
 use crate::mesh::io;
 
@@ -25,8 +25,8 @@ fn round_trip() -> Result<f64, Box<dyn Error>> {
     if (&read.starts, &read.corners, read.positions.len()) != (&mesh.starts, &mesh.corners, mesh.positions.len()) {
         return Err(format!("{}: other polygons than were written", path.display()).into());
     }
-    let difference = |(a, b): (&crate::mesh::Vec3, &crate::mesh::Vec3)| (a - b).amax();
-    Ok(read.positions.iter().zip(&mesh.positions).map(difference).fold(0.0, f64::max))
+    let coordinates = read.positions.iter().flatten().zip(mesh.positions.iter().flatten());
+    Ok(largest(coordinates.map(|(a, b)| a - b)))
 }
 
 fn written_and_read(mesh: &PolygonMesh, path: &Path) -> Result<PolygonMesh, Box<dyn Error>> {

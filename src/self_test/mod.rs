@@ -63,6 +63,11 @@ pub const CHECKS: [Check; 6] = [
     file::ROUND_TRIP,
 ];
 
+/// The largest magnitude; NaN if there is a NaN, which [`f64::max`] would pass over.
+fn largest(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    numbers.into_iter().fold(0.0, |most: f64, x| if most.is_nan() || most >= x.abs() { most } else { x.abs() })
+}
+
 impl Check {
     /// Computes the number and compares, on the threads of the caller's pool.
     #[must_use]
@@ -76,5 +81,16 @@ impl Check {
         // Written so that NaN is wrong.
         let ok = found.is_some_and(|found| (found - expected).abs() <= tolerance);
         Finding { what, found, error, expected, tolerance, ok, seconds: clock.elapsed().as_secs_f64() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_nan_is_passed_over() {
+        assert_eq!(largest([1.0, -3.0, 2.0]), 3.0);
+        assert!(largest([1.0, f64::NAN, 2.0]).is_nan() && largest([f64::NAN]).is_nan());
     }
 }
