@@ -14,6 +14,7 @@
 //! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
 //! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
 //! - [`batch`]: many scans, each in a process of its own.
+//! - [`self_test`]: does this build compute what it should on this machine?
 //! - [`cli`]: the `nonrigid` command.
 
 pub mod batch;
@@ -30,6 +31,7 @@ pub mod page;
 pub mod registration;
 pub mod render;
 pub mod rig;
+pub mod self_test;
 pub mod term;
 
 /// The README's program compiles.

@@ -20,6 +20,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("measurement", &["evaluation", "mesh", "page", "render"]),
     ("batch", &["mesh", "page"]),
+    ("self_test", &["evaluation", "mesh", "nlls", "registration", "rig"]),
     (
         "cli",
         &[
@@ -35,6 +36,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "registration",
             "render",
             "rig",
+            "self_test",
             "term",
         ],
     ),

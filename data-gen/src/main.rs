@@ -14,16 +14,16 @@ use nonrigid::cli::{Failure, Stage, answer, say};
 use nonrigid::render::save_png;
 
 const EXAMPLES: &str = "\
-Examples:
-  data-gen --seed 7 --out data                         the rig and the six standard cases
-  data-gen --seed 7 --out data --case same_open --triangles 1000000
-  data-gen --seed 7 --out data --case my_smile --expression mouthSmile=0.8 --expression jawOpen=0.3
-  data-gen --seed 7 --out data --cases 20              20 cases of random people and expressions
-  data-gen --seed 7 --out data --population 200        and 200 neutral faces for `nonrigid rig pca`
-  data-gen --seed 7 --out data --frames 60 --fps 30    a sequence of two seconds
-  data-gen --seed 7 --out data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing. In a checkout, `data-gen` is `cargo run --release -p data-gen --`.
 
-Exit codes: 0 done, 1 arguments, 2 computation, 3 writing.";
+Examples:
+  data-gen --seed 7 --out out/data                               # the rig and the six standard cases
+  data-gen --seed 7 --out out/data --case same_open --triangles 1000000
+  data-gen --seed 7 --out out/data --case my_smile --expression mouthSmile=0.8 --expression jawOpen=0.3
+  data-gen --seed 7 --out out/data --cases 20                    # 20 cases of random people and expressions
+  data-gen --seed 7 --out out/data --population 200              # and 200 neutral faces for `nonrigid rig pca`
+  data-gen --seed 7 --out out/data --frames 60 --fps 30          # a sequence of two seconds
+  data-gen --seed 7 --out out/data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8";
 
 /// Synthetic face rigs and scans with exact truth, from one seed: DIR/rig and DIR/cases/NAME, in millimetres.
 #[derive(Parser)]
@@ -383,4 +383,21 @@ fn wrinkles(text: &str) -> Result<WrinkleMix, String> {
 fn name_and_weight(text: &str) -> Result<(String, f64), String> {
     let parts = text.split_once('=').and_then(|(name, weight)| Some((name, weight.parse::<f64>().ok()?)));
     parts.map(|(name, weight)| (name.to_owned(), weight)).ok_or_else(|| "NAME=WEIGHT".into())
+}
+
+#[cfg(test)]
+#[path = "../../tests/support/help.rs"]
+mod help;
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::{Arguments, help};
+
+    #[test]
+    fn help_ends_with_examples_that_parse() {
+        let faults = help::faults(&Arguments::command());
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
 }

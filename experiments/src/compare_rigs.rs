@@ -11,6 +11,9 @@ use crate::tables::table;
 
 /// What to compare.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example: two generated rigs\n  \
+    data-gen --seed 7 --out out/data\n  data-gen --seed 7 --vertices 20000 --out out/fine --cases 0\n  \
+    experiments compare-rigs out/data/rig out/fine/rig")]
 pub struct Arguments {
     /// Rig folders
     #[arg(value_name = "DIR", required = true)]

@@ -23,6 +23,8 @@ use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  experiments faulty-scans\n  \
+    experiments faulty-scans --people 1 --models hybrid,blendshape")]
 pub struct Arguments {
     /// Models to run
     #[arg(long, value_delimiter = ',', default_values_t = [ModelKind::Hybrid], value_parser = str::parse::<ModelKind>)]

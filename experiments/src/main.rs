@@ -16,7 +16,12 @@ use nonrigid::registration::RegistrationError;
 /// claims, compares all models, and puts everything on one page, in at most ten minutes on two cores.
 #[derive(Parser)]
 #[command(name = "experiments", version, max_term_width = 110, args_conflicts_with_subcommands = true)]
-#[command(after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.")]
+#[command(
+    after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading. In a checkout, `experiments` is\n\
+    `cargo run --release -p experiments --`.\n\n\
+    Examples: the report in two minutes; what it would take; some of its studies\n  \
+    experiments --quick\n  experiments --list\n  experiments --only sweeps,ablations --out out/some"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
@@ -93,4 +98,21 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 fn on_threads(threads: Option<u16>, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from)).build();
     pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work)
+}
+
+#[cfg(test)]
+#[path = "../../tests/support/help.rs"]
+mod help;
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::{Cli, help};
+
+    #[test]
+    fn every_help_ends_with_examples_that_parse() {
+        let faults = help::faults(&Cli::command());
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
 }

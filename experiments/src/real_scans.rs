@@ -22,6 +22,8 @@ use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "A scan that is not there says so in its row.\n\n\
+    Example, on folders of your own:\n  experiments real-scans --scans SCANS --rig rig --out out/real-scans")]
 pub struct Arguments {
     /// Folder of the scans: menpo3d-james, lps-head, standardcyborg-sven
     #[arg(long, value_name = "DIR", default_value = "../shared/data/scans")]

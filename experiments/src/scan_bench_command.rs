@@ -14,6 +14,9 @@ use crate::tables::{summary_table, table_of, write_tables};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples, on what `data-gen --seed 7 --out out/data` makes:\n  \
+    experiments scan-bench out/data/cases --rig out/data/rig\n  \
+    experiments scan-bench out/data/cases --rig out/data/rig --models hybrid,arap --landmarks none --out out/hybrid-and-arap")]
 pub struct Arguments {
     /// Folder of cases
     #[arg(value_name = "DIR")]

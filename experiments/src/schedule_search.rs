@@ -276,6 +276,8 @@ fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 
 
 /// What to search.
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Example: a short search for one model\n  \
+    experiments search-schedules --models graph --budget 4 --vertices 1000 --out out/short-search")]
 pub struct Options {
     /// Models to search
     #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]

@@ -223,7 +223,7 @@ struct PullFactory {
 impl TermFactory for PullFactory {
     fn build(&self, input: &TermInput<'_>) -> Box<dyn RegistrationTerm> {
         let (samples, targets): (Vec<usize>, Vec<Vec3>) =
-            input.landmarks.iter().map(|&(sample, target)| (sample, target + self.offset)).unzip();
+            input.landmarks.iter().map(|&(sample, target, _)| (sample, target + self.offset)).unzip();
         let weights = vec![1.0; samples.len()];
         let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
         Box::new(Pull { term: Pointwise::new("pull", residuals, Kernel::None) })

@@ -24,9 +24,10 @@ use crate::mesh::io::write_atomically;
     a process of its own: one that fails, however it does, leaves the others alone. What is done, by the hash of all that went\n\
     into it, is not done again.\n\n\
     DIR gets NAME.obj and NAME.json (the report) for each scan, summary.csv, index.html, log/NAME.txt (what was said).\n\n\
+    scans.csv:\n  target,landmarks,sequence\n  ann/0001.ply,ann/0001.json,ann\n  ann/0002.ply,ann/0002.json,ann\n  \
+    ben.obj,ben.mrk.json,\n\n\
     Examples:\n  nonrigid batch scans.csv --out wrapped --template face.obj --rig rig --identity-modes 40 --pictures\n  \
-    nonrigid batch scans.csv --out wrapped --template face.obj --shard 1/8     # a part of it, on each of eight machines\n\n\
-    scans.csv:\n  target,landmarks,sequence\n  ann/0001.ply,ann/0001.json,ann\n  ann/0002.ply,ann/0002.json,ann\n  ben.obj,ben.mrk.json,"
+    nonrigid batch scans.csv --out wrapped --template face.obj --shard 1/8     # a part of it, on each of eight machines"
 )]
 pub struct Arguments {
     /// List of scans (.csv)

@@ -15,7 +15,10 @@ use crate::render::{ColourScale, View, error_sheet, save_png};
 /// Arguments of `nonrigid eval`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  nonrigid eval --result wrapped.obj --template face.obj --truth truth.npy --heatmap error.png"
+    after_help = "Examples, on what `data-gen --seed 7 --out out/data` and the first example of `nonrigid register` make:\n  \
+    nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --heatmap error.png \\\n      \
+    --truth out/data/cases/same_open/truth.npy --observed out/data/cases/same_open/observed.npy\n  \
+    nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --target out/data/cases/same_open/scan.ply --json"
 )]
 pub struct Arguments {
     /// Result to measure: any mesh or .npy in the template's vertex order

@@ -16,27 +16,48 @@ use crate::mesh::{PolygonMesh, Vec3};
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Write landmarks in another format
-    #[command(after_help = FORMATS)]
+    #[command(after_help = format!("{FORMATS}{CONVERT_EXAMPLES}"))]
     Convert(Convert),
     /// See whether landmarks fit a mesh: off the surface, coinciding, left and right swapped
-    #[command(after_help = FORMATS)]
+    #[command(after_help = format!("{FORMATS}{CHECK_EXAMPLES}"))]
     Check(Check),
     /// Carry landmarks to another mesh, of the same polygons or one that such a mesh was registered onto
-    #[command(after_help = FORMATS)]
+    #[command(after_help = format!("{FORMATS}{TRANSFER_EXAMPLES}"))]
     Transfer(Transfer),
 }
+
+/// Examples of the whole family.
+pub const EXAMPLES: &str = "\
+Examples, on what `data-gen --seed 7 --out out/data` makes:
+  nonrigid landmarks check out/data/rig/landmarks_multipie68.json --mesh out/data/rig/template.obj
+  nonrigid landmarks convert out/data/cases/same_open/landmarks.json picked.mrk.json --unit mm";
 
 const FORMATS: &str = "Landmark files, by extension and content:\n  \
     .json     this project's own; plain {\"name\": vertex, [triangle, u, v] or [x, y, z]}, as Wrap's; Scalismo's\n  \
     .mrk.json 3D Slicer's markups\n  .fcsv     3D Slicer's fiducials\n  .csv      Scalismo's: name,x,y,z\n  \
     .pp       MeshLab's picked points\n  .pts      Menpo's or IDAV Landmark's\n  .lm3      Bosphorus'\n  \
     .ljson    Menpo's, versions 1 to 3\n  .txt      template vertex or name, x y z\n\n\
-    Positions of files that say RAS are brought to LPS, as 3D Slicer writes meshes.";
+    Positions of files that say RAS are brought to LPS, as 3D Slicer writes meshes.\n\n";
+
+const CONVERT_EXAMPLES: &str = "\
+Examples, on what `data-gen --seed 7 --out out/data` makes: positions for 3D Slicer, and back to points of triangles:
+  nonrigid landmarks convert out/data/cases/same_open/landmarks.json picked.mrk.json --unit mm
+  nonrigid landmarks convert picked.mrk.json picked.json --mesh out/data/cases/same_open/scan.ply --as face";
+
+const CHECK_EXAMPLES: &str = "\
+Example, on what `data-gen --seed 7 --out out/data` makes:
+  nonrigid landmarks check out/data/rig/landmarks_multipie68.json --mesh out/data/rig/template.obj";
+
+const TRANSFER_EXAMPLES: &str = "\
+Example, on what `data-gen --seed 7 --out out/data` and the first example of `nonrigid register` make:
+  nonrigid landmarks transfer out/data/rig/landmarks_multipie68.json on_scan.json \\
+      --from out/data/rig/template.obj --to out/data/cases/same_open/scan.ply --registered wrapped.obj";
 
 /// Arguments of `nonrigid landmarks convert`.
 #[derive(Debug, Args)]
 pub struct Convert {
     /// Landmark file
+    #[arg(value_name = "FILE")]
     input: PathBuf,
     #[command(flatten)]
     output: Output,
@@ -54,6 +75,7 @@ pub struct Convert {
 #[derive(Debug, Args)]
 struct Output {
     /// Landmark file to write
+    #[arg(value_name = "OUT")]
     output: PathBuf,
     /// Its format: native, points, wrap, scalismo, csv, mrk.json, fcsv, pp, pts, lm3, ljson or txt [default: by its extension]
     #[arg(long)]
@@ -65,14 +87,19 @@ struct Output {
 
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 enum Space {
+    /// Left, posterior, superior: x to the patient's left, y to the back, z up
     Lps,
+    /// Right, anterior, superior: x to the patient's right, y to the front, z up
     Ras,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Kind {
+    /// The nearest vertex of the mesh
     Vertex,
+    /// The nearest point of its surface: a triangle and where in it
     Face,
+    /// x, y, z
     Position,
 }
 
@@ -96,6 +123,7 @@ impl fmt::Display for Kind {
 #[derive(Debug, Args)]
 pub struct Check {
     /// Landmark file
+    #[arg(value_name = "FILE")]
     input: PathBuf,
     /// The mesh that the landmarks are on
     #[arg(long, value_name = "MESH")]
@@ -114,6 +142,7 @@ pub struct Check {
 #[derive(Debug, Args)]
 pub struct Transfer {
     /// Landmark file
+    #[arg(value_name = "FILE")]
     input: PathBuf,
     #[command(flatten)]
     output: Output,

@@ -16,10 +16,13 @@ use crate::rig::Regions;
 /// Arguments of `nonrigid measure`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  nonrigid measure --mesh before.obj --after after.obj --landmarks landmarks_multipie68.json \\\n      \
-    --landmarks landmarks_anthropometric.json --rig rig --csv measurements.csv --report before_after\n\n\
-    Landmarks are {\"name\": vertex, ...} with the names that --list prints, or the 68 numbered ones of Multi-PIE/iBUG, which have\n\
-    neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing."
+    after_help = "Landmarks are {\"name\": vertex, ...} with the names that --list prints, or the 68 numbered ones of Multi-PIE/iBUG, which have\n\
+    neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing.\n\n\
+    Examples, on what `data-gen --seed 7 --out out/data` and the examples of `nonrigid morph` make:\n  \
+    nonrigid measure --list\n  \
+    nonrigid measure --mesh wrapped.obj --after morphed.obj --rig out/data/rig \\\n      \
+    --landmarks out/data/rig/landmarks_multipie68.json \\\n      \
+    --landmarks out/data/rig/landmarks_anthropometric.json --csv measurements.csv --report before_after"
 )]
 pub struct Arguments {
     /// Face (any format that `register` reads); before, where there is an after

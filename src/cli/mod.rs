@@ -1,6 +1,8 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
 mod batch;
+mod completions;
+mod doctor;
 mod eval;
 mod failure;
 mod inputs;
@@ -21,7 +23,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
 use crate::mesh::io::write_atomically;
@@ -31,13 +33,22 @@ pub use output::{answer, say, say_to, tell};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
-#[command(name = "nonrigid", version, about, max_term_width = 110, after_help = EXIT_CODES)]
+#[command(name = "nonrigid", version, about, max_term_width = 110, after_help = AFTER_HELP)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.";
+const AFTER_HELP: &str = "\
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.
+Lengths are millimetres; units of inputs are found or stated (--unit). `nonrigid COMMAND --help` ends with examples of that command. In a checkout, `nonrigid` is
+`cargo run --release --`, and `data-gen`, which makes the examples' files, `cargo run --release -p data-gen --`.
+
+Examples, on what `data-gen --seed 7 --out out/data` makes:
+  nonrigid doctor
+  nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\
+      --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json --out wrapped.obj
+  nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --truth out/data/cases/same_open/truth.npy";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -52,11 +63,21 @@ enum Command {
     /// Measure a face, or what a change did to it: distances, angles, ratios, symmetry, areas, volumes.
     Measure(measure::Arguments),
     /// Convert landmark files, check landmarks on a mesh, carry them to another one.
-    #[command(subcommand)]
+    #[command(subcommand, after_help = landmarks::EXAMPLES)]
     Landmarks(landmarks::Command),
     /// Look into a blendshape rig, make or convert one, fit its weights.
-    #[command(subcommand)]
+    #[command(subcommand, after_help = rig::EXAMPLES)]
     Rig(rig::Command),
+    /// Show what this build runs on, and compute in some seconds whether it computes what it should.
+    Doctor(doctor::Arguments),
+    /// Print a script that completes commands and options in a shell.
+    Completions(completions::Arguments),
+}
+
+/// The whole command line, as clap knows it.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Runs the command line of this process.
@@ -74,6 +95,8 @@ pub fn main() -> ExitCode {
         Command::Measure(arguments) => measure::run(&arguments),
         Command::Landmarks(command) => landmarks::run(&command),
         Command::Rig(command) => rig::run(&command),
+        Command::Doctor(arguments) => doctor::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

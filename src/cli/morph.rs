@@ -23,10 +23,12 @@ use crate::rig::Regions;
     group = ArgGroup::new("what").required(true).multiple(false),
     after_help = "A recipe is a TOML file of steps; --print shows that of a preset, to start one's own from. Presets and recipes in\n\
     landmark coordinates run on any mesh with the same landmarks, such as a scan that a template was wrapped onto.\n\n\
-    Examples:\n  nonrigid morph --list\n  \
-    nonrigid morph --mesh face.obj --landmarks landmarks.json --preset nose-bridge=2.5 --preset chin-forward=2 \\\n      \
+    Examples, on what `data-gen --seed 7 --out out/data` and the first example of `nonrigid register` make:\n  \
+    nonrigid morph --list\n  \
+    nonrigid morph --mesh wrapped.obj --rig out/data/rig --preset nose-bridge=2.5 --preset chin-forward=2 \\\n      \
     --out morphed.obj --report report\n  \
-    nonrigid morph --mesh face.obj --landmarks landmarks.json --recipe recipe.toml --model arap --out morphed.obj"
+    nonrigid morph --print nose-bridge > mine.toml\n  \
+    nonrigid morph --mesh wrapped.obj --rig out/data/rig --recipe mine.toml --model arap --out by_recipe.obj"
 )]
 pub struct Arguments {
     /// Mesh (any format that `register` reads); the result keeps its vertex order, polygons, UVs, groups and materials

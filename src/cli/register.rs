@@ -23,10 +23,12 @@ use crate::render::{registration_sheet, save_png};
 
 /// Arguments of `nonrigid register`.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
-    --landmarks landmarks.json --out wrapped.obj --report wrapped.json --picture wrapped.png"
-)]
+#[command(after_help = "Examples, on what `data-gen --seed 7 --out out/data` makes; on files of your own:\n  \
+    nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\\n      \
+    --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json \\\n      \
+    --out wrapped.obj --report wrapped.json --picture wrapped.png\n  \
+    nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
+    --landmarks landmarks.json --out own.obj")]
 pub struct Arguments {
     /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]

@@ -12,6 +12,10 @@ use super::{Failure, rig_convert, rig_fit, rig_pca, rig_transfer, say};
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// List a rig's shapes: family, how many vertices each moves, and how far
+    #[command(
+        after_help = "Examples, on what `data-gen --seed 7 --out out/data` makes:\n  nonrigid rig info out/data/rig\n  \
+        nonrigid rig info out/data/rig --json"
+    )]
     Info {
         /// The rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf
         #[arg(value_name = "DIR")]
@@ -34,6 +38,12 @@ pub enum Command {
     /// Find the weights of a sequence of registered meshes
     Fit(rig_fit::Arguments),
 }
+
+/// Examples of the whole family.
+pub const EXAMPLES: &str = "\
+Examples, on what `data-gen --seed 7 --out out/data` makes:
+  nonrigid rig info out/data/rig
+  nonrigid rig convert --rig out/data/rig --out rig.npz";
 
 /// Runs the command.
 pub fn run(command: &Command) -> Result<(), Failure> {

@@ -16,7 +16,8 @@ use crate::rig::{Family, Rig};
     after_help = "A folder of shapes has one .obj a shape, by name, and neutral.obj; it keeps neither families nor landmarks. .npz has\n\
     the arrays of the .npy folder under the same names; it keeps neither groups nor materials. .glb has metres in 32 bits:\n\
     positions move by less than 1e-4 mm.\n\n\
-    Example:\n  nonrigid rig convert --rig rig --out rig.glb\n  nonrigid rig convert --rig rig.glb --format shapes --out shapes"
+    Examples, on what `data-gen --seed 7 --out out/data` makes:\n  \
+    nonrigid rig convert --rig out/data/rig --out rig.glb\n  nonrigid rig convert --rig rig.glb --format shapes --out shapes"
 )]
 pub struct Arguments {
     /// The rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf

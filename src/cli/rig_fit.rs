@@ -18,7 +18,8 @@ use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, me
 #[command(
     after_help = "Frames are meshes of the rig's topology, such as registered scans. .csv: frame, rms_mm, max_mm and a column for each\n\
     shape; .json has the poses too.\n\n\
-    Example:\n  nonrigid rig fit --rig me.glb --meshes registered --out weights.csv"
+    Example, on a rig such as `nonrigid rig transfer` makes and a folder of registered scans:\n  \
+    nonrigid rig fit --rig me.glb --meshes registered --out weights.csv"
 )]
 pub struct Arguments {
     /// The rig: a folder, .npz, .glb or .gltf

@@ -17,8 +17,10 @@ use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, Shape
     mesh, and neutral.npy; the modes scaled by their standard deviations, so that weights ~ N(0, 1), as\n\
     identity_deltas.npy (K, V, 3) with identity_names.json. Besides, components.npy (K, V, 3), orthonormal, and\n\
     standard_deviations.npy (K).\n\n\
-    Example:\n  nonrigid rig pca --meshes registered --components 40 --out rig\n  \
-    nonrigid register --template rig/template.obj --rig rig --identity-modes 40 --target scan.ply --out wrapped.obj"
+    Examples, on what `data-gen --seed 7 --out out/data --population 50` makes:\n  \
+    nonrigid rig pca --meshes out/data/population --components 40 --out people\n  \
+    nonrigid register --template people/template.obj --rig people --identity-modes 40 \\\n      \
+    --target out/data/cases/new_neutral/scan.ply --landmarks out/data/cases/new_neutral/landmarks.json --out new.obj"
 )]
 pub struct Arguments {
     /// Meshes of one topology, such as registered templates: every .obj and .ply in this folder, by name

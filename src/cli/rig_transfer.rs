@@ -15,8 +15,10 @@ use crate::rig::{TransferError, TransferOptions};
 #[command(
     after_help = "Deformation transfer (Sumner & Popovic 2004): triangles of the subject deform as those of the rig do. Identity modes\n\
     are left out. The subject is a registered neutral scan: the rig's template after `nonrigid register`.\n\n\
-    Example:\n  nonrigid register --template rig/template.obj --rig rig --identity-modes 40 --target neutral.ply --out me.obj\n  \
-    nonrigid rig transfer --rig rig --subject me.obj --out me.glb"
+    Examples, on what `data-gen --seed 7 --out out/data` makes:\n  \
+    nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\\n      \
+    --target out/data/cases/new_neutral/scan.ply --landmarks out/data/cases/new_neutral/landmarks.json --out me.obj\n  \
+    nonrigid rig transfer --rig out/data/rig --subject me.obj --out me.glb"
 )]
 pub struct Arguments {
     /// The rig, with polygons: a folder, .npz, .glb or .gltf

@@ -42,7 +42,12 @@ impl std::str::FromStr for Models {
 
 /// What to compare.
 #[derive(Debug, clap::Args)]
-#[command(override_usage = "experiments compare [OPTIONS] --rig <DIR> <DIR>")]
+#[command(
+    override_usage = "experiments compare [OPTIONS] --rig <DIR> <DIR>",
+    after_help = "Examples, on what `data-gen --seed 7 --out out/data` makes: in the second, DIR is where another program's results are\n  \
+    experiments compare out/data/cases --rig out/data/rig --models hybrid,arap\n  \
+    experiments compare out/data/cases --rig out/data/rig --kernels --terms --external other=DIR"
+)]
 pub struct Arguments {
     /// Folder of cases
     #[arg(value_name = "DIR", required_unless_present = "run")]

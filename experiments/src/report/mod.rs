@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nonrigid::cli::{Failure, Stage, say_to};
+use nonrigid::self_test::Machine;
 use serde_json::json;
 
 pub mod claims;
@@ -246,17 +247,9 @@ fn commit() -> Option<String> {
 
 /// What may differ between equal runs.
 fn write_machine(out: &Path, times: &[(&str, f64)], total: f64) -> Result<()> {
-    let processor = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-        let line = text.lines().find(|l| l.starts_with("model name"))?.to_owned();
-        Some(line.split_once(':')?.1.trim().to_owned())
-    });
     let finished = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let machine = json!({
-        "processor": processor,
-        "cores": std::thread::available_parallelism().map_or(1, usize::from),
-        "threads": rayon::current_num_threads(),
-        "system": std::env::consts::OS,
-        "architecture": std::env::consts::ARCH,
+        "machine": Machine::new(),
         "finished_unix_seconds": finished,
         "seconds": times.iter().copied().collect::<std::collections::BTreeMap<_, _>>(),
         "seconds_in_all": total,

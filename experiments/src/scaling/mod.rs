@@ -66,6 +66,10 @@ enum Derivatives {
 
 /// What to run.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples, the first of a minute:\n  \
+    experiments scaling --sizes 5000,20000 --repeats 1 --out out/short-scaling\n  \
+    experiments scaling --sizes 100000 --linear-solver bordered,block-jacobi\n  \
+    experiments scaling --sizes none --scan-triangles 50000,500000")]
 pub struct Arguments {
     /// Vertices of the faces, 1,000 to 500,000 each, or none
     #[arg(long, value_name = "LIST", default_value = "5000,20000,100000,500000")]
