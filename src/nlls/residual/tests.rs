@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::nlls::{
-    Euclidean, GradientCheck, LinearSolverKind, Minimizer, Options, Se3, Sim3, So3, UnitQuaternion, check_gradient,
-    check_hessian, so3,
+    Euclidean, GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Se3, Sim3, So3,
+    UnitQuaternion, check_gradient, check_hessian, so3,
 };
 
 /// `T_a^-1 T_b` measured: r = (vee of the antisymmetric part of Z' R_a' R_b, R_a' (t_b - t_a) - z).
