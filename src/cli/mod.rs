@@ -41,8 +41,9 @@ struct Cli {
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.
-Lengths are millimetres; units of inputs are found or stated (--unit). `nonrigid COMMAND --help` ends with examples of that command. In a checkout, `nonrigid` is
-`cargo run --release --`, and `data-gen`, which makes the examples' files, `cargo run --release -p data-gen --`.
+Lengths are millimetres; units of inputs are found, or stated by --unit. `nonrigid COMMAND --help` ends with examples of
+that command. In a checkout, `nonrigid` is `cargo run --release --`, and `data-gen`, which makes the examples' files,
+`cargo run --release -p data-gen --`.
 
 Examples, on what `data-gen --seed 7 --out out/data` makes:
   nonrigid doctor
