@@ -37,7 +37,13 @@ window.check = async (url) => {
   const { scene } = await new GLTFLoader().loadAsync(url);
   const world = new THREE.Scene();
   world.add(scene);
-  world.overrideMaterial = new THREE.MeshNormalMaterial({ flatShading: true, side: THREE.DoubleSide });
+  const meshes = [], names = new Set();
+  scene.traverse((o) => { if (o.isMesh || o.isPoints) { meshes.push(o);
+    Object.keys(o.morphTargetDictionary ?? {}).forEach((n) => names.add(n)); } });
+  const coloured = meshes.some((m) => m.geometry.attributes.color);
+  world.overrideMaterial = coloured
+    ? new THREE.MeshBasicMaterial({ vertexColors: true, side: THREE.DoubleSide })
+    : new THREE.MeshNormalMaterial({ flatShading: true, side: THREE.DoubleSide });
   const box = new THREE.Box3().setFromObject(scene), size = box.getSize(new THREE.Vector3()).length();
   const centre = box.getCenter(new THREE.Vector3());
   const camera = new THREE.PerspectiveCamera(30, 1, size / 100, size * 10);
@@ -54,9 +60,6 @@ window.check = async (url) => {
   };
   const differ = (a, b) => { let n = 0; for (let i = 0; i < bytes; i += 4)
     n += a[i] !== b[i] || a[i + 1] !== b[i + 1] || a[i + 2] !== b[i + 2]; return n; };
-  const meshes = [], names = new Set();
-  scene.traverse((o) => { if (o.isMesh || o.isPoints) { meshes.push(o);
-    Object.keys(o.morphTargetDictionary ?? {}).forEach((n) => names.add(n)); } });
   const neutral = shot(), drawn = differ(neutral, new Uint8Array(bytes).map((_, i) => i % 4 === 3 ? 255 : 0));
   const still = [], set = (name, w) => meshes.forEach((m) => { const k = m.morphTargetDictionary?.[name];
     if (k !== undefined) m.morphTargetInfluences[k] = w; });
@@ -67,7 +70,7 @@ window.check = async (url) => {
   }
   const vertices = meshes.reduce((n, m) => n + m.geometry.attributes.position.count, 0);
   const finite = meshes.every((m) => [...m.geometry.attributes.position.array].every(Number.isFinite));
-  return { revision: THREE.REVISION, meshes: meshes.length, vertices, targets: names.size, drawn, still, finite,
+  return { revision: THREE.REVISION, meshes: meshes.length, vertices, targets: names.size, coloured, drawn, still, finite,
     size: box.getSize(new THREE.Vector3()).toArray() };
 };
 window.ready = true;
@@ -102,10 +105,10 @@ try {
   for (const [i, file] of files.entries()) {
     try {
       const found = await tab.evaluate((url) => window.check(url), `/${i}/${encodeURIComponent(path.basename(file))}`);
-      const { revision, meshes, vertices, targets, drawn, still, finite, size } = found;
+      const { revision, meshes, vertices, targets, coloured, drawn, still, finite, size } = found;
       const moving = still.length ? `; nothing to be seen of ${still.join(", ")}` : "";
       say(file, meshes > 0 && drawn > 0 && finite && still.length === 0,
-        `three.js r${revision}: ${meshes} meshes, ${vertices} vertices, ${targets} morph targets${moving}; ` +
+        `three.js r${revision}: ${meshes} meshes, ${vertices} vertices, ${targets} morph targets${moving}${coloured ? ", vertex colours" : ""}; ` +
         `${size.map((s) => s.toFixed(3)).join(" x ")} m, ${drawn} pixels`);
       const shots = process.env.PICTURES;
       if (shots) await tab.locator("#view").screenshot({ path: path.join(shots, `${path.basename(file)}.png`) });

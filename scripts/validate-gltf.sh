@@ -6,8 +6,9 @@
 #
 # Needs Node 20 and npm. CHROMIUM names a browser; without it, one comes from npm (@sparticuz/chromium, Linux x86-64).
 # TOOLS is where the packages go [default: target/gltf-tools].
+# PICTURES names a folder for what is drawn: NAME.glb.png.
 set -eu
-[ $# -gt 0 ] || { sed -n '2,8s/^# \{0,1\}//p' "$0" >&2; exit 1; }
+[ $# -gt 0 ] || { sed -n '2,9s/^# \{0,1\}//p' "$0" >&2; exit 1; }
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 tools=${TOOLS:-$here/../target/gltf-tools}
 mkdir -p "$tools"
