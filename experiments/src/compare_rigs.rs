@@ -30,6 +30,7 @@ pub struct Arguments {
 pub fn run(a: &Arguments) -> Result<()> {
     let statistics = |folder: &PathBuf| -> Result<RigStatistics> {
         let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(Failure::loading)?;
+        crate::check_millimetres(folder, rig.neutral()).map_err(Failure::loading)?;
         Ok(RigStatistics::of(&rig).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?)
     };
     let all = a.rigs.iter().map(statistics).collect::<Result<Vec<_>>>()?;

@@ -1,5 +1,7 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
+use nonrigid::mesh::io::LengthUnit;
+
 pub mod compare;
 pub mod compare_rigs;
 pub mod faulty_scans;
@@ -20,6 +22,19 @@ pub mod solver_case;
 pub mod start_bench;
 pub mod surgery;
 pub mod tables;
+
+/// Refuses what has the size of a face in another unit than millimetres, in which all data of studies are.
+///
+/// # Errors
+/// The message names the file and the unit.
+pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]) -> anyhow::Result<()> {
+    match LengthUnit::of_face(points) {
+        Some(unit) if unit != LengthUnit::Millimetre => {
+            anyhow::bail!("{}: expected millimetres, found the size of a face in {unit}", path.display())
+        }
+        _ => Ok(()),
+    }
+}
 
 /// The file of this program, whose processes measure what needs one of its own.
 ///

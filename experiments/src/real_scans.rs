@@ -90,6 +90,7 @@ impl Template {
     /// A rig folder's polygons, its expressions but `mouthClose` (a correction of others) and pupils, its first identity modes.
     fn read(folder: &Path, identity_modes: usize) -> Result<Self> {
         let (rig, _) = Rig::read(folder, &RigReadOptions { identity_modes, ..RigReadOptions::default() })?;
+        crate::check_millimetres(folder, rig.neutral())?;
         let mesh = rig.mesh().with_context(|| format!("{}: the rig has no template mesh", folder.display()))?.clone();
         let wanted = |name: &str| name != "mouthClose" && !name.starts_with("PupilDilate_");
         let expressions = rig.shapes().iter().filter(|s| s.family != Family::Identity && wanted(&s.name));
@@ -108,6 +109,7 @@ struct Target {
 impl Target {
     fn read(path: &Path, template: &PolygonMesh) -> Result<Self> {
         let scan = io::read_scan(path)?;
+        crate::check_millimetres(path, &scan.mesh.positions)?;
         let landmarks = path.with_file_name("landmarks.json");
         let landmarks = if landmarks.exists() {
             io::read_landmarks(&landmarks, None, template, Some(&scan.mesh))?

@@ -56,6 +56,7 @@ impl BenchRig {
     /// Reads a rig folder; its polygons are the template.
     pub fn read(folder: &Path) -> Result<Self> {
         let (rig, _) = Rig::read(folder, &nonrigid::rig::RigReadOptions::default())?;
+        crate::check_millimetres(folder, rig.neutral())?;
         let template = rig.mesh().with_context(|| format!("{}: the rig has no template mesh", folder.display()))?;
         Ok(Self { template: template.clone(), rig })
     }
@@ -113,6 +114,7 @@ impl BenchCase {
         };
         let selection = ShapeSelection { names: Some(&case.rig_expressions), identity_modes: case.rig_identity_modes };
         let scan = io::read_scan(&folder.join("scan.ply"))?;
+        crate::check_millimetres(&folder.join("scan.ply"), &scan.mesh.positions)?;
         Ok(Self {
             name: folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             template: rig.template.clone(),

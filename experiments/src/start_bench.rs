@@ -67,7 +67,9 @@ impl StartCase {
     pub fn read(scan: &Path, landmarks: Option<&PathBuf>, rig: &BenchRig) -> Result<Self> {
         let template = rig.template();
         let name = scan.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let scan = io::read_scan(scan)?;
+        let path = scan;
+        let scan = io::read_scan(path)?;
+        crate::check_millimetres(path, &scan.mesh.positions)?;
         let landmarks = match landmarks {
             Some(path) => io::read_landmarks(path, None, template, Some(&scan.mesh))?,
             None => Vec::new(),

@@ -50,6 +50,8 @@ const ROWS: &[Row] = &[
     ("scan-bench cases --rig rig --config bad.toml", LOADING, &["bad.toml", "stepps"]),
     ("scan-bench cases --rig rig --models rigid --out file", WRITING, &["file"]),
     ("scan-bench cases --rig rig --threads 0", ARGUMENTS, &["--threads", "0"]),
+    ("scan-bench cases --rig in_metres", LOADING, &["in_metres", "millimetres", "a face in m"]),
+    ("scan-bench scan_in_metres --rig rig", LOADING, &["scan_in_metres/one/scan.ply", "a face in m"]),
     // start-bench
     ("start-bench --rig rig", ARGUMENTS, &["DIR_OR_SCAN"]),
     ("start-bench cases", ARGUMENTS, &["--rig"]),
@@ -60,6 +62,7 @@ const ROWS: &[Row] = &[
     ("start-bench cases --rig rig --turns 0,NaN", ARGUMENTS, &["--turns", "NaN"]),
     ("start-bench cases --rig rig --turns 0;90", ARGUMENTS, &["--turns", "0;90"]),
     ("start-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "inf"]),
+    ("start-bench scan_in_metres/one/scan.ply --rig rig", LOADING, &["scan.ply", "a face in m"]),
     // real-scans
     ("real-scans --rig rig --scans nowhere", LOADING, &["nowhere", "--scans"]),
     ("real-scans --rig rig --scans empty", LOADING, &["empty", "none of the scans"]),
@@ -120,6 +123,7 @@ const ROWS: &[Row] = &[
     ("compare-rigs", ARGUMENTS, &["DIR"]),
     ("compare-rigs rig nowhere", LOADING, &["nowhere"]),
     ("compare-rigs empty", LOADING, &["empty", "neutral"]),
+    ("compare-rigs in_metres", LOADING, &["in_metres", "a face in m"]),
     // nist and more-garbow-hillstrom
     ("nist --data nowhere", LOADING, &["nowhere"]),
     ("nist --data empty", LOADING, &["empty"]),
@@ -148,6 +152,15 @@ fn data(folder: &Path) {
     fs::remove_file(copy("no_truth/one").join("truth.npy")).unwrap();
     let points = [nonrigid::mesh::Vec3::zeros(); 2];
     nonrigid::mesh::io::write_npy_points(&copy("short_truth/one").join("truth.npy"), &points).unwrap();
+    let path = copy("scan_in_metres/one").join("scan.ply");
+    let mut scan = nonrigid::mesh::io::read_scan(&path).unwrap().mesh;
+    scan.positions.iter_mut().for_each(|p| *p *= 1e-3);
+    nonrigid::mesh::io::write_ply(&path, &scan, nonrigid::mesh::io::PlyOptions::default()).unwrap();
+    let (mut rig, _) =
+        nonrigid::rig::Rig::read(&folder.join("rig"), &nonrigid::rig::RigReadOptions::default()).unwrap();
+    rig.scale(1e-3);
+    fs::create_dir_all(folder.join("in_metres")).unwrap();
+    rig.write(&folder.join("in_metres")).unwrap();
     copy("twins/one");
     copy("twins/again/one");
     let write = |name: &str, text: &[u8]| {

@@ -79,7 +79,7 @@ impl Summary {
                 row.status
             );
         }
-        page::document("Registered scans", "td:last-child{text-align:left}", &body)
+        page::document("Registered scans", "td:last-child,th:last-child{text-align:left}", &body)
     }
 }
 
