@@ -368,7 +368,7 @@ const ROWS: &[Row] = &[
     ("landmarks convert", "OUTPUT folder.csv", WRITING, &["folder.csv", "is a folder"]),
     ("landmarks convert", "OUTPUT rig/landmarks_multipie68.json", ARGUMENTS, &["landmarks_multipie68.json", "would overwrite", "landmarks"]),
     ("landmarks convert", "OUTPUT rig/template.obj --format csv", ARGUMENTS, &["rig/template.obj", "would overwrite", "mesh"]),
-    ("landmarks convert", "OUTPUT -", ARGUMENTS, &["OUTPUT"]),
+    ("landmarks convert", "OUTPUT -", ARGUMENTS, &["<OUT>"]),
     // landmarks check
     ("landmarks check", "INPUT missing.json", LOADING, &["missing.json", "cannot be read"]),
     ("landmarks check", "INPUT case", LOADING, &["case", "cannot be read"]),

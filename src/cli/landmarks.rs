@@ -255,7 +255,7 @@ impl Output {
     /// The format, for an output that can be written and is none of the inputs.
     fn format(&self, inputs: &[(&str, Option<&PathBuf>)]) -> Result<LandmarkFormat, Failure> {
         let inputs: Vec<_> = inputs.iter().filter_map(|(role, path)| Some((*role, (*path)?.clone()))).collect();
-        refuse_overwriting(&[("OUTPUT", Some(&self.output))], &inputs)?;
+        refuse_overwriting(&[("OUT", Some(&self.output))], &inputs)?;
         check_file_path(&self.output)?;
         let arguments = |message| Failure::new(Stage::Arguments, message);
         let format = self.format.or_else(|| LandmarkFormat::of_path(&self.output)).ok_or_else(|| {
