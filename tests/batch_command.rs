@@ -252,14 +252,19 @@ fn warm_frames_are_as_good_as_cold_ones() {
 }
 
 #[test]
-fn a_frame_that_is_far_from_the_one_before_starts_cold_again() {
+fn a_frame_that_cannot_go_on_starts_cold() {
     let bench = bench();
     // a cut: the head is elsewhere and looks away, and nobody has set landmarks
     let turn = Pose::rigid(Vec3::new(0.2, 1.2, -0.1), Vec3::new(200.0, 50.0, -80.0));
     let mut scan = read_scan(&bench.path("f1/scan.ply")).unwrap().mesh;
     scan.positions.iter_mut().for_each(|p| *p = turn.apply(*p));
     write_ply(&bench.path("far.ply"), &scan, PlyOptions::default()).unwrap();
-    let rows = [FRAMES[0], "far.ply,,walk,,", "f2/scan.ply,far_marks.json,walk,,"];
+    let rows = [
+        FRAMES[0],
+        "far.ply,,walk,,",
+        "f2/scan.ply,far_marks.json,walk,,",
+        "f3/scan.ply,f3/landmarks.json,walk,,graph",
+    ];
     list(&bench, &rows);
     let text: Value = serde_json::from_slice(&bench.read("f2/landmarks.json")).unwrap();
     let marks: Vec<(u32, Vec3)> = text
@@ -271,7 +276,9 @@ fn a_frame_that_is_far_from_the_one_before_starts_cold_again() {
     bench.write("far_marks.json", landmarks_json(&marks));
     bench.run(&format!("batch scans.csv --out out {OPTIONS}"));
     let summary = summary(&bench, "out");
-    assert_eq!(summary["far"].1, "cold again", "{summary:?}");
+    assert_eq!(summary["far"].1, "cold", "{summary:?}");
+    // the end of another model is no start
+    assert_eq!(summary["f3_scan"], ("done".to_owned(), "cold again".to_owned()), "{summary:?}");
     // landmarks carry the warm start over the way back
     assert_eq!(summary["f2_scan"], ("done".to_owned(), "warm".to_owned()), "{summary:?}");
     let truth = read_npy_points(&bench.path("f2/truth.npy")).unwrap();

@@ -17,6 +17,9 @@ pub struct Job {
     pub arguments: Result<Vec<OsString>, String>,
     /// What decides the result besides files: option and value.
     pub settings: Vec<(String, String)>,
+    /// Whether it may go on from the end of the frame before: only with landmarks, without which a face that was lost once stays
+    /// lost, and nothing tells.
+    pub goes_on: bool,
     /// Files that are read, with what they are read as; `None` if they cannot be told.
     pub inputs: Option<Vec<(String, PathBuf)>>,
 }
@@ -147,6 +150,7 @@ mod tests {
             name: "a".into(),
             arguments: Ok(Vec::new()),
             settings: vec![("model".into(), model.into()), ("identity-modes".into(), "4".into())],
+            goes_on: true,
             inputs: Some(vec![("target".into(), scan)]),
         };
         let key = |job: &Job, previous| job.key(previous, &Hashes::default());

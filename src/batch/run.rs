@@ -55,7 +55,7 @@ struct Ended {
 const INTERRUPTED: i32 = 130;
 
 impl Batch {
-    /// Runs chains of jobs; the jobs of a chain follow each other, each from where the one before has ended. `finished` is called
+    /// Runs chains of jobs; the jobs of a chain follow each other, each that [may](Job::goes_on) from where the one before has ended. `finished` is called
     /// after every job, in the order in which they end; `stop` is asked before each. Outcomes by index of the job, without those
     /// that were not begun or were interrupted.
     ///
@@ -82,7 +82,7 @@ impl Batch {
                     if stop() {
                         return Ok(());
                     }
-                    let before = previous.as_ref().filter(|(_, record)| record.status == Status::Done);
+                    let before = previous.as_ref().filter(|(_, r)| r.status == Status::Done && jobs[k].goes_on);
                     let before = before.and_then(|(job, record)| Some((&jobs[*job], record.key.as_deref()?)));
                     let Some(outcome) = self.job(k, &jobs[k], before, &hashes)? else { return Ok(()) };
                     finished(&outcome);

@@ -19,7 +19,7 @@ use crate::mesh::io::write_atomically;
 #[derive(Debug, Args)]
 #[command(
     after_help = "The manifest has a line of column names, then a line for each scan. Columns are 'target', the scan; 'name' of its\n\
-    outputs; 'sequence', whose frames follow each other in the manifest's order, each from where the one before ended; and any\n\
+    outputs; 'sequence', whose frames follow each other in the manifest's order, each with landmarks from where the one before ended; and any\n\
     option of `nonrigid register`, which stands before that of the command line. Paths are relative to the manifest. Each scan is\n\
     a process of its own: one that fails, however it does, leaves the others alone. What is done, by the hash of all that went\n\
     into it, is not done again.\n\n\
@@ -190,10 +190,11 @@ fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns)
         Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths().ok()),
         Err(error) => (Err(first_line(&error)), None),
     };
+    let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
     settings.retain(|(long, _)| !columns.paths.contains(long));
     settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
     let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
-    Job { name: row.name.clone(), arguments, settings, inputs }
+    Job { name: row.name.clone(), arguments, settings, goes_on, inputs }
 }
 
 /// What clap has against an option, without advice on how to call the command, which is not the one that was called.

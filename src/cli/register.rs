@@ -64,7 +64,8 @@ pub struct Arguments {
     /// Bounds of identity weights, such as -3,3 [default: the schedule's, or none]
     #[arg(long, value_name = "MIN,MAX", value_parser = bounds, allow_hyphen_values = true, requires = "rig")]
     identity_bounds: Option<[f64; 2]>,
-    /// Go on from where another registration of this template, model and schedule has ended: the --state of the frame before
+    /// Go on from where another registration of this template, model and schedule has ended: the --state of the frame before.
+    /// Give three landmarks or more: without them the head may have moved too far, and nothing tells
     #[arg(long, value_name = "FILE")]
     warm_start: Option<PathBuf>,
     /// Threads [default: all cores]; the result does not depend on them
