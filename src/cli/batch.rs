@@ -184,8 +184,9 @@ fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns)
     let mut settings: Vec<(String, String)> = of_all.iter().filter(|(long, _)| !of_row(long)).cloned().collect();
     settings.extend(row.options.clone());
     let arguments: Vec<OsString> = settings.iter().map(|(long, value)| format!("--{long}={value}").into()).collect();
-    let placeholder = [OsString::from("register"), "--out".into(), "result.obj".into()];
-    let parsed = Register::try_parse_from(placeholder.into_iter().chain(arguments.iter().cloned()));
+    // what the batch itself adds does not matter here
+    let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
+    let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
     let (arguments, inputs) = match parsed {
         Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths().ok()),
         Err(error) => (Err(first_line(&error)), None),
