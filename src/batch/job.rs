@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
+
+use crate::mesh::io::{sha256, sha256_of_file};
 
 /// What is to be run.
 #[derive(Debug, Clone)]
@@ -20,19 +21,47 @@ pub struct Job {
     /// Whether it may go on from the end of the frame before: only with landmarks, without which a face that was lost once stays
     /// lost, and nothing tells.
     pub goes_on: bool,
-    /// Files that are read, with what they are read as; `None` if they cannot be told.
-    pub inputs: Option<Vec<(String, PathBuf)>>,
+    /// Files that are read, with what they are read as.
+    pub inputs: Vec<(String, PathBuf)>,
 }
 
 impl Job {
     /// Hash of everything that decides the result: version, settings, contents and names of files, and, for a frame that goes on
-    /// from another one's end, that frame's key. `None` when a file cannot be read: nobody knows then what is done.
-    #[must_use]
-    pub fn key(&self, previous: Option<&str>, hashes: &Hashes) -> Option<String> {
-        let mut hash = Sha256::new();
-        let mut add = |text: &str| {
-            hash.update((text.len() as u64).to_le_bytes());
-            hash.update(text);
+    /// from another one's end, that frame's key.
+    ///
+    /// # Errors
+    /// When a file cannot be read, with what is wrong with it: nobody knows then what is done.
+    pub fn key(&self, previous: Option<&str>, hashes: &Hashes) -> Result<String, String> {
+        self.key_by(previous, |_, path| hashes.of(path))
+    }
+
+    /// The key of a job that has read these files, as it says: one that changed meanwhile counts with what was in it then.
+    pub(super) fn key_of_what_was_read(
+        &self,
+        previous: Option<&str>,
+        hashes: &Hashes,
+        read: &[InputHash],
+    ) -> Result<String, String> {
+        let mut left: Vec<&InputHash> = read.iter().collect();
+        self.key_by(previous, |role, path| {
+            let name = name_of(path);
+            match left.iter().position(|input| input.role == role && input.name == name) {
+                Some(at) => Ok(left.remove(at).sha256.clone()),
+                // a file of the rig's folder, which may hold others
+                None => hashes.of(path),
+            }
+        })
+    }
+
+    fn key_by(
+        &self,
+        previous: Option<&str>,
+        mut hash_of: impl FnMut(&str, &Path) -> Result<String, String>,
+    ) -> Result<String, String> {
+        let mut text = Vec::new();
+        let mut add = |part: &str| {
+            text.extend_from_slice(&(part.len() as u64).to_le_bytes());
+            text.extend_from_slice(part.as_bytes());
         };
         add(env!("CARGO_PKG_VERSION"));
         let mut settings: Vec<_> = self.settings.iter().collect();
@@ -41,14 +70,18 @@ impl Job {
             add(option);
             add(value);
         }
-        for (role, path) in self.inputs.as_ref()? {
+        for (role, path) in &self.inputs {
             add(role);
-            add(&path.file_name().unwrap_or_default().to_string_lossy());
-            add(&hashes.of(path)?);
+            add(&name_of(path));
+            add(&hash_of(role, path)?);
         }
         add(previous.unwrap_or("cold"));
-        Some(hexadecimal(&hash.finalize()))
+        Ok(sha256(&text))
     }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Hashes of files, each read once.
@@ -56,24 +89,31 @@ impl Job {
 pub struct Hashes(Mutex<HashMap<PathBuf, String>>);
 
 impl Hashes {
-    /// SHA-256, hexadecimal; `None` if the file cannot be read.
-    pub fn of(&self, path: &Path) -> Option<String> {
+    /// SHA-256, hexadecimal.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is none that can be read twice: what is wrong with it, by name.
+    pub fn of(&self, path: &Path) -> Result<String, String> {
         let known = || self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if let Some(hash) = known().get(path) {
-            return Some(hash.clone());
+            return Ok(hash.clone());
         }
-        let hash = hash_of(path)?;
+        let hash = sha256_of_file(path).map_err(|e| format!("{}: cannot be read: {e}", path.display()))?;
         known().insert(path.to_owned(), hash.clone());
-        Some(hash)
+        Ok(hash)
     }
 }
 
-fn hash_of(path: &Path) -> Option<String> {
-    Some(hexadecimal(&Sha256::digest(std::fs::read(path).ok()?)))
+/// What a report says of a file that was read.
+#[derive(Debug, Clone, Deserialize)]
+pub(super) struct InputHash {
+    role: String,
+    name: String,
+    sha256: String,
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
+fn hash_of(path: &Path) -> Option<String> {
+    sha256_of_file(path).ok()
 }
 
 /// How a job ended.
@@ -109,8 +149,21 @@ pub struct Record {
     pub start: Start,
     /// What went wrong.
     pub error: Option<String>,
-    /// SHA-256 of each output.
+    /// SHA-256 of each output; of a job that failed, those that an earlier run has left.
     pub outputs: BTreeMap<String, String>,
+    /// Other files that it has written: what was said, times.
+    pub others: Vec<String>,
+    /// Of a job that failed: the run whose outputs are still there.
+    pub kept: Option<Kept>,
+}
+
+/// An earlier run of a job that failed since.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Kept {
+    /// [`Job::key`].
+    pub key: Option<String>,
+    /// Where it started.
+    pub start: Start,
 }
 
 impl Record {
@@ -120,11 +173,26 @@ impl Record {
         serde_json::from_slice(&std::fs::read(path).ok()?).ok()
     }
 
-    /// Whether it is of this key and its outputs are in `folder` as they were written.
+    /// The record of a run with this key whose outputs are in `folder` as they were written: this, or of a job that has failed
+    /// since the one that was [kept](Kept).
     #[must_use]
-    pub fn holds(&self, key: &str, folder: &Path) -> bool {
+    pub fn of_done(&self, key: &str, folder: &Path) -> Option<Self> {
         let intact = |(name, hash): (&String, &String)| hash_of(&folder.join(name)).as_ref() == Some(hash);
-        self.status == Status::Done && self.key.as_deref() == Some(key) && self.outputs.iter().all(intact)
+        let done = match (self.status, &self.kept) {
+            (Status::Done, _) => self.clone(),
+            (Status::Failed, Some(Kept { key, start })) => {
+                let (key, start) = (key.clone(), *start);
+                Self { key, status: Status::Done, start, error: None, kept: None, ..self.clone() }
+            }
+            (Status::Failed, None) => return None,
+        };
+        (done.key.as_deref() == Some(key) && done.outputs.iter().all(intact)).then_some(done)
+    }
+
+    /// Whether a file of the folder of results is one that this job has written.
+    #[must_use]
+    pub fn lists(&self, name: &str) -> bool {
+        self.outputs.contains_key(name) || self.others.iter().any(|other| other == name)
     }
 
     /// The hashes of files of a folder, of those that are there.
@@ -151,12 +219,12 @@ mod tests {
             arguments: Ok(Vec::new()),
             settings: vec![("model".into(), model.into()), ("identity-modes".into(), "4".into())],
             goes_on: true,
-            inputs: Some(vec![("target".into(), scan)]),
+            inputs: vec![("target".into(), scan)],
         };
         let key = |job: &Job, previous| job.key(previous, &Hashes::default());
         let first = job("arap", file("x/scan.ply", "points"));
         let base = key(&first, None);
-        assert!(base.as_ref().is_some_and(|k| k.len() == 64));
+        assert!(base.as_ref().is_ok_and(|k| k.len() == 64));
         let mut turned = Job { name: "b".into(), ..job("arap", file("y/scan.ply", "points")) };
         turned.settings.reverse();
         assert_eq!(key(&turned, None), base, "folders, names and the order of options");
@@ -166,8 +234,22 @@ mod tests {
             key(&job("arap", file("y/scan.ply", "other points")), None),
             key(&job("arap", file("y/other.ply", "points")), None),
         ];
-        assert!(others.iter().all(|k| k.is_some() && *k != base));
-        assert_eq!(key(&job("arap", folder.path().join("missing.ply")), None), None);
+        assert!(others.iter().all(|k| k.is_ok() && *k != base));
+        let error = key(&job("arap", folder.path().join("missing.ply")), None).unwrap_err();
+        assert!(error.contains("missing.ply: cannot be read"), "{error}");
+        assert!(key(&job("arap", folder.path().to_owned()), None).unwrap_err().contains("no regular file"));
+
+        // what was in a file when it was read
+        let read = |role: &str, content: &str| InputHash {
+            role: role.into(),
+            name: "scan.ply".into(),
+            sha256: sha256(content.as_bytes()),
+        };
+        let of_read = |read: &[InputHash]| first.key_of_what_was_read(None, &Hashes::default(), read);
+        assert_eq!(of_read(&[read("target", "points")]), base);
+        assert_eq!(of_read(&[read("template", "others")]), base);
+        let before = of_read(&[read("target", "other points")]);
+        assert_eq!(before, key(&job("arap", file("z/scan.ply", "other points")), None));
     }
 
     #[test]
@@ -176,13 +258,20 @@ mod tests {
         std::fs::write(folder.path().join("a.obj"), "v").unwrap();
         let outputs = Record::hashes(folder.path(), &["a.obj".into(), "a.png".into()]);
         assert_eq!(outputs.len(), 1);
-        let record = Record { key: Some("k".into()), status: Status::Done, start: Start::Cold, error: None, outputs };
-        assert!(record.holds("k", folder.path()) && !record.holds("l", folder.path()));
-        let failed = Record { status: Status::Failed, ..record.clone() };
-        assert!(!failed.holds("k", folder.path()));
+        let (start, others) = (Start::Cold, vec!["log/a.txt".into()]);
+        let key = Some("k".to_owned());
+        let record = Record { key: key.clone(), status: Status::Done, start, error: None, outputs, others, kept: None };
+        let holds = |record: &Record, key: &str| record.of_done(key, folder.path()).is_some();
+        assert!(holds(&record, "k") && !holds(&record, "l"));
+        assert!(record.lists("a.obj") && record.lists("log/a.txt") && !record.lists("a.png"));
+        let failed = Record { key: Some("l".into()), status: Status::Failed, ..record.clone() };
+        assert!(!holds(&failed, "k") && !holds(&failed, "l"));
+        let kept = Record { error: Some("no".into()), kept: Some(Kept { key, start }), ..failed };
+        assert_eq!(kept.of_done("k", folder.path()), Some(record.clone()));
+        assert!(!holds(&kept, "l"));
         std::fs::write(folder.path().join("a.obj"), "w").unwrap();
-        assert!(!record.holds("k", folder.path()));
+        assert!(!holds(&record, "k") && !holds(&kept, "k"));
         std::fs::remove_file(folder.path().join("a.obj")).unwrap();
-        assert!(!record.holds("k", folder.path()));
+        assert!(!holds(&record, "k"));
     }
 }

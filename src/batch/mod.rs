@@ -2,15 +2,25 @@
 //!
 //! What is done is known by the hash of everything that went into it, and is not done again; the frames of a sequence follow each
 //! other, each [going on](crate::registration::WarmStart) from the one before.
+//!
+//! A [`Plan`] holds everything that is decided before anything runs, and is the one way to run a batch, whoever asks for it. It keeps
+//! to these rules: nothing that is read is written; results are made aside and replace older ones only when they are whole; a file
+//! that no record of a batch lists is neither replaced nor deleted; one batch at a time writes into a folder, or parts of one.
 
+mod error;
 mod job;
+mod lock;
 mod manifest;
 mod plan;
 mod run;
+mod shard;
 mod summary;
 
-pub use job::{Hashes, Job, Record, Start, Status};
+pub use error::BatchError;
+pub use job::{Hashes, Job, Kept, Record, Start, Status};
+pub use lock::Holder;
 pub use manifest::{Columns, Manifest, Row};
-pub use plan::{Shard, chains};
-pub use run::{Batch, Outcome};
+pub use plan::Plan;
+pub use run::{Batch, Finished, Outcome, Timing};
+pub use shard::{Shard, chains};
 pub use summary::{Summary, SummaryRow};

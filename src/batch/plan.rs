@@ -1,105 +1,82 @@
-//! Who does what, and in which order.
+//! What a batch will do, before it does any of it.
 
-use std::collections::HashMap;
-use std::fmt;
-use std::str::FromStr;
+use std::path::{Path, PathBuf};
 
-use super::Row;
+use super::lock::HIDDEN;
+use super::{Batch, Job, Manifest, Record, Row, Shard, chains};
+use crate::mesh::io::{FilePlan, PlanError, sha256};
 
-/// One of several parts of a batch, each for a machine or process of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shard {
-    index: usize,
-    count: usize,
+/// The jobs of a batch, which of them to run, and how.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// How and where.
+    pub batch: Batch,
+    /// One for each row of the manifest, in its order.
+    pub jobs: Vec<Job>,
+    /// Jobs to be run: those of a chain follow each other.
+    pub chains: Vec<Vec<usize>>,
+    /// Which part of the whole they are.
+    pub shard: Shard,
+    manifest: PathBuf,
 }
 
-impl Shard {
-    /// Everything.
+/// Names of files that all parts of a batch write.
+pub(super) const SUMMARY: [&str; 2] = ["summary.csv", "index.html"];
+
+impl Plan {
+    /// A plan for a part of a manifest that was read from `path`; `job` says what a row runs.
     #[must_use]
-    pub fn whole() -> Self {
-        Self { index: 1, count: 1 }
+    pub fn new(batch: Batch, path: &Path, manifest: &Manifest, shard: Shard, job: impl FnMut(&Row) -> Job) -> Self {
+        let jobs = manifest.rows.iter().map(job).collect();
+        Self { batch, jobs, chains: shard.of(chains(&manifest.rows)), shard, manifest: path.to_owned() }
     }
 
-    /// Its part of a list: each goes to exactly one shard.
-    pub fn of<T>(self, list: Vec<T>) -> Vec<T> {
-        list.into_iter().enumerate().filter(|(k, _)| k % self.count == self.index - 1).map(|(_, item)| item).collect()
-    }
-
-    /// Whether it is everything.
+    /// How many jobs it runs.
     #[must_use]
-    pub fn is_whole(self) -> bool {
-        self.count == 1
+    pub fn count(&self) -> usize {
+        self.chains.iter().map(Vec::len).sum()
     }
-}
 
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}-of-{}", self.index, self.count)
-    }
-}
-
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
-        match numbers {
-            Some((index, count)) if (1..=count).contains(&index) => Ok(Self { index, count }),
-            Some((index, count)) => Err(format!("there is no part {index} of {count}; the first is 1/{count}")),
-            None => Err("give part and number of parts, such as 2/8".to_owned()),
+    /// Everything that jobs read and could write, those of other parts included.
+    #[must_use]
+    pub fn files(&self) -> FilePlan {
+        let mut plan = FilePlan::new().reads("the manifest", &self.manifest);
+        for job in &self.jobs {
+            plan = plan.reads_all(job.inputs.iter().map(|(role, path)| (format!("{role} of {:?}", job.name), path)));
         }
-    }
-}
-
-/// Rows that must follow each other: the frames of each sequence, in the manifest's order; any other row alone. Indices of rows,
-/// ordered by the first of each.
-#[must_use]
-pub fn chains(rows: &[Row]) -> Vec<Vec<usize>> {
-    let mut chains: Vec<Vec<usize>> = Vec::new();
-    let mut of_sequence: HashMap<&str, usize> = HashMap::new();
-    for (k, row) in rows.iter().enumerate() {
-        let Some(sequence) = &row.sequence else {
-            chains.push(vec![k]);
-            continue;
-        };
-        let at = *of_sequence.entry(sequence).or_insert(chains.len());
-        if at == chains.len() {
-            chains.push(Vec::new());
+        for job in &self.jobs {
+            let names = self.batch.names(&job.name);
+            let names: Vec<String> = names.collect();
+            // those that it would replace by others
+            let earlier = Record::read(&self.batch.record(job)).map(|record| record.outputs).unwrap_or_default();
+            let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
+            let all = names.into_iter().chain(earlier);
+            plan = plan.writes_all(all.map(|name| (format!("result of {:?}", job.name), self.batch.folder.join(name))));
         }
-        chains[at].push(k);
-    }
-    chains
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn frames_follow_each_other_and_shards_share_out_everything_once() {
-        let row = |sequence: &str| Row {
-            line: 0,
-            name: String::new(),
-            sequence: (!sequence.is_empty()).then(|| sequence.to_owned()),
-            options: Vec::new(),
-        };
-        let rows = ["", "a", "b", "a", "", "b", "a"].map(row);
-        let all = chains(&rows);
-        assert_eq!(all, [vec![0], vec![1, 3, 6], vec![2, 5], vec![4]]);
-        let mut parts: Vec<Vec<usize>> = (1..=3).flat_map(|i| Shard { index: i, count: 3 }.of(all.clone())).collect();
-        parts.sort();
-        assert_eq!(parts, [vec![0], vec![1, 3, 6], vec![2, 5], vec![4]]);
-        assert_eq!(Shard::whole().of(all.clone()), all);
+        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.timing()]);
+        plan = plan.writes_all(shared.map(|name| ("summary", self.batch.folder.join(name))));
+        plan.writes_in("--out", self.batch.folder.join(HIDDEN))
     }
 
-    #[test]
-    fn a_shard_is_a_part_of_several() {
-        assert_eq!("2/8".parse(), Ok(Shard { index: 2, count: 8 }));
-        assert_eq!(Shard { index: 2, count: 8 }.to_string(), "2-of-8");
-        for (text, words) in
-            [("0/3", "no part 0"), ("4/3", "no part 4"), ("2", "2/8"), ("a/b", "2/8"), ("1/0", "no part 1 of 0")]
-        {
-            assert!(text.parse::<Shard>().unwrap_err().contains(words), "{text}");
-        }
+    /// Whether it can be carried out without harm. [`run`](Self::run) asks this first.
+    ///
+    /// # Errors
+    /// When a file that is read could be written, by name.
+    pub fn check(&self) -> Result<(), PlanError> {
+        self.files().check()
+    }
+
+    /// Name of the file that this part writes its times to.
+    #[must_use]
+    pub fn timing(&self) -> String {
+        let part = if self.shard.is_whole() { String::new() } else { format!(".{}", self.shard) };
+        format!("summary{part}.timing.json")
+    }
+
+    /// Hash of what all parts have in common.
+    pub(super) fn fingerprint(&self) -> String {
+        let Batch { format, pictures, .. } = &self.batch;
+        let jobs = self.jobs.iter().map(|job| (&job.name, &job.arguments, &job.settings));
+        sha256(format!("{format} {pictures} {:?}", jobs.collect::<Vec<_>>()).as_bytes())
     }
 }

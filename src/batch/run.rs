@@ -1,15 +1,22 @@
 //! Running jobs, several at once, each in a process of its own.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::fs::File;
+use std::fs::{self, File};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::Mutex;
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use super::{Hashes, Job, Record, Start, Status};
-use crate::mesh::io::{WriteError, write_atomically};
+use serde::Serialize;
+
+use super::job::InputHash;
+use super::lock::{HIDDEN, Lock};
+use super::plan::SUMMARY;
+use super::{BatchError, Hashes, Job, Kept, Plan, Record, Start, Status, Summary};
+use crate::mesh::io::{WriteError, replace, write_atomically};
 
 /// How and where jobs run.
 #[derive(Debug, Clone)]
@@ -45,38 +52,192 @@ pub struct Outcome {
     pub seconds: f64,
 }
 
+/// What came of a batch.
+#[derive(Debug, Clone)]
+pub struct Finished {
+    /// By index of the job, without those that were not begun or were interrupted.
+    pub outcomes: Vec<Outcome>,
+    /// All jobs, those of other parts and earlier runs included.
+    pub summary: Summary,
+    /// What differs from run to run.
+    pub timing: Timing,
+}
+
+/// Times of a batch.
+#[derive(Debug, Clone, Serialize)]
+pub struct Timing {
+    /// Scans that this run did.
+    pub scans: usize,
+    /// Scans that were done before.
+    pub before: usize,
+    /// From start to end.
+    pub seconds: f64,
+    /// Threads that it had.
+    pub cores: usize,
+    /// Speed.
+    pub scans_per_core_minute: f64,
+    /// By name.
+    pub seconds_of_scans: Vec<(String, f64)>,
+}
+
 /// What a process left.
 struct Ended {
     error: Option<String>,
     interrupted: bool,
 }
 
-/// The exit code of a program that ended because it was asked to.
-const INTERRUPTED: i32 = 130;
+/// Whether a program ended because it was asked to, by Ctrl-C or SIGTERM: as it says, or by the signal itself.
+fn was_asked_to_end(status: ExitStatus) -> bool {
+    const ASKED: [i32; 2] = [130, 143];
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::ExitStatusExt as _;
+        if status.signal().is_some_and(|signal| ASKED.contains(&(128 + signal))) {
+            return true;
+        }
+    }
+    status.code().is_some_and(|code| ASKED.contains(&code))
+}
 
 impl Batch {
-    /// Runs chains of jobs; the jobs of a chain follow each other, each that [may](Job::goes_on) from where the one before has ended. `finished` is called
-    /// after every job, in the order in which they end; `stop` is asked before each. Outcomes by index of the job, without those
-    /// that were not begun or were interrupted.
+    /// Where what is known of a job is kept.
+    #[must_use]
+    pub fn record(&self, job: &Job) -> PathBuf {
+        self.folder.join(format!("log/{}.json", job.name))
+    }
+
+    /// Names of what a job writes, in the folder of results: the report first, the record last.
+    pub(super) fn names(&self, name: &str) -> impl Iterator<Item = String> {
+        let others = others(name).into_iter().chain([format!("log/{name}.json")]);
+        self.outputs(name).into_iter().chain(others)
+    }
+
+    /// Names of a job's results; the report first.
+    fn outputs(&self, name: &str) -> Vec<String> {
+        let extensions = ["json", &self.format].into_iter().chain(self.pictures.then_some("png"));
+        let mut names: Vec<String> = extensions.map(|e| format!("{name}.{e}")).collect();
+        names.push(format!("state/{name}.json"));
+        names
+    }
+}
+
+/// What a job writes besides: files that differ from run to run.
+fn others(name: &str) -> [String; 2] {
+    [format!("{name}.timing.json"), format!("log/{name}.txt")]
+}
+
+impl Plan {
+    /// Runs it; the jobs of a chain follow each other, each that [may](Job::goes_on) from where the one before has ended. `finished`
+    /// is called after every job, in the order in which they end; `stop` is asked before each; `said` is told what the user
+    /// should know besides.
     ///
     /// # Errors
-    /// When the program cannot be started, or what is known of a job cannot be written: what is wrong with one scan is in its
-    /// [`Record`].
+    /// When it [must not run](Self::check), another batch has the folder, or files stand where results would go and are none: nothing
+    /// has changed then. When the program cannot be started, or something cannot be written.
     pub fn run(
         &self,
-        jobs: &[Job],
-        chains: &[Vec<usize>],
         stop: &(dyn Fn() -> bool + Sync),
         finished: &(dyn Fn(&Outcome) + Sync),
-    ) -> Result<Vec<Outcome>, WriteError> {
-        for folder in [self.folder.clone(), self.folder.join("log"), self.folder.join("state")] {
-            std::fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
+        said: &dyn Fn(&str),
+    ) -> Result<Finished, BatchError> {
+        let clock = Instant::now();
+        self.check()?;
+        let folder = &self.batch.folder;
+        let made = !folder.is_dir();
+        let lock = Lock::take(folder, self.shard, &self.fingerprint(), said)?;
+        let run = Run { plan: self, batch: &self.batch, lock: &lock, hashes: Hashes::default() };
+        if !made {
+            run.refuse_strangers()?;
         }
-        let hashes = Hashes::default();
+        run.claim()?;
+        for folder in [folder.join("log"), folder.join("state")] {
+            fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
+        }
+        let outcomes = run.chains(stop, finished)?;
+        let summary = run.summarise(&outcomes)?;
+        let timing = Timing::new(self, &outcomes, clock.elapsed());
+        write_atomically(&folder.join(self.timing()), |file| Ok(serde_json::to_writer_pretty(file, &timing)?))?;
+        Ok(Finished { outcomes, summary, timing })
+    }
+}
+
+impl Timing {
+    fn new(plan: &Plan, outcomes: &[Outcome], elapsed: Duration) -> Self {
+        let Batch { at_once, threads, .. } = plan.batch;
+        let cores = at_once.min(plan.chains.len().max(1)) * threads;
+        let ran: Vec<&Outcome> = outcomes.iter().filter(|o| !o.before).collect();
+        let seconds = elapsed.as_secs_f64();
+        Self {
+            scans: ran.len(),
+            before: outcomes.len() - ran.len(),
+            seconds,
+            cores,
+            scans_per_core_minute: ran.len() as f64 / (seconds / 60.0 * cores as f64),
+            seconds_of_scans: ran.iter().map(|o| (plan.jobs[o.job].name.clone(), o.seconds)).collect(),
+        }
+    }
+}
+
+/// A plan that is being carried out.
+struct Run<'a> {
+    plan: &'a Plan,
+    batch: &'a Batch,
+    lock: &'a Lock,
+    hashes: Hashes,
+}
+
+impl Run<'_> {
+    /// Refuses files that would be replaced and are of no batch.
+    fn refuse_strangers(&self) -> Result<(), BatchError> {
+        let folder = &self.batch.folder;
+        let claimed = self.claimed();
+        let mut strangers = Vec::new();
+        for &k in self.plan.chains.iter().flatten() {
+            let job = &self.plan.jobs[k];
+            let record = Record::read(&self.batch.record(job));
+            let known = |name: &String| {
+                record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{}.json", job.name))
+            };
+            let there = self.batch.names(&job.name).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+            strangers.extend(there.filter(|name| !known(name)));
+        }
+        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.plan.timing()]);
+        let there = shared.filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+        strangers.extend(there.filter(|name| !claimed.contains(name)));
+        match &strangers[..] {
+            [] => Ok(()),
+            [first, others @ ..] => Err(BatchError::Stranger { file: folder.join(first), others: others.len() }),
+        }
+    }
+
+    /// Names of the files that batches have written here besides results.
+    fn claimed(&self) -> BTreeSet<String> {
+        let mut claimed = BTreeSet::new();
+        let entries = fs::read_dir(self.batch.folder.join(HIDDEN)).into_iter().flatten().flatten();
+        for path in entries.map(|e| e.path()).filter(|path| path.extension().is_some_and(|e| e == "json")) {
+            let names: Option<Vec<String>> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+            claimed.extend(names.into_iter().flatten());
+        }
+        claimed
+    }
+
+    /// Writes down, before they are written, the names of the files besides results.
+    fn claim(&self) -> Result<(), WriteError> {
+        let names: Vec<String> = SUMMARY.map(str::to_owned).into_iter().chain([self.plan.timing()]).collect();
+        let path = self.batch.folder.join(HIDDEN).join(format!("wrote-{}.json", self.plan.shard));
+        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
+    }
+
+    fn chains(
+        &self,
+        stop: &(dyn Fn() -> bool + Sync),
+        finished: &(dyn Fn(&Outcome) + Sync),
+    ) -> Result<Vec<Outcome>, BatchError> {
+        let jobs = &self.plan.jobs;
         let next = AtomicUsize::new(0);
         let outcomes = Mutex::new(Vec::new());
-        let worker = || -> Result<(), WriteError> {
-            while let Some(chain) = chains.get(next.fetch_add(1, Ordering::Relaxed)) {
+        let worker = || -> Result<(), BatchError> {
+            while let Some(chain) = self.plan.chains.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let mut previous: Option<(usize, Record)> = None;
                 for &k in chain {
                     if stop() {
@@ -84,58 +245,53 @@ impl Batch {
                     }
                     let before = previous.as_ref().filter(|(_, r)| r.status == Status::Done && jobs[k].goes_on);
                     let before = before.and_then(|(job, record)| Some((&jobs[*job], record.key.as_deref()?)));
-                    let Some(outcome) = self.job(k, &jobs[k], before, &hashes)? else { return Ok(()) };
+                    let Some(outcome) = self.job(k, before, stop)? else { return Ok(()) };
                     finished(&outcome);
                     previous = Some((k, outcome.record.clone()));
-                    outcomes.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(outcome);
+                    outcomes.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
                 }
             }
             Ok(())
         };
-        let ended: Vec<Result<(), WriteError>> = std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..self.at_once.max(1)).map(|_| scope.spawn(worker)).collect();
+        let ended: Vec<Result<(), BatchError>> = std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..self.batch.at_once.max(1)).map(|_| scope.spawn(worker)).collect();
             workers.into_iter().map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
         });
         ended.into_iter().collect::<Result<(), _>>()?;
-        let mut outcomes = outcomes.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut outcomes = outcomes.into_inner().unwrap_or_else(PoisonError::into_inner);
         outcomes.sort_by_key(|outcome| outcome.job);
         Ok(outcomes)
-    }
-
-    /// Where what is known of a job is kept.
-    #[must_use]
-    pub fn record(&self, job: &Job) -> PathBuf {
-        self.folder.join("log").join(format!("{}.json", job.name))
-    }
-
-    fn state(&self, job: &Job) -> PathBuf {
-        self.folder.join("state").join(format!("{}.json", job.name))
-    }
-
-    /// Names of what a job writes; the report first.
-    fn outputs(&self, name: &str) -> Vec<String> {
-        let extensions = ["json", &self.format].into_iter().chain(self.pictures.then_some("png"));
-        let mut names: Vec<String> = extensions.map(|e| format!("{name}.{e}")).collect();
-        names.push(format!("state/{name}.json"));
-        names
     }
 
     /// Runs a job unless it is done; `None` if it was interrupted.
     fn job(
         &self,
         index: usize,
-        job: &Job,
         before: Option<(&Job, &str)>,
-        hashes: &Hashes,
-    ) -> Result<Option<Outcome>, WriteError> {
-        let clock = Instant::now();
-        let key = job.key(before.map(|b| b.1), hashes);
-        let path = self.record(job);
-        let known = Record::read(&path).filter(|_| !self.again);
-        if let Some(record) = known.filter(|record| key.as_ref().is_some_and(|key| record.holds(key, &self.folder))) {
-            return Ok(Some(Outcome { job: index, record, before: true, seconds: 0.0 }));
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Outcome>, BatchError> {
+        let (clock, job) = (Instant::now(), &self.plan.jobs[index]);
+        let outcome = |record, before| Outcome { job: index, record, before, seconds: clock.elapsed().as_secs_f64() };
+        let path = self.batch.record(job);
+        let known = Record::read(&path);
+        let key = match job.arguments.clone().and_then(|_| job.key(before.map(|b| b.1), &self.hashes)) {
+            Ok(key) => key,
+            // nobody knows what is done, so what is there stays as it is
+            Err(error) => {
+                let record = Record::failed(None, Start::Cold, error, None);
+                if known.as_ref().is_none_or(|known| known.outputs.is_empty()) {
+                    self.write_record(job, &record)?;
+                }
+                return Ok(Some(outcome(record, false)));
+            }
+        };
+        let done = known.as_ref().filter(|_| !self.batch.again);
+        if let Some(record) = done.and_then(|known| known.of_done(&key, &self.batch.folder)) {
+            if known.as_ref() != Some(&record) {
+                self.write_record(job, &record)?;
+            }
+            return Ok(Some(Outcome { seconds: 0.0, ..outcome(record, true) }));
         }
-        self.clear(job);
         let mut start = if before.is_some() { Start::Warm } else { Start::Cold };
         let mut ended = self.process(job, before.map(|b| b.0))?;
         if start == Start::Warm && !ended.interrupted && (ended.error.is_some() || self.is_doubtful(job)) {
@@ -143,32 +299,104 @@ impl Batch {
             start = Start::ColdAgain;
             ended = self.process(job, None)?;
         }
-        if ended.interrupted {
+        if self.lock.is_lost() {
+            return Err(BatchError::Lost(self.batch.folder.clone()));
+        }
+        if ended.interrupted && stop() {
             self.clear(job);
             return Ok(None);
         }
-        let status = if ended.error.is_none() { Status::Done } else { Status::Failed };
-        if status == Status::Failed {
-            self.clear(job);
-        }
-        let outputs = Record::hashes(&self.folder, &self.outputs(&job.name));
-        let record = Record { key, status, start, error: ended.error, outputs };
-        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, &record)?))?;
-        Ok(Some(Outcome { job: index, record, before: false, seconds: clock.elapsed().as_secs_f64() }))
+        let published = match ended.error {
+            Some(error) => {
+                let mut record = Record::failed(Some(key), start, error, known.as_ref());
+                self.clear_results(job);
+                let [_, said] = others(&job.name);
+                if !record.others.contains(&said) {
+                    record.others.push(said);
+                }
+                self.publish(job, known.as_ref(), record)
+            }
+            None => {
+                let read: Option<Vec<InputHash>> = self
+                    .report(job)
+                    .and_then(|mut report| serde_json::from_value(report.get_mut("inputs")?.take()).ok());
+                // a file that was changed between its hash and its use: what was used counts
+                let read = read.unwrap_or_default();
+                let key = job.key_of_what_was_read(before.map(|b| b.1), &self.hashes, &read).unwrap_or(key);
+                let outputs = Record::hashes(self.lock.aside(), &self.batch.outputs(&job.name));
+                let others = others(&job.name).to_vec();
+                let (key, status) = (Some(key), Status::Done);
+                let record = Record { key, status, start, error: None, outputs, others, kept: None };
+                self.publish(job, known.as_ref(), record)
+            }
+        };
+        let record = match published {
+            Ok(record) => record,
+            // somebody has put it there while this job ran
+            Err(stranger @ BatchError::Stranger { .. }) => {
+                self.clear(job);
+                Record::failed(None, start, stranger.to_string(), None)
+            }
+            Err(error) => return Err(error),
+        };
+        Ok(Some(outcome(record, false)))
     }
 
-    /// Takes away what an earlier run has left: outputs that stand there are those of this run.
-    fn clear(&self, job: &Job) {
-        let timing = format!("{}.timing.json", job.name);
-        for name in self.outputs(&job.name).into_iter().chain([timing]) {
-            let _ = std::fs::remove_file(self.folder.join(name)); // usually there is none
+    /// Puts what was made aside in the place of what an earlier run has left. The record comes first: what it lists and is not there
+    /// as listed counts as not done.
+    fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
+        let folder = &self.batch.folder;
+        let names: Vec<String> = self.batch.outputs(&job.name).into_iter().chain(others(&job.name)).collect();
+        let made = |name: &String| self.lock.aside().join(name).exists();
+        let of_known = |name: &str| known.is_some_and(|known| known.lists(name));
+        let stranger =
+            names.iter().filter(|name| made(name)).find(|name| folder.join(name).exists() && !of_known(name));
+        if let Some(name) = stranger {
+            return Err(BatchError::Stranger { file: folder.join(name), others: 0 });
         }
-        let _ = std::fs::remove_file(self.record(job));
+        if let (Status::Done, Some(known)) = (record.status, known) {
+            // of an earlier format, or a picture: nobody has changed it since, and it would be taken for one of this run's
+            for (name, hash) in known.outputs.iter().filter(|(name, _)| !record.outputs.contains_key(*name)) {
+                if Record::hashes(folder, std::slice::from_ref(name)).get(name) == Some(hash) {
+                    let path = folder.join(name);
+                    fs::remove_file(&path).map_err(|source| WriteError::Io { path, source })?;
+                }
+            }
+        }
+        self.write_record(job, &record)?;
+        for name in names.iter().filter(|name| made(name)) {
+            let path = folder.join(name);
+            replace(&self.lock.aside().join(name), &path).map_err(|source| WriteError::Io { path, source })?;
+        }
+        Ok(record)
+    }
+
+    fn write_record(&self, job: &Job, record: &Record) -> Result<(), WriteError> {
+        write_atomically(&self.batch.record(job), |file| Ok(serde_json::to_writer_pretty(file, record)?))
+    }
+
+    /// Takes away what was made aside.
+    fn clear(&self, job: &Job) {
+        self.clear_results(job);
+        for name in others(&job.name) {
+            let _ = fs::remove_file(self.lock.aside().join(name)); // it may not be there
+        }
+    }
+
+    fn clear_results(&self, job: &Job) {
+        let names = self.batch.outputs(&job.name).into_iter().chain([format!("{}.timing.json", job.name)]);
+        for name in names {
+            let _ = fs::remove_file(self.lock.aside().join(name)); // usually there is none
+        }
+    }
+
+    fn report(&self, job: &Job) -> Option<serde_json::Value> {
+        let bytes = fs::read(self.lock.aside().join(format!("{}.json", job.name))).ok()?;
+        serde_json::from_slice(&bytes).ok()
     }
 
     fn is_doubtful(&self, job: &Job) -> bool {
-        let report = std::fs::read(self.folder.join(format!("{}.json", job.name)));
-        let report: Option<serde_json::Value> = report.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let report = self.report(job);
         report.is_some_and(|report| report["doubts"].as_array().is_some_and(|doubts| !doubts.is_empty()))
     }
 
@@ -177,31 +405,69 @@ impl Batch {
             Ok(arguments) => arguments,
             Err(message) => return Ok(Ended { error: Some(message.clone()), interrupted: false }),
         };
-        let path = self.folder.join("log").join(format!("{}.txt", job.name));
+        let aside = self.lock.aside();
+        let path = aside.join(format!("log/{}.txt", job.name));
         let failed = |path: &Path| {
             let path = path.to_owned();
             move |source| WriteError::Io { path, source }
         };
         let log = File::create(&path).map_err(failed(&path))?;
-        let mut command = Command::new(&self.program);
-        command.args(&self.command).args(arguments).arg("--threads").arg(self.threads.to_string());
-        let out = |extension: &str| self.folder.join(format!("{}.{extension}", job.name));
-        command.arg("--out").arg(out(&self.format)).arg("--report").arg(out("json"));
-        command.arg("--state").arg(self.state(job));
-        if self.pictures {
+        let mut command = Command::new(&self.batch.program);
+        command.args(&self.batch.command).args(arguments).arg("--threads").arg(self.batch.threads.to_string());
+        let out = |extension: &str| aside.join(format!("{}.{extension}", job.name));
+        command.arg("--out").arg(out(&self.batch.format)).arg("--report").arg(out("json"));
+        command.arg("--state").arg(aside.join(format!("state/{}.json", job.name)));
+        if self.batch.pictures {
             command.arg("--picture").arg(out("png"));
         }
         if let Some(before) = before {
-            command.arg("--warm-start").arg(self.state(before));
+            command.arg("--warm-start").arg(self.batch.folder.join(format!("state/{}.json", before.name)));
         }
         let both = log.try_clone().map_err(failed(&path))?;
         command.stdin(Stdio::null()).stdout(both).stderr(log);
-        let status = command.status().map_err(failed(&self.program))?;
+        let status = command.status().map_err(failed(&self.batch.program))?;
+        // files are to be named as what they become
+        let said = String::from_utf8_lossy(&fs::read(&path).unwrap_or_default()).into_owned();
+        let said = said.replace(&*aside.to_string_lossy(), &self.batch.folder.to_string_lossy());
+        fs::write(&path, &said).map_err(failed(&path))?;
         let error = (!status.success()).then(|| {
-            let said = std::fs::read_to_string(&path).unwrap_or_default();
             let error = said.lines().rev().find_map(|line| line.strip_prefix("error: "));
             error.map_or_else(|| format!("ended by {status} (out of memory?)"), str::to_owned)
         });
-        Ok(Ended { error, interrupted: status.code() == Some(INTERRUPTED) })
+        let interrupted = was_asked_to_end(status);
+        // whoever asked this process alone, and not the batch: an end by itself it was not
+        let error = if interrupted { Some(format!("told to end from outside ({status})")) } else { error };
+        Ok(Ended { error, interrupted })
+    }
+
+    /// Writes the table of all jobs. Other parts may do so at the same time: who writes last sees in what it reads then whether that
+    /// was before another has ended.
+    fn summarise(&self, outcomes: &[Outcome]) -> Result<Summary, WriteError> {
+        let folder = &self.batch.folder;
+        let read = || Summary::of(self.batch, &self.plan.jobs, outcomes);
+        let mut summary = read();
+        loop {
+            let [csv, page] = SUMMARY.map(|name| folder.join(name));
+            write_atomically(&csv, |file| file.write_all(summary.to_csv().as_bytes()))?;
+            write_atomically(&page, |file| file.write_all(summary.to_html(folder).as_bytes()))?;
+            let now = read();
+            if now == summary {
+                return Ok(summary);
+            }
+            summary = now;
+        }
+    }
+}
+
+impl Record {
+    /// A job that failed; what an earlier run has left stays, and is known to be there.
+    fn failed(key: Option<String>, start: Start, error: String, known: Option<&Self>) -> Self {
+        let kept = known.and_then(|known| match known.status {
+            Status::Done => Some(Kept { key: known.key.clone(), start: known.start }),
+            Status::Failed => known.kept.clone(),
+        });
+        let outputs = known.filter(|_| kept.is_some()).map(|known| known.outputs.clone()).unwrap_or_default();
+        let others = known.map(|known| known.others.clone()).unwrap_or_default();
+        Self { key, status: Status::Failed, start, error: Some(error), outputs, others, kept }
     }
 }

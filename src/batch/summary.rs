@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{Batch, Job, Record, Start, Status};
+use super::{Batch, Job, Outcome, Record, Start, Status};
 use crate::page;
 
 /// What is known of one scan.
@@ -39,10 +39,12 @@ pub struct Summary {
 const HEADER: [&str; 8] = ["name", "status", "start", "inliers", "near", "median_mm", "flipped", "note"];
 
 impl Summary {
-    /// What is known of jobs by their records and reports in a folder.
+    /// What is known of jobs by what has just come of them, or else by their records, and by their reports in a folder.
     #[must_use]
-    pub fn of(batch: &Batch, jobs: &[Job]) -> Self {
-        Self { rows: jobs.iter().map(|job| SummaryRow::of(batch, job)).collect() }
+    pub fn of(batch: &Batch, jobs: &[Job], outcomes: &[Outcome]) -> Self {
+        let mut records = vec![None; jobs.len()];
+        outcomes.iter().for_each(|outcome| records[outcome.job] = Some(&outcome.record));
+        Self { rows: jobs.iter().zip(records).map(|(job, record)| SummaryRow::of(batch, job, record)).collect() }
     }
 
     /// How many rows have this status.
@@ -105,9 +107,10 @@ fn short(x: f64) -> String {
 }
 
 impl SummaryRow {
-    fn of(batch: &Batch, job: &Job) -> Self {
+    fn of(batch: &Batch, job: &Job, record: Option<&Record>) -> Self {
         let name = job.name.clone();
-        let Some(record) = Record::read(&batch.record(job)) else {
+        let known = Record::read(&batch.record(job));
+        let Some(record) = record.or(known.as_ref()) else {
             return Self { name, status: "pending", ..Self::default() };
         };
         let start = match record.start {
@@ -116,7 +119,10 @@ impl SummaryRow {
             Start::ColdAgain => "cold again",
         };
         if record.status == Status::Failed {
-            return Self { name, status: "failed", start, note: record.error.unwrap_or_default(), ..Self::default() };
+            let kept = known.as_ref().is_some_and(|known| !known.outputs.is_empty());
+            let kept = if kept { "; what an earlier run has made is still there" } else { "" };
+            let note = record.error.clone().unwrap_or_default() + kept;
+            return Self { name, status: "failed", start, note, ..Self::default() };
         }
         let report = std::fs::read(batch.folder.join(format!("{name}.json")));
         let report: Value = report.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();

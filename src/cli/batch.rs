@@ -1,19 +1,17 @@
 //! `nonrigid batch`.
 
 use std::ffi::OsString;
-use std::io::{IsTerminal, Write as _};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::Serialize;
 
 use super::interrupt::Interrupt;
-use super::{Failure, Stage, check_output_folder, register, say, tell, write_json};
-use crate::batch::{Batch, Columns, Job, Manifest, Outcome, Row, Shard, Status, Summary, chains};
-use crate::mesh::io::write_atomically;
+use super::{Failure, Stage, check_output_folder, register, say, tell, warn};
+use crate::batch::{Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
 
 /// Arguments of `nonrigid batch`.
 #[derive(Debug, Args)]
@@ -125,7 +123,6 @@ impl FromArgMatches for OfRegister {
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
-    let clock = Instant::now();
     check_output_folder(&a.out)?;
     let known = options();
     let of_kind = |keep: &dyn Fn(&Arg) -> bool| known.iter().filter(|o| keep(&o.1)).map(|o| o.0.clone()).collect();
@@ -143,31 +140,23 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         threads: (cores / at_once).max(1),
         again: a.again,
     };
-    let jobs: Vec<Job> = manifest.rows.iter().map(|row| job(row, &a.of_register.0, &batch, &columns)).collect();
+    let settings = [("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())];
     let shard = a.shard.unwrap_or(Shard::whole());
-    let chains = shard.of(chains(&manifest.rows));
-    let count = chains.iter().map(Vec::len).sum();
+    let plan = Plan::new(batch, &a.manifest, &manifest, shard, |row| job(row, &a.of_register.0, &settings, &columns));
+    let count = plan.count();
     let interrupt = Interrupt::listen()?;
-    let progress = Progress::new(count, &jobs);
-    let outcomes = batch
-        .run(&jobs, &chains, &|| interrupt.asked(), &|outcome| progress.finished(outcome))
-        .map_err(Failure::writing)?;
+    let progress = Progress::new(count, &plan.jobs);
+    let finished = plan
+        .run(&|| interrupt.asked(), &|outcome| progress.finished(outcome), &|said| warn(said))
+        .map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))?;
     progress.bar.finish_and_clear();
-    let summary = Summary::of(&batch, &jobs);
-    let write = |name: &str, text: String| {
-        write_atomically(&a.out.join(name), |file| file.write_all(text.as_bytes())).map_err(Failure::writing)
-    };
-    write("summary.csv", summary.to_csv())?;
-    write("index.html", summary.to_html(&a.out))?;
-    let timing = Timing::new(&jobs, &outcomes, at_once.min(chains.len().max(1)) * batch.threads, clock.elapsed());
-    let part = if shard.is_whole() { String::new() } else { format!(".{shard}") };
-    write_json(&a.out.join(format!("summary{part}.timing.json")), &timing)?;
+    let Finished { outcomes, summary, timing } = finished;
     say(summary.to_string().trim_end())?;
-    say(timing.line())?;
+    say(line(&timing))?;
     say(format_args!("wrote {}", a.out.join("index.html").display()))?;
     if interrupt.asked() {
         let message = format!("interrupted: {} of {count} are done; the same command goes on", outcomes.len());
-        return Err(Failure::new(Stage::Interrupted, message));
+        return Err(interrupt.failure(message));
     }
     match outcomes.iter().filter(|o| o.record.status == Status::Failed).count() {
         0 => Ok(()),
@@ -179,7 +168,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What a row runs: the options of the command line, then its own instead of them.
-fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns) -> Job {
+fn job(row: &Row, of_all: &[(String, String)], further: &[(String, String)], columns: &Columns) -> Job {
     let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
     let mut settings: Vec<(String, String)> = of_all.iter().filter(|(long, _)| !of_row(long)).cloned().collect();
     settings.extend(row.options.clone());
@@ -188,13 +177,17 @@ fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns)
     let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
     let (arguments, inputs) = match parsed {
-        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths().ok()),
-        Err(error) => (Err(first_line(&error)), None),
+        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths()),
+        // its files are not to be overwritten either
+        Err(error) => {
+            let paths = settings.iter().filter(|(long, _)| columns.paths.contains(long));
+            (Err(first_line(&error)), paths.map(|(long, path)| (&**long, path.into())).collect())
+        }
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
+    let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
     settings.retain(|(long, _)| !columns.paths.contains(long));
-    settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
-    let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
+    settings.extend(further.iter().cloned());
     Job { name: row.name.clone(), arguments, settings, goes_on, inputs }
 }
 
@@ -205,39 +198,12 @@ fn first_line(error: &clap::Error) -> String {
     lines.trim_start_matches("error: ").to_owned()
 }
 
-/// What differs from run to run.
-#[derive(Serialize)]
-struct Timing {
-    /// Scans that this run did.
-    scans: usize,
-    /// Scans that were done before.
-    before: usize,
-    seconds: f64,
-    cores: usize,
-    scans_per_core_minute: f64,
-    seconds_of_scans: Vec<(String, f64)>,
-}
-
-impl Timing {
-    fn new(jobs: &[Job], outcomes: &[Outcome], cores: usize, elapsed: Duration) -> Self {
-        let ran: Vec<&Outcome> = outcomes.iter().filter(|o| !o.before).collect();
-        let seconds = elapsed.as_secs_f64();
-        Self {
-            scans: ran.len(),
-            before: outcomes.len() - ran.len(),
-            seconds,
-            cores,
-            scans_per_core_minute: ran.len() as f64 / (seconds / 60.0 * cores as f64),
-            seconds_of_scans: ran.iter().map(|o| (jobs[o.job].name.clone(), o.seconds)).collect(),
-        }
-    }
-
-    fn line(&self) -> String {
-        let Self { scans, before, seconds, cores, .. } = self;
-        let before = if *before > 0 { format!(", {before} were done before") } else { String::new() };
-        let rate = self.scans_per_core_minute;
-        format!("{scans} scans in {seconds:.1} s on {cores} cores: {rate:.1} scans per core-minute{before}")
-    }
+/// Times, in a line.
+fn line(timing: &Timing) -> String {
+    let Timing { scans, before, seconds, cores, .. } = timing;
+    let before = if *before > 0 { format!(", {before} were done before") } else { String::new() };
+    let rate = timing.scans_per_core_minute;
+    format!("{scans} scans in {seconds:.1} s on {cores} cores: {rate:.1} scans per core-minute{before}")
 }
 
 /// A bar on a terminal, otherwise a line for each scan; both with an estimate.

@@ -6,8 +6,9 @@ use clap::Args;
 use serde::Serialize;
 
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, say};
+use super::{Failure, Stage, check_output, check_plan, meshes, say};
 use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use crate::mesh::io::FilePlan;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
 use crate::registration::{RegistrationError, WITHIN_MM};
 use crate::render::{ColourScale, View, error_sheet, save_png};
@@ -58,6 +59,15 @@ struct Measured<D> {
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     a.heatmap.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
+    let of_meshes = [
+        ("result", Some(&a.result)),
+        ("template", Some(&a.template)),
+        ("truth", a.truth.as_ref()),
+        ("observed", a.observed.as_ref()),
+        ("target", a.target.as_ref()),
+    ];
+    let outputs = a.heatmap.iter().map(|path| ("--heatmap", path));
+    check_plan(&FilePlan::new().reads_all(meshes(of_meshes)).writes_all(outputs))?;
     let mut units = a.units.of(&["result", "template", "truth", "target"])?;
     let template = units.read_mesh("template", &a.template)?;
     let positions = units.read_positions("result", &a.result)?;

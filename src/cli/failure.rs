@@ -18,6 +18,8 @@ pub enum Stage {
     Loading = 4,
     /// Not a failure of its own: Ctrl-C ended the command before its time.
     Interrupted = 130,
+    /// The same by SIGTERM.
+    Terminated = 143,
 }
 
 /// Why a command failed.
@@ -63,7 +65,8 @@ impl Failure {
     /// Says it on stderr and gives the exit code.
     #[must_use]
     pub fn report(&self) -> ExitCode {
-        let kind = if self.stage == Stage::Interrupted { "warning" } else { "error" };
+        let asked = matches!(self.stage, Stage::Interrupted | Stage::Terminated);
+        let kind = if asked { "warning" } else { "error" };
         tell(format_args!("{kind}: {self}"));
         self.exit_code()
     }

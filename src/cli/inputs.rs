@@ -7,7 +7,7 @@ use clap::Args;
 use super::units::Units;
 use super::{Failure, warn};
 use crate::mesh::Vec3;
-use crate::mesh::io;
+use crate::mesh::io::{self, Inputs};
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
@@ -68,17 +68,24 @@ pub struct MaskArguments {
 
 impl MaskArguments {
     /// The mask and the free mask: files and regions together, where regions of the rig come before groups of the template.
-    pub fn read(&self, template: &PolygonMesh, regions: Option<Regions>) -> Result<[Option<Vec<f64>>; 2], Failure> {
+    pub fn read(
+        &self,
+        inputs: &Inputs,
+        template: &PolygonMesh,
+        regions: Option<Regions>,
+    ) -> Result<[Option<Vec<f64>>; 2], Failure> {
         let vertices = template.positions.len();
         let regions = regions.unwrap_or_else(|| Regions::of_groups(template));
         let region_mask = |option: &str, names: &[String]| -> Result<Option<Vec<f64>>, Failure> {
             let mask = (!names.is_empty()).then(|| regions.mask(names)).transpose();
             mask.map_err(|e| Failure::loading(format!("{option}: {e}")))
         };
-        let read = |path: &Option<PathBuf>| path.as_deref().map(|p| read_mask(p, vertices)).transpose();
+        let read = |role: &str, path: &Option<PathBuf>| {
+            path.as_deref().map(|p| inputs.reading(role, || read_mask(p, vertices))).transpose()
+        };
         Ok([
-            combined(read(&self.mask)?, region_mask("--regions", &self.regions)?, |a, b| a * b),
-            combined(read(&self.free_mask)?, region_mask("--free-regions", &self.free_regions)?, f64::max),
+            combined(read("mask", &self.mask)?, region_mask("--regions", &self.regions)?, |a, b| a * b),
+            combined(read("free mask", &self.free_mask)?, region_mask("--free-regions", &self.free_regions)?, f64::max),
         ])
     }
 }
@@ -102,17 +109,17 @@ pub fn read_mask(path: &Path, vertices: usize) -> Result<Vec<f64>, Failure> {
     }
 }
 
-/// Every file that a rig is read from.
-pub fn rig_files(rig: &Path) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
-    if rig.is_file() {
-        return Ok(vec![("rig", rig.to_owned())]);
+/// Every file that a rig could be read from. What cannot be read is named itself: reading it says what is wrong.
+pub fn rig_files(rig: &Path) -> Vec<(&'static str, PathBuf)> {
+    if !rig.is_dir() {
+        return io::files_of_mesh(rig).into_iter().map(|p| ("rig", p)).collect();
     }
-    let failed = |e: std::io::Error| Failure::loading(format!("{}: {e}", rig.display()));
-    let mut inside: Vec<PathBuf> =
-        std::fs::read_dir(rig).and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect()).map_err(failed)?;
-    inside.retain(|p| p.is_file());
+    let inside: std::io::Result<Vec<PathBuf>> =
+        std::fs::read_dir(rig).and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());
+    let Ok(mut inside) = inside else { return vec![("rig", rig.to_owned())] };
+    inside.retain(|p| !p.is_dir());
     inside.sort();
-    Ok(inside.into_iter().map(|p| ("rig", p)).collect())
+    inside.into_iter().map(|p| ("rig", p)).collect()
 }
 
 /// Reads a rig and prints its warnings.

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_file_path, refuse_overwriting, say, warn};
+use super::{Failure, Stage, check_file_path, check_plan, meshes, say, warn};
 use crate::mesh::io::{
-    self, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
+    self, FilePlan, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
 };
 use crate::mesh::{PolygonMesh, Vec3};
 
@@ -254,8 +254,7 @@ fn read_set(path: &Path) -> Result<LandmarkSet, Failure> {
 impl Output {
     /// The format, for an output that can be written and is none of the inputs.
     fn format(&self, inputs: &[(&str, Option<&PathBuf>)]) -> Result<LandmarkFormat, Failure> {
-        let inputs: Vec<_> = inputs.iter().filter_map(|(role, path)| Some((*role, (*path)?.clone()))).collect();
-        refuse_overwriting(&[("OUT", Some(&self.output))], &inputs)?;
+        check_plan(&FilePlan::new().reads_all(meshes(inputs.iter().copied())).writes("OUT", &self.output))?;
         check_file_path(&self.output)?;
         let arguments = |message| Failure::new(Stage::Arguments, message);
         let format = self.format.or_else(|| LandmarkFormat::of_path(&self.output)).ok_or_else(|| {

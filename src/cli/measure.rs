@@ -7,9 +7,9 @@ use clap::Args;
 
 use super::inputs::read_mask;
 use super::units::{UnitArguments, Units};
-use super::{Failure, check_output, check_output_folder, on_threads, refuse_overwriting, say};
+use super::{Failure, check_output, check_output_folder, check_plan, meshes, on_threads, say};
 use crate::measurement::{Landmarks, MeasurementError, NamedRegion, Subject, glossary, report};
-use crate::mesh::io::{LengthUnit, write_atomically};
+use crate::mesh::io::{FilePlan, LengthUnit, write_atomically};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
 use crate::rig::Regions;
 
@@ -78,11 +78,16 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.json.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
     a.report.as_deref().map_or(Ok(()), check_output_folder)?;
-    let mut inputs = vec![("mesh", before.to_owned())];
-    inputs.extend(a.landmarks.iter().map(|path| ("landmarks", path.clone())));
-    let others = [("after", &a.after), ("regions", &a.regions), ("mask", &a.mask)];
-    inputs.extend(others.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
-    refuse_overwriting(&[("--json", a.json.as_ref()), ("--csv", a.csv.as_ref())], &inputs)?;
+    let regions_path = a.regions.clone().or_else(|| a.rig.as_ref().map(|folder| folder.join("regions.json")));
+    let others = [("regions", regions_path.as_ref()), ("mask", a.mask.as_ref())];
+    let plan = FilePlan::new()
+        .reads_all(meshes([("mesh", a.mesh.as_ref()), ("after", a.after.as_ref())]))
+        .reads_all(a.landmarks.iter().map(|path| ("landmarks", path)))
+        .reads_all(others.into_iter().filter_map(|(role, path)| Some((role, path?))))
+        .writes_all(a.json.iter().map(|path| ("--json", path)))
+        .writes_all(a.csv.iter().map(|path| ("--csv", path)))
+        .writes_all(a.report.iter().flat_map(|folder| report::FILES.map(|name| ("--report", folder.join(name)))));
+    check_plan(&plan)?;
     let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
@@ -100,7 +105,6 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         return Err(Failure::loading(format!("{}: no landmarks", names.join(", "))));
     }
     let mask = a.mask.as_deref().map(|path| read_mask(path, vertices)).transpose()?;
-    let regions_path = a.regions.clone().or_else(|| a.rig.as_ref().map(|folder| folder.join("regions.json")));
     let regions = match regions_path {
         Some(path) => Regions::read(&path, vertices).map_err(Failure::loading)?,
         None => Regions::of_groups(&mesh),

@@ -26,7 +26,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
-use crate::mesh::io::write_atomically;
+use crate::mesh::io::{FilePlan, files_of_mesh, write_atomically};
 
 pub use failure::{Failure, Stage};
 pub use output::{answer, say, say_to, tell};
@@ -40,7 +40,8 @@ struct Cli {
 }
 
 const AFTER_HELP: &str = "\
-Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted.
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading, 130 interrupted,
+143 terminated.
 Lengths are millimetres; units of inputs are found, or stated by --unit. `nonrigid COMMAND --help` ends with examples of
 that command. In a checkout, `nonrigid` is `cargo run --release --`, and `data-gen`, which makes the examples' files,
 `cargo run --release -p data-gen --`.
@@ -134,19 +135,25 @@ fn same_place(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Refuses outputs that would overwrite what is read: options with their files, roles with theirs.
-fn refuse_overwriting(outputs: &[(&str, Option<&PathBuf>)], inputs: &[(&str, PathBuf)]) -> Result<(), Failure> {
-    for (option, path) in outputs.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
-        if let Some((role, _)) = inputs.iter().find(|(_, input)| same_place(path, input)) {
-            let message = format!("{option} {}: would overwrite a file that is read ({role})", path.display());
-            return Err(Failure::new(Stage::Arguments, message));
-        }
-    }
-    Ok(())
+/// Refuses a plan that would do harm, before anything is read or written.
+///
+/// # Errors
+/// As [`FilePlan::check`], by stage.
+pub fn check_plan(plan: &FilePlan) -> Result<(), Failure> {
+    plan.check().map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))
+}
+
+/// The files of meshes that are read, each as one thing.
+fn meshes<'r, 'p>(meshes: impl IntoIterator<Item = (&'r str, Option<&'p PathBuf>)>) -> Vec<(&'r str, PathBuf)> {
+    let given = meshes.into_iter().filter_map(|(role, path)| Some((role, path?)));
+    given.flat_map(|(role, path)| files_of_mesh(path).into_iter().map(move |path| (role, path))).collect()
 }
 
 /// Refuses a folder for outputs that is something else, or that would take more than one new folder.
-fn check_output_folder(path: &Path) -> Result<(), Failure> {
+///
+/// # Errors
+/// At [`Stage::Writing`].
+pub fn check_output_folder(path: &Path) -> Result<(), Failure> {
     if path.is_dir() {
         return Ok(());
     }

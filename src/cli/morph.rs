@@ -1,16 +1,17 @@
 //! `nonrigid morph`.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
 
-use super::inputs::{RigArguments, bounds};
+use super::inputs::{RigArguments, bounds, rig_files};
 use super::measure::{self, named_regions};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_output_folder, on_threads, refuse_overwriting, say, warn, write_json};
+use super::{Failure, Stage, check_output, check_output_folder, check_plan, meshes, on_threads, say, warn};
 use crate::measurement::{Landmarks, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{self, TemplatePoint};
+use crate::mesh::io::{self, FilePlan, TemplatePoint, write_atomically};
 use crate::morph::{
     MorphError, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset,
     preset_names, preset_text, replay,
@@ -106,11 +107,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
     check_output(out, &["obj", "ply", "glb"])?;
-    let inputs = [("mesh", Some(mesh)), ("recipe", a.recipe.as_ref()), ("landmarks", a.landmarks.as_ref())];
-    let inputs: Vec<_> = inputs.into_iter().filter_map(|(role, path)| Some((role, path?.clone()))).collect();
-    refuse_overwriting(&[("--out", Some(out))], &inputs)?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
+    check_plan(&plan(a, mesh, out, &jobs))?;
     let mut units = a.units.of(&["mesh", "rig", "landmarks"])?;
     let before = units.read_mesh("mesh", mesh)?;
     let mut mesh = before.clone();
@@ -141,6 +140,36 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     lines.iter().try_for_each(say)
 }
 
+/// Everything that is read and written.
+fn plan(a: &Arguments, mesh: &PathBuf, out: &Path, jobs: &[(Recipe, Option<f64>)]) -> FilePlan {
+    let others = [("recipe", a.recipe.as_ref()), ("landmarks", a.landmarks.as_ref())];
+    let mut plan = FilePlan::new()
+        .reads_all(meshes([("mesh", Some(mesh))]))
+        .reads_all(others.into_iter().filter_map(|(role, path)| Some((role, path?))))
+        .reads_all(a.rig.rig.iter().flat_map(|rig| rig_files(rig)))
+        .reads_all(jobs.iter().flat_map(|(recipe, _)| recipe.files()).map(|path| ("mask of the recipe", path)))
+        .writes("--out", out);
+    if let Some(folder) = &a.masks {
+        let steps = jobs.iter().flat_map(|(recipe, _)| recipe.step.iter().take(a.until.unwrap_or(usize::MAX)));
+        for (k, step) in steps.enumerate() {
+            let names = (0..step.get_ref().mask.len()).flat_map(|m| ["png", "npy"].map(|e| mask_name(k, m, e)));
+            plan = plan.writes_all(names.map(|name| ("--masks", folder.join(name))));
+        }
+    }
+    if let Some(folder) = &a.report {
+        let names = report::FILES.into_iter().chain([STEPS]);
+        plan = plan.writes_all(names.map(|name| ("--report", folder.join(name))));
+    }
+    plan
+}
+
+/// What each step did, in the folder of the report.
+const STEPS: &str = "morph.json";
+
+fn mask_name(step: usize, mask: usize, extension: &str) -> String {
+    format!("step{}-mask{}.{extension}", step + 1, mask + 1)
+}
+
 fn write_report(
     folder: &Path,
     (before, after): (&PolygonMesh, &PolygonMesh),
@@ -158,9 +187,10 @@ fn write_report(
     let about: Vec<(String, String)> = lines.iter().map(|line| ("step".to_owned(), line.clone())).collect();
     let page =
         report::Report { about: &about, mask: mask.as_deref(), ..report::Report::new("A face, morphed", subject) };
-    report::write(folder, &page).map_err(measure::failure)?;
     let steps: Vec<_> = outcomes.iter().map(|outcome| &outcome.report).collect();
-    write_json(&folder.join("morph.json"), &steps)
+    let text = serde_json::to_string_pretty(&steps).map_err(Failure::computation)?;
+    let besides = |aside: &Path| write_atomically(&aside.join(STEPS), |file| writeln!(file, "{text}"));
+    report::write_with(folder, &page, besides).map(drop).map_err(measure::failure)
 }
 
 /// What is to be done, and by how much.
@@ -229,19 +259,18 @@ fn landmarks(
 const RIG_LANDMARKS: &str = "landmarks_multipie68.json";
 
 fn write_masks(folder: &Path, outcomes: &[StepOutcome]) -> Result<(), Failure> {
-    if !folder.is_dir() {
-        std::fs::create_dir(folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
-    }
-    for (k, outcome) in outcomes.iter().enumerate() {
-        for (m, mask) in outcome.masks.iter().enumerate() {
-            let file = |extension: &str| folder.join(format!("step{}-mask{}.{extension}", k + 1, m + 1));
-            if let Some(texture) = &mask.texture {
-                texture.write_png(&file("png")).map_err(Failure::writing)?;
+    let write = |aside: &Path| {
+        for (k, outcome) in outcomes.iter().enumerate() {
+            for (m, mask) in outcome.masks.iter().enumerate() {
+                if let Some(texture) = &mask.texture {
+                    texture.write_png(&aside.join(mask_name(k, m, "png")))?;
+                }
+                mask.weights.write_npy(&aside.join(mask_name(k, m, "npy")))?;
             }
-            mask.weights.write_npy(&file("npy")).map_err(Failure::writing)?;
         }
-    }
-    Ok(())
+        Ok(())
+    };
+    io::write_folder(folder, write).map_err(Failure::writing)
 }
 
 fn line(number: usize, outcome: &StepOutcome) -> String {

@@ -12,8 +12,8 @@ use serde::Serialize;
 use super::inputs::{MaskArguments, RigArguments, bounds, rig_files};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, on_threads, refuse_overwriting, say, warn, write_json};
-use crate::mesh::io::{self, Landmark};
+use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, write_json};
+use crate::mesh::io::{self, FilePlan, Inputs, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
@@ -87,20 +87,49 @@ pub struct Arguments {
 
 impl Arguments {
     /// Every file that is read, with what it is read as.
-    pub fn input_paths(&self) -> Result<Vec<(&'static str, PathBuf)>, Failure> {
-        let mut files = vec![("template", self.template.clone()), ("target", self.target.clone())];
-        files.extend(self.neutral.clone().map(|p| ("neutral", p)));
-        files.extend(self.landmarks.clone().map(|p| ("landmarks", p)));
-        files.extend(self.template_landmarks.clone().map(|p| ("template landmarks", p)));
-        files.extend(self.warm_start.clone().map(|p| ("warm start", p)));
-        files.extend(self.masks.mask.clone().map(|p| ("mask", p)));
-        files.extend(self.masks.free_mask.clone().map(|p| ("free mask", p)));
-        files.extend(self.config.clone().map(|p| ("schedule", p)));
-        if let Some(rig) = &self.rig.rig {
-            files.extend(rig_files(rig)?);
-        }
-        Ok(files)
+    pub fn input_paths(&self) -> Vec<(&'static str, PathBuf)> {
+        let of_meshes =
+            [(TEMPLATE, Some(&self.template)), (TARGET, Some(&self.target)), (NEUTRAL, self.neutral.as_ref())];
+        let mut files = meshes(of_meshes);
+        files.extend(self.landmarks.clone().map(|p| (LANDMARKS, p)));
+        files.extend(self.template_landmarks.clone().map(|p| (TEMPLATE_LANDMARKS, p)));
+        files.extend(self.warm_start.clone().map(|p| (WARM_START, p)));
+        files.extend(self.masks.mask.clone().map(|p| (MASK, p)));
+        files.extend(self.masks.free_mask.clone().map(|p| (FREE_MASK, p)));
+        files.extend(self.config.clone().map(|p| (SCHEDULE, p)));
+        files.extend(self.rig.rig.iter().flat_map(|rig| rig_files(rig)));
+        files
     }
+
+    /// Every file that is written, with the option that asks for it.
+    fn output_paths(&self) -> Vec<(&'static str, PathBuf)> {
+        let mut files = vec![("--out", self.out.clone())];
+        if let Some(report) = &self.report {
+            files.extend([("--report", report.clone()), ("--report", timing_path(report))]);
+        }
+        files.extend(self.picture.clone().map(|p| ("--picture", p)));
+        files.extend(self.state.clone().map(|p| ("--state", p)));
+        files
+    }
+}
+
+// What files are read as, in the order of the report.
+const TEMPLATE: &str = "template";
+const TARGET: &str = "target";
+const NEUTRAL: &str = "neutral";
+const LANDMARKS: &str = "landmarks";
+const TEMPLATE_LANDMARKS: &str = "template landmarks";
+const WARM_START: &str = "warm start";
+const MASK: &str = "mask";
+const FREE_MASK: &str = "free mask";
+const SCHEDULE: &str = "schedule";
+const RIG: &str = "rig";
+const ROLES: [&str; 10] =
+    [TEMPLATE, TARGET, NEUTRAL, LANDMARKS, TEMPLATE_LANDMARKS, WARM_START, MASK, FREE_MASK, SCHEDULE, RIG];
+
+/// Where times go.
+fn timing_path(report: &Path) -> PathBuf {
+    report.with_extension("timing.json")
 }
 
 /// Runs the command.
@@ -111,19 +140,22 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
     let mut progress = Progress::new(Interrupt::listen()?);
-    let schedule = read_schedule(a)?;
+    let inputs = Inputs::default();
+    let schedule = inputs.reading(SCHEDULE, || read_schedule(a))?;
     check_outputs(a)?;
     if a.model.needs_shapes() && a.rig.rig.is_none() {
         return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
     }
     let mut units = a.units.of(&["template", "target", "neutral", "rig", "landmarks", "template-landmarks"])?;
-    let template = units.read_mesh("template", &a.template)?;
-    let scan = units.read_scan("target", &a.target)?;
-    let neutral = a.neutral.as_deref().map(|path| units.read_positions("neutral", path)).transpose()?;
-    let (shapes, regions) = a.rig.read(&mut units)?;
-    let [mask, free_mask] = a.masks.read(&template, regions)?;
-    let landmarks = read_landmarks(a, &mut units, &template, &scan.mesh)?;
-    let warm_start = a.warm_start.as_deref().map(read_state).transpose()?;
+    let template = inputs.reading(TEMPLATE, || units.read_mesh("template", &a.template))?;
+    let scan = inputs.reading(TARGET, || units.read_scan("target", &a.target))?;
+    let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
+    let neutral = neutral.transpose()?;
+    let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;
+    let [mask, free_mask] = a.masks.read(&inputs, &template, regions)?;
+    let landmarks = read_landmarks(a, &inputs, &mut units, &template, &scan.mesh)?;
+    let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
+    let files = input_files(&inputs);
     units.say();
     if shapes.is_empty() && a.model == ModelKind::Hybrid {
         warn("no rig given: without blendshapes the hybrid model is the graph model");
@@ -155,7 +187,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let colors = colors.map_err(Failure::computation)?;
     let report = match &a.report {
         Some(path) => {
-            let report = Report::new(a.model.name(), input_files(a)?, &result, quality.clone(), doubts.clone());
+            let report = Report::new(a.model.name(), files, &result, quality.clone(), doubts.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
             let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
@@ -174,7 +206,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             total_seconds: clock.elapsed().as_secs_f64(),
             threads: rayon::current_num_threads(),
         };
-        write_json(&path.with_extension("timing.json"), &timing)?;
+        write_json(&timing_path(path), &timing)?;
     }
     if let Some(path) = &a.state {
         write_json(path, &result.end)?;
@@ -192,29 +224,31 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())?;
     if result.stop == RegistrationStop::StoppedByObserver {
         let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());
-        return Err(Failure::new(Stage::Interrupted, message));
+        return Err(progress.interrupt.failure(message));
     }
     Ok(())
 }
 
 fn read_state(path: &Path) -> Result<WarmStart, Failure> {
     let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
-    let bytes = std::fs::read(path).map_err(|e| failed(&e))?;
-    serde_json::from_slice(&bytes).map_err(|e| failed(&e))
+    let text = io::read_text(path).map_err(Failure::loading)?;
+    serde_json::from_str(&text).map_err(|e| failed(&e))
 }
 
 fn read_landmarks(
     a: &Arguments,
+    inputs: &Inputs,
     units: &mut Units<'_>,
     template: &PolygonMesh,
     scan: &TriangleMesh,
 ) -> Result<Vec<Landmark>, Failure> {
     let Some(path) = &a.landmarks else { return Ok(Vec::new()) };
-    let mut set = io::read_scan_landmark_set(path).map_err(Failure::loading)?;
+    let mut set = inputs.reading(LANDMARKS, || io::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, "target", &mut set)?;
     let mut names = None;
     if let Some(path) = &a.template_landmarks {
-        let mut set = io::read_landmark_set(path).map_err(Failure::loading)?;
+        let set = inputs.reading(TEMPLATE_LANDMARKS, || io::read_landmark_set(path));
+        let mut set = set.map_err(Failure::loading)?;
         units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
         names = Some((set, path.as_path()));
     }
@@ -237,7 +271,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
         None => a.model.schedule().map_err(Failure::loading)?,
         Some(path) => {
             let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
-            let text = std::fs::read_to_string(path).map_err(|e| failed(&e))?;
+            let text = io::read_text(path).map_err(Failure::loading)?;
             Schedule::from_toml(&text).map_err(|e| failed(&e))?
         }
     };
@@ -252,20 +286,14 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
-    let outputs = [
-        ("--out", Some(&a.out)),
-        ("--report", a.report.as_ref()),
-        ("--picture", a.picture.as_ref()),
-        ("--state", a.state.as_ref()),
-    ];
-    refuse_overwriting(&outputs, &a.input_paths()?)
+    check_plan(&FilePlan::new().reads_all(a.input_paths()).writes_all(a.output_paths()))
 }
 
-fn input_files(a: &Arguments) -> Result<Vec<InputFile>, Failure> {
-    let hash = |(role, path): (&str, PathBuf)| {
-        InputFile::hash(role, &path).map_err(|e| Failure::loading(format!("{}: {e}", path.display())))
-    };
-    a.input_paths()?.into_iter().map(hash).collect()
+/// What was read, as the report says it.
+fn input_files(inputs: &Inputs) -> Vec<InputFile> {
+    let mut files = inputs.files();
+    files.sort_by_key(|input| ROLES.iter().position(|role| *role == input.role));
+    files.into_iter().map(InputFile::from).collect()
 }
 
 fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) -> Result<(), Failure> {

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, read_rig};
+use super::inputs::{ShapeKindArgument, read_rig, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_output_folder, refuse_overwriting, same_place, say, warn};
-use crate::mesh::io::WriteError;
-use crate::rig::{Family, Rig};
+use super::{Failure, Stage, check_output, check_output_folder, check_plan, same_place, say, warn};
+use crate::mesh::io::{FilePlan, PlanError, WriteError};
+use crate::rig::{Family, RIG_FILES, Rig, Shape};
 
 /// Arguments of `nonrigid rig convert`.
 #[derive(Debug, Args)]
@@ -53,9 +53,9 @@ enum Format {
 }
 
 impl RigOutput {
-    /// Refuses what could not be written in the end, or would be mixed with the rig that was read, or overwrite another input.
+    /// Refuses what could not be written in the end, or would be mixed with the rig that was read, or overwrite an input.
     pub fn check(&self, input: &Path, others: &[(&str, PathBuf)]) -> Result<(), Failure> {
-        refuse_overwriting(&[("--out", Some(&self.out))], others)?;
+        check_plan(&self.plan(input, others, &[]))?;
         if same_place(input, &self.out) {
             let message = format!("--out: {} is the rig that is read", self.out.display());
             return Err(Failure::new(Stage::Arguments, message));
@@ -68,6 +68,36 @@ impl RigOutput {
             return Err(Failure::new(Stage::Arguments, message));
         }
         check_output(&self.out, &["npz", "glb"])
+    }
+
+    /// What is read and written; names of shapes, where they become those of files, are known once the rig is read.
+    fn plan(&self, input: &Path, others: &[(&str, PathBuf)], shapes: &[Shape]) -> FilePlan {
+        let plan = FilePlan::new().reads_all(rig_files(input)).reads_all(others.iter().cloned());
+        match (self.is_file(), self.format) {
+            (true, _) => plan.writes("--out", &self.out),
+            (_, Format::Npy) => plan.writes_all(RIG_FILES.map(|name| ("--out", self.out.join(name)))),
+            (_, Format::Shapes) => {
+                let names = shapes.iter().map(|s| format!("{}.obj", s.name));
+                let names = names.chain(["neutral.obj", "rig.json", "regions.json"].map(str::to_owned));
+                plan.writes_all(names.map(|name| ("--out", self.out.join(name))))
+            }
+        }
+    }
+
+    /// Refuses to write over inputs by the names of shapes, or into a folder of another rig.
+    pub fn check_shapes(&self, input: &Path, others: &[(&str, PathBuf)], rig: &Rig) -> Result<(), Failure> {
+        if self.is_file() {
+            return Ok(());
+        }
+        let shapes_folder = self.format == Format::Shapes;
+        refuse_strangers(rig, &self.out, shapes_folder)?;
+        // names that are none for files, and twice the same, are refused in the rig's own words
+        match self.plan(input, others, rig.shapes()).check() {
+            Err(e @ (PlanError::Clash { .. } | PlanError::Name { .. } | PlanError::Folder { .. })) => {
+                Err(Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Anything with an extension, unless it is a folder that is there and no .npz or .glb.
@@ -86,10 +116,6 @@ impl RigOutput {
             (true, _) if npz => Rig::write_npz,
             (true, _) => Rig::write_gltf,
         };
-        if let Some(name) = rig.stranger_in(&self.out, shapes_folder).filter(|_| !self.is_file()) {
-            let message = format!("{}: {name} is there, which would become a part of the rig", self.out.display());
-            return Err(Failure::writing(message));
-        }
         write(rig, &self.out).map_err(Failure::writing)?;
         let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));
         if shapes_folder && rig.shapes().iter().any(|s| s.family == Family::Identity) {
@@ -106,11 +132,23 @@ impl RigOutput {
     }
 }
 
+/// Refuses a folder with files that are no part of this rig and would be read as one.
+pub fn refuse_strangers(rig: &Rig, folder: &Path, shapes: bool) -> Result<(), Failure> {
+    match rig.stranger_in(folder, shapes) {
+        None => Ok(()),
+        Some(name) => {
+            let message = format!("{}: {name} is there, which would become a part of the rig", folder.display());
+            Err(Failure::writing(message))
+        }
+    }
+}
+
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     a.output.check(&a.rig, &[])?;
     let mut units = a.units.of(&["rig"])?;
     let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
+    a.output.check_shapes(&a.rig, &[], &rig)?;
     units.say();
     a.output.write(&rig)
 }

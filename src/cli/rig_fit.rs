@@ -8,8 +8,8 @@ use clap::Args;
 
 use super::inputs::{Align, ShapeKindArgument, bounds, read_rig, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, refuse_overwriting, say, warn, write_json};
-use crate::mesh::io::write_atomically;
+use super::{Failure, Stage, check_output, check_plan, meshes, say, warn, write_json};
+use crate::mesh::io::{FilePlan, write_atomically};
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 
@@ -69,7 +69,13 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if !a.bounds.iter().all(|b| b.is_finite()) {
         return Err(Failure::new(Stage::Arguments, "--bounds: give two finite numbers"));
     }
-    refuse_overwriting(&[("--out", Some(&a.out))], &rig_files(&a.rig)?)?;
+    let frames = mesh_files(&a.meshes).unwrap_or_default(); // what is wrong with the folder is said when it is read
+    let plan = FilePlan::new()
+        .reads_all(rig_files(&a.rig))
+        .reads_all(frames.into_iter().map(|(_, path)| ("meshes", path)))
+        .reads_all(meshes([("neutral", a.neutral.as_ref())]))
+        .writes("--out", &a.out);
+    check_plan(&plan)?;
     let mut units = a.units.of(&["rig", "meshes", "neutral"])?;
     let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.display()));

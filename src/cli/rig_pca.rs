@@ -5,10 +5,14 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::inputs::Align;
+use super::rig_convert::refuse_strangers;
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output_folder, on_threads, same_place, say};
+use super::{Failure, Stage, check_output_folder, check_plan, on_threads, same_place, say};
+use crate::mesh::io::FilePlan;
 use crate::mesh::{PoseKind, bounding_box_diagonal};
-use crate::rig::{MOTIONLESS_SHARE, Population, PopulationError, ShapeInfo, ShapePca};
+use crate::rig::{
+    COMPONENT_FILES, MOTIONLESS_SHARE, Population, PopulationError, RIG_FILES, ShapeInfo, ShapePca, mesh_files,
+};
 
 /// Arguments of `nonrigid rig pca`.
 #[derive(Debug, Args)]
@@ -53,6 +57,12 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let message = "--out is the folder of --meshes: the mean would be one of the meshes the next time";
         return Err(Failure::new(Stage::Arguments, message));
     }
+    let samples = mesh_files(&a.meshes).unwrap_or_default(); // what is wrong with the folder is said when it is read
+    let names = RIG_FILES.into_iter().chain(COMPONENT_FILES);
+    let plan = FilePlan::new()
+        .reads_all(samples.into_iter().map(|(_, path)| ("meshes", path)))
+        .writes_all(names.map(|name| ("--out", a.out.join(name))));
+    check_plan(&plan)?;
     let mut population = Population::read(&a.meshes).map_err(Failure::loading)?;
     let mut units = a.units.of(&["meshes"])?;
     units.bring_population("meshes", &mut population)?;
@@ -84,8 +94,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         );
         return Err(Failure::new(Stage::Computation, message));
     }
-    rig.write(&a.out).map_err(Failure::writing)?;
-    pca.write_components(&a.out).map_err(Failure::writing)?;
+    refuse_strangers(&rig, &a.out, false)?;
+    pca.write_with(&rig, &a.out).map_err(Failure::writing)?;
     say(format_args!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count()))?;
     print_table(&pca, &rig.info())?;
     say(format_args!("wrote {}", a.out.display()))

@@ -7,7 +7,7 @@ use clap::Args;
 use super::inputs::{ShapeKindArgument, read_rig};
 use super::rig_convert::RigOutput;
 use super::units::UnitArguments;
-use super::{Failure, Stage, on_threads, warn};
+use super::{Failure, Stage, meshes, on_threads, warn};
 use crate::rig::{TransferError, TransferOptions};
 
 /// Arguments of `nonrigid rig transfer`.
@@ -48,9 +48,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig, &[("subject", a.subject.clone())])?;
+    let others = meshes([("subject", Some(&a.subject))]);
+    a.output.check(&a.rig, &others)?;
     let mut units = a.units.of(&["rig", "subject"])?;
     let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
+    a.output.check_shapes(&a.rig, &others, &rig)?;
     let subject = units.read_positions("subject", &a.subject)?;
     units.say();
     let transferred = rig.transfer(&subject, &TransferOptions { anchor: a.anchor });

@@ -7,7 +7,7 @@ use image::RgbImage;
 
 use super::output::Table;
 use super::{FacialFrame, MeasurementError, Measurements, Subject};
-use crate::mesh::io::{WriteError, write_atomically};
+use crate::mesh::io::{WriteError, write_atomically, write_folder};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::page;
 use crate::render::{
@@ -39,29 +39,48 @@ impl<'a> Report<'a> {
     }
 }
 
+/// What [`write`] writes.
+pub const FILES: [&str; 5] = ["measurements.json", "measurements.csv", "pictures.png", "symmetry.png", "index.html"];
+
 const VIEWS: [View; 3] = [View::Front, View::Side, View::ThreeQuarter];
 
 /// Measures and writes `measurements.json`, `measurements.csv`, `pictures.png`, `symmetry.png` and `index.html`, which holds them all,
-/// into a folder; makes the folder if it is not there. Everything is computed before the first file is written.
+/// into a folder ([`FILES`]); makes the folder if it is not there. Everything is computed before the first file is written, and all files
+/// are written or none.
 ///
 /// # Errors
 /// As [`Subject::measure`], when the mask does not fit the mesh, or when a file cannot be written ([`MeasurementError::is_writing`]).
 pub fn write(folder: &Path, report: &Report<'_>) -> Result<Measurements, MeasurementError> {
+    write_with(folder, report, |_| Ok(()))
+}
+
+/// [`write`], with further files in the same folder: `besides` writes them into the one that it is given.
+///
+/// # Errors
+/// As [`write`], or the one of `besides`.
+pub fn write_with(
+    folder: &Path,
+    report: &Report<'_>,
+    besides: impl FnOnce(&Path) -> Result<(), WriteError>,
+) -> Result<Measurements, MeasurementError> {
     check_mask(report)?;
     let measured = report.subject.measure()?;
     let [pictures, symmetry] = [pictures(report, &measured), symmetry_pictures(report, &measured)];
     let [pictures, symmetry] = [encode_png(&pictures)?, encode_png(&symmetry)?];
     let html = html(report, &measured, &pictures, &symmetry);
-    std::fs::create_dir_all(folder).map_err(|source| WriteError::Io { path: folder.to_owned(), source })?;
-    write_json(&folder.join("measurements.json"), &measured)?;
-    for (name, bytes) in [
-        ("measurements.csv", measured.to_csv().as_bytes()),
-        ("pictures.png", &pictures),
-        ("symmetry.png", &symmetry),
-        ("index.html", html.as_bytes()),
-    ] {
-        write_atomically(&folder.join(name), |file| file.write_all(bytes))?;
-    }
+    write_folder(folder, |aside| {
+        let [json, csv, pictures_file, symmetry_file, page] = FILES.map(|name| aside.join(name));
+        write_json(&json, &measured)?;
+        for (path, bytes) in [
+            (csv, measured.to_csv().as_bytes()),
+            (pictures_file, &pictures),
+            (symmetry_file, &symmetry),
+            (page, html.as_bytes()),
+        ] {
+            write_atomically(&path, |file| file.write_all(bytes))?;
+        }
+        besides(aside)
+    })?;
     Ok(measured)
 }
 

@@ -25,7 +25,7 @@ use super::{
     Blur, DEFAULT_THRESHOLD, EnergyOptions, FrameSpec, GreyWeights, MorphError, MorphModel, Region, Sampling,
     Visibility,
 };
-use crate::mesh::io::ReadError;
+use crate::mesh::io::{ReadError, read_text};
 
 /// A recipe: steps, done in order, each on what the one before has left.
 #[derive(Debug, Clone, Deserialize)]
@@ -274,7 +274,7 @@ impl Recipe {
     /// # Errors
     /// When the file cannot be read or is not a recipe; the message names the line.
     pub fn read(path: &Path) -> Result<Self, RecipeError> {
-        let text = std::fs::read_to_string(path).map_err(|e| ReadError::io(path, e))?;
+        let text = read_text(path)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         Self::parse(&text, Source { name: path.display().to_string(), folder })
     }
@@ -302,6 +302,18 @@ impl Recipe {
     /// The line, from 1, on which something of the recipe begins.
     pub(super) fn line<T>(&self, part: &Spanned<T>) -> usize {
         line_of(&self.line_ends, part.span().start)
+    }
+
+    /// Every file that the recipe names: pictures and weights of masks.
+    #[must_use]
+    pub fn files(&self) -> Vec<PathBuf> {
+        let masks = self
+            .step
+            .iter()
+            .map(Spanned::get_ref)
+            .flat_map(|step| step.mask.iter().chain(&step.protect))
+            .map(Spanned::get_ref);
+        masks.flat_map(|mask| mask.png.iter().chain(&mask.weights)).map(|path| self.file(path)).collect()
     }
 
     /// A file that the recipe names.

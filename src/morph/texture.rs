@@ -8,7 +8,7 @@ use image::{ExtendedColorType, ImageEncoder, ImageFormat, Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
 
 use super::MorphError;
-use crate::mesh::io::{Place, ReadError, WriteError, write_atomically};
+use crate::mesh::io::{Place, ReadError, WriteError, read_file, write_atomically};
 
 /// Longest side of a texture, pixels.
 pub const MAX_TEXTURE_SIDE: usize = 1 << 15;
@@ -99,7 +99,7 @@ impl Texture {
     /// # Errors
     /// When the file cannot be read, is not a PNG, or is too large.
     pub fn read_png(path: &Path, weights: GreyWeights) -> Result<Self, ReadError> {
-        let bytes = std::fs::read(path).map_err(|source| ReadError::io(path, source))?;
+        let bytes = read_file(path)?;
         let malformed = |expected: &str, found: String| ReadError::malformed(path, Place::File, expected, found);
         let reader = image::ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
         let image = reader.decode().map_err(|e| malformed("a PNG picture", e.to_string()))?;

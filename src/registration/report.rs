@@ -6,14 +6,13 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
 use super::{
     Doubt, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
     VertexMasks,
 };
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
-use crate::mesh::io::KnownUnit;
+use crate::mesh::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
 /// A file that was read.
@@ -33,9 +32,14 @@ impl InputFile {
     /// # Errors
     /// When it cannot be read.
     pub fn hash(role: &str, path: &Path) -> std::io::Result<Self> {
-        let digest = Sha256::digest(std::fs::read(path)?);
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Self { role: role.to_owned(), name, sha256: digest.iter().map(|b| format!("{b:02x}")).collect() })
+        Ok(Input { role: role.to_owned(), path: path.to_owned(), sha256: sha256_of_file(path)? }.into())
+    }
+}
+
+impl From<Input> for InputFile {
+    fn from(input: Input) -> Self {
+        let name = input.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Self { role: input.role, name, sha256: input.sha256 }
     }
 }
 

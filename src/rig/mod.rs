@@ -20,12 +20,13 @@ mod write;
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
 pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
-pub use pca::ShapePca;
+pub use pca::{COMPONENT_FILES, ShapePca};
 pub use population::{Population, PopulationError};
 pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
 pub use regions::Regions;
 pub use transfer::{TransferError, TransferOptions};
+pub use write::RIG_FILES;
 
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 

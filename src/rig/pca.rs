@@ -8,7 +8,7 @@ use faer::linalg::svd::{ComputeSvdVectors, SvdError, svd, svd_scratch};
 use faer::{MatMut, MatRef, Par};
 
 use super::{Family, Population, PopulationError, Rig, RigError, RigWarning, Shape};
-use crate::mesh::io::{WriteError, write_npy};
+use crate::mesh::io::{WriteError, write_folder, write_npy};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// Singular values below this mean nothing, whatever the data: their squares would vanish.
@@ -32,6 +32,9 @@ pub struct ShapePca {
     standard_deviations: Vec<f64>,
     total_variance: f64,
 }
+
+/// What [`ShapePca::write_components`] writes.
+pub const COMPONENT_FILES: [&str; 2] = ["components.npy", "standard_deviations.npy"];
 
 impl ShapePca {
     /// The first `components` principal components of a population. Differences of pose are variance like any other: see
@@ -156,6 +159,18 @@ impl ShapePca {
         let scaled = self.standard_deviations.iter().enumerate();
         let deltas = scaled.flat_map(|(k, sigma)| self.component(k).iter().map(move |c| (c * sigma) as f32)).collect();
         Rig::new(self.mean.clone(), mesh, shapes, deltas)
+    }
+
+    /// Writes a rig, [as it writes itself](Rig::write), and the [components](Self::write_components) that it was made of, into one
+    /// folder: all files or none.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write_with(&self, rig: &Rig, folder: &Path) -> Result<(), WriteError> {
+        write_folder(folder, |aside| {
+            rig.write_into(aside)?;
+            self.write_components(aside)
+        })
     }
 
     /// Writes `components.npy` (K, V, 3) and `standard_deviations.npy` (K), both in 64 bits: what the rig's modes have

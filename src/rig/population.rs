@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::read::mesh_files;
-use crate::mesh::io::{ReadError, read_polygon_mesh};
+use crate::mesh::io::{Noting, ReadError, read_polygon_mesh};
 use crate::mesh::{PolygonMesh, Pose, PoseError, PoseKind, Vec3, weighted_closest_pose};
 
 /// Coordinates beyond this are no lengths; below, the fourth powers that alignment needs are far from overflow.
@@ -151,8 +151,9 @@ impl Population {
             return Err(PopulationError::TooFew { folder: Some(folder.to_owned()), found: 0 });
         };
         let mesh = read_polygon_mesh(first)?;
+        let noting = Noting::here();
         let read = |(path, name): (&PathBuf, &String)| {
-            let other = read_polygon_mesh(path)?;
+            let other = Noting::along(noting.as_ref(), || read_polygon_mesh(path))?;
             same_topology((&names[0], &mesh), (name, &other))?;
             Ok(other.positions)
         };

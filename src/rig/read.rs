@@ -17,7 +17,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
-use crate::mesh::io::{NpyArray, Place, ReadError, read_npy_points, read_polygon_mesh};
+use crate::mesh::io::{
+    Noting, NpyArray, Place, ReadError, read_file, read_npy_points, read_polygon_mesh, refuse_unfinished,
+};
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
 /// What the files of a folder of meshes hold.
@@ -67,6 +69,7 @@ impl Rig {
             return Ok((rig, warnings));
         }
         let folder = path;
+        refuse_unfinished(folder)?;
         let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
         let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
             read_arrays(folder, options)?
@@ -177,7 +180,7 @@ fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigErro
 }
 
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
-    let bytes = std::fs::read(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    let bytes = read_file(path)?;
     serde_json::from_slice(&bytes)
         .map_err(|e| ReadError::malformed(path, Place::Line(e.line().max(1)), expected, e.to_string()))
 }
@@ -226,8 +229,9 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
             PolygonMesh { positions: neutral.clone(), ..mesh }
         }
     };
+    let noting = Noting::here();
     let read: Vec<Result<Vec<f32>, RigError>> =
-        files.par_iter().map(|(_, path)| read_shape(path, kind, &neutral)).collect();
+        files.par_iter().map(|(_, path)| Noting::along(noting.as_ref(), || read_shape(path, kind, &neutral))).collect();
     let mut deltas = Vec::with_capacity(3 * neutral.len() * files.len());
     for shape in read {
         deltas.extend(shape?);
@@ -238,6 +242,7 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
 
 /// The OBJ and PLY files of a folder, each with its name without the extension, sorted.
 pub(crate) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
+    refuse_unfinished(folder)?;
     let fail = |source| ReadError::Io { path: folder.to_owned(), source };
     let mut files: Vec<(String, PathBuf)> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {

@@ -4,18 +4,34 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Family, Rig};
-use crate::mesh::io::{WriteError, write_atomically, write_npy, write_npy_points, write_obj};
+use crate::mesh::io::{WriteError, write_atomically, write_folder, write_npy, write_npy_points, write_obj};
 use crate::mesh::{PolygonMesh, Vec3};
+
+/// What [`Rig::write`] can write.
+pub const RIG_FILES: [&str; 8] = [
+    "template.obj",
+    "neutral.npy",
+    "landmarks_multipie68.json",
+    "regions.json",
+    "expression_deltas.npy",
+    "expression_names.json",
+    "identity_deltas.npy",
+    "identity_names.json",
+];
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
     /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. The folder is
-    /// made if it is not there; other files in it are left alone.
+    /// made if it is not there; other files in it are left alone. It gets all files or none ([`write_folder`]).
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), WriteError> {
-        make(folder)?;
+        write_folder(folder, |aside| self.write_into(aside))
+    }
+
+    /// [`write`](Self::write) into a folder that is there, file by file.
+    pub(super) fn write_into(&self, folder: &Path) -> Result<(), WriteError> {
         if let Some(mesh) = &self.mesh {
             write_obj(&folder.join("template.obj"), &mesh.with_positions(self.neutral.clone()))?;
         }
@@ -70,7 +86,7 @@ impl Rig {
     }
 
     /// Writes one OBJ file a shape, named after it, whole shapes, with `neutral.obj`, `rig.json` and, if there are any,
-    /// `regions.json`. Families and landmarks are not kept. The folder is made if it is not there.
+    /// `regions.json`. Families and landmarks are not kept. The folder is made if it is not there, and gets all files or none.
     ///
     /// # Errors
     /// When a name is none for a file, or differs from another by case alone, or a file cannot be written.
@@ -96,7 +112,10 @@ impl Rig {
                 format!("{:?} twice", pair[0]),
             ));
         }
-        make(folder)?;
+        write_folder(folder, |aside| self.write_meshes_into(aside))
+    }
+
+    fn write_meshes_into(&self, folder: &Path) -> Result<(), WriteError> {
         let mesh = match &self.mesh {
             Some(mesh) => mesh.with_positions(self.neutral.clone()),
             None => PolygonMesh { positions: self.neutral.clone(), starts: vec![0], ..PolygonMesh::default() },
@@ -110,14 +129,6 @@ impl Rig {
         write_json(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
         self.regions.as_ref().map_or(Ok(()), |regions| regions.write(&folder.join("regions.json")))
     }
-}
-
-/// Makes a folder that is not there.
-fn make(folder: &Path) -> Result<(), WriteError> {
-    if folder.is_dir() {
-        return Ok(());
-    }
-    std::fs::create_dir(folder).map_err(|source| WriteError::Io { path: folder.to_owned(), source })
 }
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {

@@ -4,9 +4,9 @@
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::WriteError;
+use super::folder::beside;
 
 /// Calls `fill` on a buffered temporary file beside `path` and renames it to `path`.
 ///
@@ -49,13 +49,11 @@ pub fn write_atomically(
 }
 
 fn create_beside(target: &Path) -> std::io::Result<(PathBuf, File)> {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
-    let name = target.file_name().ok_or_else(|| std::io::Error::from(std::io::ErrorKind::InvalidFilename))?;
+    if target.file_name().is_none() {
+        return Err(std::io::ErrorKind::InvalidFilename.into());
+    }
     loop {
-        let mut temporary = std::ffi::OsString::from(".");
-        temporary.push(name);
-        temporary.push(format!(".{}-{}.tmp", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed)));
-        let temporary = target.with_file_name(temporary);
+        let temporary = beside(target);
         match OpenOptions::new().write(true).create_new(true).open(&temporary) {
             Ok(file) => return Ok((temporary, file)),
             Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}

@@ -119,6 +119,15 @@ impl WriteError {
         Self::Data { path: path.to_owned(), expected: cut(expected.into()), found: cut(found.into()) }
     }
 
+    /// The same of a file that was made in folder `aside` to be one of `folder`.
+    pub(super) fn moved(mut self, aside: &Path, folder: &Path) -> Self {
+        let (Self::Io { path, .. } | Self::UnknownExtension { path, .. } | Self::Data { path, .. }) = &mut self;
+        if let Ok(name) = path.strip_prefix(aside) {
+            *path = if name.as_os_str().is_empty() { folder.to_owned() } else { folder.join(name) };
+        }
+        self
+    }
+
     /// Refuses `what` unless there is none, or one for each vertex.
     pub(super) fn check_count(path: &Path, what: &str, found: Option<usize>, vertices: usize) -> Result<(), Self> {
         match found.filter(|&f| f != vertices) {
@@ -150,7 +159,18 @@ pub(crate) fn excerpt(bytes: &[u8]) -> String {
 
 /// Reads a whole file, naming it in the error.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
-    std::fs::read(path).map_err(|source| ReadError::io(path, source))
+    super::inputs::read(path).map_err(|source| ReadError::io(path, source))
+}
+
+/// Reads a whole file of text.
+///
+/// # Errors
+/// When it cannot be read, or is not UTF-8.
+pub fn read_text(path: &Path) -> Result<String, ReadError> {
+    String::from_utf8(read_file(path)?).map_err(|e| {
+        let source = std::io::Error::new(std::io::ErrorKind::InvalidData, e.utf8_error());
+        ReadError::io(path, source)
+    })
 }
 
 /// The extension in lower case, empty if there is none.

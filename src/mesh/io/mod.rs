@@ -3,23 +3,30 @@
 
 mod atomic;
 mod error;
+mod folder;
 mod gltf;
 mod gzip;
+mod inputs;
 mod landmarks;
 mod npy;
 mod npz;
 mod obj;
 mod off;
+mod plan;
 mod ply;
 mod stl;
 mod unit;
 mod xyz;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use atomic::write_atomically;
-pub use error::{Place, ReadError, WriteError};
+pub(crate) use error::read_file;
+pub use error::{Place, ReadError, WriteError, read_text};
+pub(crate) use folder::replace;
+pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
+pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use landmarks::{
     Landmark, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, OnSurface, PatientSpace,
     PlaceKind, PlacedLandmark, Source, TemplatePoint, pair_landmarks, parse_landmark_set, parse_landmarks,
@@ -29,6 +36,7 @@ pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector
 pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
+pub use plan::{FilePlan, PlanError};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
 pub use unit::{FACE_EXTENT, KnownUnit, LengthUnit, UnitSource, face_extent};
@@ -81,6 +89,17 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
         found => return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: READ }),
     };
     parse(&gzip::read_unpacked(path)?, path)
+}
+
+/// Every file that reading a mesh opens: itself and, of glTF, the buffers beside it. What cannot be read yet, or is a pipe, is named
+/// alone; reading it says what is wrong.
+#[must_use]
+pub fn files_of_mesh(path: &Path) -> Vec<PathBuf> {
+    let mut files = vec![path.to_owned()];
+    if matches!(extension(path).as_str(), "glb" | "gltf") && path.is_file() {
+        files.extend(std::fs::read(path).map(|bytes| gltf::files_of_buffers(&bytes, path)).unwrap_or_default());
+    }
+    files
 }
 
 impl From<PolygonMesh> for MeshFile {

@@ -1,19 +1,18 @@
 //! NPZ archives of NumPy arrays. They are written uncompressed, the arrays in the order given, with no dates, so that the same
 //! arrays are the same bytes.
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, Write};
+use std::io::{Cursor, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::zip::write::{FileOptions, ZipWriter};
 use npyz::zip::{CompressionMethod, DateTime};
 
 use super::npy::{NpyArray, NpyItem, npy_start, points};
-use super::{Place, ReadError, WriteError, write_atomically};
+use super::{Place, ReadError, WriteError, read_file, write_atomically};
 use crate::mesh::Vec3;
 
 /// An NPZ archive: named arrays.
-pub struct Npz<R: Read + Seek = BufReader<File>> {
+pub struct Npz<R: Read + Seek = Cursor<Vec<u8>>> {
     path: PathBuf,
     archive: npyz::npz::NpzArchive<R>,
 }
@@ -30,8 +29,7 @@ impl Npz {
     /// # Errors
     /// When the file cannot be read or is not an archive.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let file = File::open(path).map_err(|source| ReadError::io(path, source))?;
-        Self::from_reader(BufReader::new(file), path)
+        Self::from_reader(Cursor::new(read_file(path)?), path)
     }
 }
 

@@ -2,7 +2,6 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 use std::rc::Rc;
@@ -12,7 +11,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use crate::mesh::io::error::excerpt;
-use crate::mesh::io::{Place, ReadError};
+use crate::mesh::io::{Place, ReadError, inputs};
 
 /// Extensions that do not change what a mesh is, or that only allow further types of numbers.
 const EXTENSIONS: [&str; 4] =
@@ -196,14 +195,7 @@ fn load(
         let decoded = engine.decode(text).map_err(|e| malformed(&format!("a data uri in base64 ({e})")))?;
         return Ok(Rc::new(Cow::Owned(decoded)));
     }
-    let expected = "a data uri or the relative path of a file";
-    let name = PathBuf::from(percent_decoded(uri).ok_or_else(|| malformed(expected))?);
-    let relative =
-        name.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir | Component::ParentDir));
-    if !relative || uri.contains("://") || name.as_os_str().is_empty() {
-        return Err(malformed(expected));
-    }
-    let file_path = path.parent().unwrap_or(Path::new("")).join(name);
+    let file_path = beside_file(path, uri).ok_or_else(|| malformed("a data uri or the relative path of a file"))?;
     let fail = |source| ReadError::io(&file_path, source);
     let one_file = file_path.canonicalize().map_err(fail)?;
     if let Some(known) = beside.get(&one_file) {
@@ -212,17 +204,39 @@ fn load(
             false => Err(malformed(&format!("{} bytes in every buffer of one file", known.len()))),
         };
     }
-    let file = File::open(&file_path).map_err(fail)?;
-    let metadata = file.metadata().map_err(fail)?;
+    // before it is opened: that of a pipe waits for a writer
+    let metadata = std::fs::metadata(&file_path).map_err(fail)?;
     if !metadata.is_file() || metadata.len() < length as u64 {
         let expected = format!("{length} bytes, buffer {index} of {}", path.display());
         return Err(ReadError::malformed(&file_path, Place::File, expected, metadata.len().to_string()));
     }
+    let file = inputs::open(&file_path).map_err(fail)?;
     let mut bytes = Vec::with_capacity(length);
     file.take(length as u64).read_to_end(&mut bytes).map_err(fail)?;
     let buffer: Rc<Cow<[u8]>> = Rc::new(Cow::Owned(bytes));
     beside.insert(one_file, buffer.clone());
     Ok(buffer)
+}
+
+/// The file beside `path` that a relative path names.
+fn beside_file(path: &Path, uri: &str) -> Option<PathBuf> {
+    let name = PathBuf::from(percent_decoded(uri)?);
+    let relative =
+        name.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir | Component::ParentDir));
+    let is_file = relative && !uri.contains("://") && !name.as_os_str().is_empty();
+    is_file.then(|| path.parent().unwrap_or(Path::new("")).join(name))
+}
+
+/// Files beside `path` that hold buffers, each once; none of a document that cannot be read.
+pub(in crate::mesh::io) fn files_of_buffers(bytes: &[u8], path: &Path) -> Vec<PathBuf> {
+    let json = if bytes.starts_with(b"glTF") { chunks(bytes, path).map(|c| c.0) } else { Ok(bytes) };
+    let document: Option<Document> = json.ok().and_then(|json| serde_json::from_slice(json).ok());
+    let uris = document.into_iter().flat_map(|document| document.buffers).filter_map(|buffer| buffer.uri);
+    let mut files: Vec<PathBuf> =
+        uris.filter(|uri| !uri.starts_with("data:")).filter_map(|uri| beside_file(path, &uri)).collect();
+    files.sort();
+    files.dedup();
+    files
 }
 
 /// `%20` and the like as the bytes they stand for.

@@ -36,6 +36,7 @@ use serde_json::{Map, Value};
 
 use crate::mesh::PolygonMesh;
 
+pub(super) use document::files_of_buffers;
 pub use read::{parse_gltf, read_gltf};
 pub(super) use write::write_colored_glb;
 pub use write::write_glb;

@@ -5,12 +5,11 @@
 mod header;
 mod write;
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::error::excerpt;
-use super::{Place, ReadError};
+use super::{Place, ReadError, inputs};
 use crate::mesh::Vec3;
 use header::{Header, Kind, parse_header, shape_text};
 
@@ -38,7 +37,7 @@ impl NpyArray<'static> {
     /// shape that it claims.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let fail = |source| ReadError::io(path, source);
-        let file = File::open(path).map_err(fail)?;
+        let file = inputs::open(path).map_err(fail)?;
         let metadata = file.metadata().map_err(fail)?;
         if metadata.is_dir() {
             return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory)));

@@ -1,0 +1,53 @@
+//! Why a batch does not run.
+
+use std::path::PathBuf;
+
+use crate::mesh::io::{PlanError, WriteError};
+
+/// Why a batch does not run, or not to its end; what is wrong with one scan is in its [`Record`](super::Record).
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// It would write over what it reads, or over itself.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// Something cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// Another batch writes there.
+    #[error(
+        "{}: another batch writes here, {who}; wait for its end, or give another folder (if it is gone, delete {})",
+        folder.display(),
+        lock.display()
+    )]
+    Taken {
+        /// The folder of results.
+        folder: PathBuf,
+        /// The other batch.
+        who: String,
+        /// Its lock.
+        lock: PathBuf,
+    },
+    /// Another batch took the folder over while this one did not move.
+    #[error("{}: another batch took this folder over while this one stood still", .0.display())]
+    Lost(PathBuf),
+    /// Files stand where results would go, and are none.
+    #[error(
+        "{}: is there, and no record of an earlier batch lists it{}; move it away, or give another folder",
+        file.display(),
+        if *others == 0 { String::new() } else { format!(" (nor {others} more)") }
+    )]
+    Stranger {
+        /// The first of them.
+        file: PathBuf,
+        /// How many more there are.
+        others: usize,
+    },
+}
+
+impl BatchError {
+    /// Whether other arguments would help, not another place to write to.
+    #[must_use]
+    pub fn is_clash(&self) -> bool {
+        matches!(self, Self::Plan(error) if error.is_clash())
+    }
+}
