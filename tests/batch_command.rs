@@ -9,7 +9,9 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use data_gen::{Motion, ScanOptions, Subject, simulate_scan, write_case};
-use nonrigid::mesh::io::{PlyOptions, read_npy_points, read_polygon_mesh, read_scan, write_ply};
+use nonrigid::mesh::io::{
+    PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh,
+};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
 use support::{Bench, files_in, landmarks_json};
@@ -284,4 +286,260 @@ fn a_frame_that_cannot_go_on_starts_cold() {
     let result = read_polygon_mesh(&bench.path("out/f2_scan.obj")).unwrap().positions;
     let rms = (truth.iter().zip(&result).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64).sqrt();
     assert!(rms < 3.0, "{rms}");
+}
+
+/// What `batch` says of each scan, by name.
+fn said(stderr: &str) -> BTreeMap<String, String> {
+    let line =
+        |line: &str| line.split_once("] ")?.1.split_once(": ").map(|(name, what)| (name.to_owned(), what.to_owned()));
+    stderr.lines().filter_map(line).collect()
+}
+
+#[test]
+fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
+    let bench = bench();
+    let rows = [FRAMES[0], FRAMES[1], "case/scan.ply,case/landmarks.json,,person,"];
+    list(&bench, &rows);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    bench.done(&format!("{command} --pictures"));
+    let results = |folder: &str| -> BTreeMap<String, Vec<u8>> {
+        let ours = |name: &String| !name.starts_with("log/") && !["summary.csv", "index.html"].contains(&name.as_str());
+        left(&bench, folder).into_iter().filter(|(name, _)| ours(name)).collect()
+    };
+    let finished = results("out");
+    assert_eq!(finished.len(), 3 * 4, "{:?}", finished.keys());
+    let all_done = || {
+        let run = bench.run(&format!("{command} --pictures"));
+        assert!(
+            run.code == 0 && said(&run.stderr).values().all(|what| what.starts_with("done before")),
+            "{}",
+            run.stderr
+        );
+        assert!(results("out") == finished);
+        assert!(summary(&bench, "out").values().all(|row| row.0 != "failed"));
+    };
+    let in_the_way = |from: &str| {
+        let hidden = format!("{from}_hidden");
+        fs::rename(bench.path(from), bench.path(&hidden)).unwrap();
+        let run = bench.run(&format!("{command} --pictures"));
+        assert_eq!(run.code, 2, "{from}: {}", run.stderr);
+        assert!(run.stderr.contains("cannot be read"), "{}", run.stderr);
+        let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+        assert!(text.contains("is still there"), "{text}");
+        assert!(results("out") == finished, "{from} cannot be reached");
+        fs::rename(bench.path(&hidden), bench.path(from)).unwrap();
+        all_done();
+    };
+    ["rig", "case", "f0", "f1/landmarks.json"].into_iter().for_each(in_the_way);
+    for option in ["--model clay", "--identity-modes 99", "--again --identity-modes 99", "--regions nosee"] {
+        let run = bench.run(&format!("{} --pictures", command.replace("--identity-modes 5", option)));
+        assert_eq!(run.code, 2, "{option}: {}", run.stderr);
+        assert!(results("out") == finished, "{option}");
+        all_done();
+    }
+    // another format takes the place of what it replaces, and of nothing else
+    bench.write("out/notes.txt", "mine");
+    bench.write("out/f0_scan.obj", "changed by hand");
+    bench.done(&format!("{command} --format ply"));
+    let names: Vec<String> =
+        files_in(&bench.path("out")).into_iter().filter(|n| !n.contains("summary") && n.contains('.')).collect();
+    assert_eq!(
+        names,
+        [
+            ".nonrigid",
+            "f0_scan.json",
+            "f0_scan.obj",
+            "f0_scan.ply",
+            "f0_scan.timing.json",
+            "f1_scan.json",
+            "f1_scan.ply",
+            "f1_scan.timing.json",
+            "index.html",
+            "notes.txt",
+            "person.json",
+            "person.ply",
+            "person.timing.json"
+        ]
+    );
+    assert_eq!(bench.read("out/f0_scan.obj"), b"changed by hand");
+}
+
+#[test]
+fn what_is_no_result_is_not_replaced() {
+    let bench = bench();
+    list(&bench, &FRAMES[..1]);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    for name in [
+        "f0_scan.obj",
+        "f0_scan.timing.json",
+        "log/f0_scan.txt",
+        "log/f0_scan.json",
+        "state/f0_scan.json",
+        "index.html",
+    ] {
+        bench.write(&format!("out/{name}"), "mine");
+        let run = bench.run(&command);
+        assert_eq!(run.code, 3, "{name}: {}", run.stderr);
+        let words = format!("out/{name}: is there, and no record of an earlier batch lists it");
+        assert!(run.stderr.contains(&words), "{}", run.stderr);
+        assert_eq!(bench.read(&format!("out/{name}")), b"mine");
+        fs::remove_dir_all(bench.path("out")).unwrap();
+    }
+    // beside the scans, which have other names
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,wrapped,"]);
+    fs::copy(bench.path("scans.csv"), bench.path("f0/scans.csv")).unwrap();
+    bench.write("f0/scans.csv", "target,landmarks,name\nscan.ply,landmarks.json,wrapped\n");
+    let before = bench.read("f0/scan.ply");
+    bench.done(&format!("batch f0/scans.csv --out f0 {OPTIONS}"));
+    bench.done(&format!("batch f0/scans.csv --out f0 {OPTIONS} --again"));
+    assert!(bench.read("f0/scan.ply") == before && bench.path("f0/wrapped.obj").exists());
+    // a result that is the template of the next batch is none of its outputs
+    bench.write("next.csv", "target,name\nf1/scan.ply,wrapped\n");
+    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj");
+    assert!(
+        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read (template of"),
+        "{}",
+        run.stderr
+    );
+    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj --format ply");
+    assert!(
+        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read"),
+        "{}",
+        run.stderr
+    );
+}
+
+#[test]
+fn a_folder_has_one_batch_and_survives_its_end() {
+    let bench = bench();
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,,"]);
+    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[graph]\nnodes = 60\n\
+                 [[level]]\nsteps = 1000000\nlambda_graph = 1.0\nlandmarks = 1.0\nkernel = \"none\"\n\
+                 distance_cap = 25.0\nnormal_angle = 60.0\n";
+    bench.write("endless.toml", steps);
+    let start = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+        command.args(format!("batch scans.csv --out out {OPTIONS} --config endless.toml").split_whitespace());
+        command.current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let asides = || {
+            let all = fs::read_dir(bench.path("out/.nonrigid")).into_iter().flatten().flatten().map(|e| e.path());
+            all.filter(|path| path.join("log/f0_scan.txt").exists()).count()
+        };
+        while asides() == 0 {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        child
+    };
+    let mut child = start();
+    let second = format!("batch scans.csv --out out {OPTIONS} --model rigid");
+    let run = bench.run(&second);
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    let words = format!("out: another batch writes here, process {} on ", child.id());
+    assert!(run.stderr.contains(&words), "{}", run.stderr);
+    assert!(!bench.path("out/f0_scan.obj").exists());
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let run = bench.run(&second);
+    let words = format!("warning: out: taken over from process {} on ", child.id());
+    assert!(run.code == 0 && run.stderr.contains(&words), "{}", run.stderr);
+    let hidden = files_in(&bench.path("out/.nonrigid"));
+    assert_eq!(hidden, ["wrote-1-of-1.json"], "nothing of either stays");
+    let result = bench.read("out/f0_scan.obj");
+    // SIGTERM, as Slurm sends it, to all processes
+    let mut child = start();
+    let children = Command::new("pgrep").args(["-P", &child.id().to_string()]).output().unwrap().stdout;
+    let children = String::from_utf8(children).unwrap();
+    Command::new("kill").arg("-TERM").arg(child.id().to_string()).args(children.split_whitespace()).status().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(143));
+    assert!(bench.read("out/f0_scan.obj") == result, "an interrupted scan leaves the earlier result");
+    assert!(bench.run(&second).stderr.contains("done before"));
+}
+
+#[test]
+fn the_end_of_one_process_alone_is_a_failure_of_its_scan() {
+    let bench = bench();
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,,", "f1/scan.ply,f1/landmarks.json,,,"]);
+    // `register` is asked to end by a signal that does not reach the batch
+    let mut child = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+    let line = format!("batch scans.csv --out out {OPTIONS} --jobs 1");
+    let mut child = child
+        .args(line.split_whitespace())
+        .current_dir(bench.path(""))
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    loop {
+        let found = Command::new("pgrep").args(["-P", &child.id().to_string()]).output().unwrap().stdout;
+        let found = String::from_utf8(found).unwrap();
+        if let Some(pid) = found.split_whitespace().next() {
+            Command::new("kill").args(["-TERM", pid]).status().unwrap();
+            break;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(2));
+    let summary = summary(&bench, "out");
+    assert_eq!((&summary["f0_scan"].0[..], &summary["f1_scan"].0[..]), ("failed", "done"));
+    assert!(String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("told to end from outside"));
+}
+
+#[test]
+fn buffers_of_gltf_belong_to_what_is_read() {
+    let bench = bench();
+    let scan = read_polygon_mesh(&bench.path("f0/scan.ply")).unwrap();
+    write_polygon_mesh(&bench.path("scan.glb"), &scan).unwrap();
+    let glb = bench.read("scan.glb");
+    let json_length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let mut json: Value = serde_json::from_slice(&glb[20..20 + json_length]).unwrap();
+    json["buffers"][0]["uri"] = "points%20of.bin".into();
+    let buffer = glb[28 + json_length..].to_vec();
+    bench.write("scan.gltf", json.to_string());
+    bench.write("points of.bin", &buffer);
+    list(&bench, &["scan.gltf,,,,rigid"]);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    let done_before = |is: bool| {
+        let run = bench.run(&command);
+        assert_eq!(said(&run.stderr)["scan"].starts_with("done before"), is, "{}", run.stderr);
+    };
+    done_before(false);
+    done_before(true);
+    let report: Value = serde_json::from_slice(&bench.read("out/scan.json")).unwrap();
+    let inputs: Vec<(&str, &str)> = report["inputs"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|i| (i["name"].as_str().unwrap(), i["sha256"].as_str().unwrap()))
+        .collect();
+    assert!(inputs.contains(&("points of.bin", &sha256(&buffer))), "{inputs:?}");
+    let mut other = buffer.clone();
+    other.push(0);
+    bench.write("points of.bin", &other);
+    done_before(false);
+    bench.write("points of.bin", &buffer);
+    done_before(false);
+    done_before(true);
+}
+
+#[test]
+fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
+    let bench = bench();
+    assert!(Command::new("mkfifo").arg(bench.path("pipe.ply")).status().unwrap().success());
+    list(&bench, &["pipe.ply,,,,", "case/scan.ply,case/landmarks.json,,person,rigid"]);
+    let run = bench.run(&format!("batch scans.csv --out out {OPTIONS}"));
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    let said = said(&run.stderr);
+    assert!(said["pipe"].contains("pipe.ply: cannot be read: it is no regular file"), "{said:?}");
+    assert!(!said["person"].contains("failed"), "{said:?}");
+    let name = "n".repeat(249);
+    list(&bench, &[&format!("case/scan.ply,case/landmarks.json,,{name},rigid")]);
+    let run = bench.run(&format!("batch scans.csv --out long {OPTIONS}"));
+    assert!(
+        run.code == 3 && run.stderr.contains(&name) && run.stderr.contains("give a shorter name"),
+        "{}",
+        run.stderr
+    );
+    assert!(!bench.path("long").exists());
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use nonrigid::mesh::io::{read_obj, write_atomically};
+use nonrigid::mesh::io::{read_obj, sha256, write_atomically};
 use serde_json::Value;
 use support::{Bench, files_in};
 
@@ -70,6 +70,160 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     assert!((1..1_000_000).contains(&steps), "{steps}");
     assert!(text(&output.stdout).contains(&format!("hybrid: {steps} steps")), "{}", text(&output.stdout));
     assert!(bench.read("r.png").len() > 1000);
+}
+
+#[test]
+fn sigterm_is_as_ctrl_c() {
+    let bench = Bench::new();
+    endless(&bench);
+    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json"));
+    std::thread::sleep(Duration::from_millis(1500));
+    signal(&child, "-TERM");
+    let output = ended(child);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(143), "{said}");
+    assert!(said.contains("warning: interrupted: r.obj holds") && !said.contains("error"), "{said}");
+    let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    assert_eq!(report["stop"], "stopped_by_observer");
+
+    let child = start(&bench, &format!("{FIT} --config endless.toml --out s.obj"));
+    std::thread::sleep(Duration::from_millis(1000));
+    ["-STOP", "-INT", "-CONT", "-TERM"].into_iter().for_each(|name| signal(&child, name));
+    let output = ended(child);
+    // the second one ends it at once, unless the first has done so already
+    assert!([Some(143), Some(130)].contains(&output.status.code()), "{}", text(&output.stderr));
+}
+
+/// Name and hash of what a report says was read in this role.
+fn read_as(bench: &Bench, report: &str, role: &str) -> Vec<(String, String)> {
+    let report: Value = serde_json::from_slice(&bench.read(report)).unwrap();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let of_role = report["inputs"].as_array().unwrap().iter().filter(|input| input["role"] == role);
+    of_role.map(|input| (text(&input["name"]), text(&input["sha256"]))).collect()
+}
+
+#[test]
+fn what_becomes_of_inputs_during_a_run_changes_nothing() {
+    let bench = Bench::new();
+    endless(&bench);
+    let hashes = ["scan.ply", "landmarks.json", "neutral.npy"].map(|name| sha256(&bench.read(&format!("case/{name}"))));
+    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json"));
+    std::thread::sleep(Duration::from_millis(1500));
+    fs::remove_file(bench.path("case/scan.ply")).unwrap();
+    bench.write("case/landmarks.json", "{}");
+    fs::remove_file(bench.path("case/neutral.npy")).unwrap();
+    assert!(Command::new("mkfifo").arg(bench.path("case/neutral.npy")).status().unwrap().success());
+    fs::rename(bench.path("rig"), bench.path("elsewhere")).unwrap();
+    signal(&child, "-INT");
+    let output = ended(child);
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    assert!(read_obj(&bench.path("r.obj")).is_ok());
+    let [scan, landmarks, neutral] = hashes;
+    assert_eq!(read_as(&bench, "r.json", "target"), [("scan.ply".to_owned(), scan)]);
+    assert_eq!(read_as(&bench, "r.json", "landmarks"), [("landmarks.json".to_owned(), landmarks)]);
+    assert_eq!(read_as(&bench, "r.json", "neutral"), [("neutral.npy".to_owned(), neutral)]);
+    let rig = read_as(&bench, "r.json", "rig");
+    assert!(rig.len() > 4, "{rig:?}");
+    for (name, hash) in rig {
+        assert_eq!(hash, sha256(&bench.read(&format!("elsewhere/{name}"))), "{name}");
+    }
+}
+
+#[test]
+fn a_pipe_is_read_once() {
+    let bench = Bench::new();
+    let line = format!("{FIT} --model rigid --out r.obj --report r.json");
+    bench.done(&line);
+    let (result, report) = (bench.read("r.obj"), bench.read("r.json"));
+    let names = ["case/scan.ply", "case/neutral.npy", "case/landmarks.json"];
+    let contents = names.map(|name| bench.read(name));
+    for name in names {
+        fs::remove_file(bench.path(name)).unwrap();
+        assert!(Command::new("mkfifo").arg(bench.path(name)).status().unwrap().success());
+    }
+    let child = start(&bench, &line);
+    for (name, content) in names.iter().zip(&contents) {
+        let (path, content) = (bench.path(name), content.clone());
+        // opens when the other side does
+        std::thread::spawn(move || fs::OpenOptions::new().write(true).open(path).unwrap().write_all(&content).unwrap());
+    }
+    let output = ended(child);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(bench.read("r.obj") == result && bench.read("r.json") == report);
+    // a buffer that a file names may not be one: whoever sent the file would decide for how long we wait
+    assert!(Command::new("mkfifo").arg(bench.path("b.bin")).status().unwrap().success());
+    bench
+        .write("b.gltf", "{\"asset\": {\"version\": \"2.0\"}, \"buffers\": [{\"uri\": \"b.bin\", \"byteLength\": 4}]}");
+    let output = ended(start(&bench, "register --template rig/template.obj --target b.gltf --out s.obj"));
+    assert!(output.status.code() == Some(4) && text(&output.stderr).contains("b.bin"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn a_name_that_is_too_long_is_found_before_the_work() {
+    let bench = Bench::new();
+    let name = "n".repeat(249);
+    bench.done(&format!("{FIT} --model rigid --out {name}.obj"));
+    for (option, file) in [("--report", format!("{name}.json")), ("--state", format!("{name}xx.json"))] {
+        let before = files_in(&bench.path(""));
+        unwritten(&bench, &format!("{FIT} --out r.obj {option} {file}"), &[&name, option, "give a shorter name"]);
+        assert_eq!(files_in(&bench.path("")), before);
+    }
+}
+
+/// How many shapes a rig has, if it can be read.
+fn shapes(bench: &Bench, rig: &str) -> Option<usize> {
+    let run = bench.run(&format!("rig info {rig} --json"));
+    let info: Value = serde_json::from_str(&run.stdout).ok()?;
+    assert_eq!(run.code, 0);
+    Some(info.as_array().unwrap().len())
+}
+
+#[test]
+fn a_rig_is_whole_or_none_on_a_full_disk_and_after_a_kill() {
+    let bench = Bench::new();
+    bench.done("rig convert --rig rig --format shapes --out whole");
+    let whole = shapes(&bench, "rig").unwrap();
+    assert_eq!(shapes(&bench, "whole"), Some(whole));
+    for format in ["npy", "shapes"] {
+        let line = format!("rig convert --rig rig --format {format} --out");
+        let begin = Instant::now();
+        bench.done(&format!("{line} made"));
+        let time = begin.elapsed();
+        let mut found = [0, 0];
+        for k in 0..24u32 {
+            // into nothing, and into a rig that is there
+            if k % 2 == 0 {
+                fs::remove_dir_all(bench.path("made")).unwrap_or(());
+            }
+            let mut child = start(&bench, &format!("{line} made"));
+            std::thread::sleep(time.mul_f64(f64::from(k) / 22.0));
+            let _ = child.kill(); // it may have ended
+            child.wait().unwrap();
+            let read = shapes(&bench, "made");
+            assert!(read.is_none_or(|n| n == whole), "{format}: {read:?} of {whole} after {k} of 22 parts of {time:?}");
+            found[usize::from(read.is_some())] += 1;
+        }
+        assert!(found[0] > 0 && found[1] > 0, "{found:?}: killed too late or too early every time");
+        fs::remove_dir_all(bench.path("made")).unwrap_or(());
+    }
+    let disk = bench.path("disk");
+    let Some(_disk) = SmallDisk::mount(&disk, "size=400k") else { return };
+    for format in ["npy", "shapes"] {
+        let line = format!("rig convert --rig rig --format {format} --out disk/rig");
+        unwritten(&bench, &line, &["disk/rig/", "No space left"]);
+        assert!(files_in(&disk).is_empty(), "{format}: {:?}", files_in(&disk));
+    }
+    let small = "rig convert --rig small --format shapes --out disk/rig";
+    for name in ["neutral", "smile", "frown"] {
+        bench.write(&format!("small/{name}.obj"), format!("v 0 0 0\nv 200 0 0\nv 0 {} 0\nf 1 2 3\n", 200 + name.len()));
+    }
+    bench.done(small);
+    bench.write("disk/rig/notes.txt", "mine");
+    let before = files_in(&bench.path("disk/rig"));
+    let masks = "rig convert --rig rig --out disk/rig";
+    assert_eq!(bench.run(masks).code, 3);
+    assert_eq!(files_in(&bench.path("disk/rig")), before);
+    assert_eq!(shapes(&bench, "disk/rig"), shapes(&bench, "small"));
 }
 
 #[test]

@@ -8,15 +8,14 @@
 //! | `landmarks_multipie68.json`: 68 vertices; `landmarks.json`: name -> vertex; `landmarks_anthropometric.json`: the names of `nonrigid measure` -> vertex | `case.json`: what a fit may use, and what was drawn |
 //! | `regions.json`: name -> vertices; `eyeballs.json`: spheres | `neutral.npy` (V, 3), where the subject's own neutral is known |
 //!
-//! Arrays hold 32 bits, coordinates in text files all digits. Every file is written whole or not at all.
+//! Arrays hold 32 bits, coordinates in text files all digits. Every rig, case and population is written whole or not at all.
 
 use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::{Context, Result};
 use nonrigid::mesh::Vec3;
-use nonrigid::mesh::io::{PlyOptions, write_atomically, write_npy, write_obj, write_ply};
+use nonrigid::mesh::io::{PlyOptions, WriteError, write_atomically, write_folder, write_npy, write_obj, write_ply};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -59,12 +58,29 @@ impl Subject {
     }
 }
 
+/// [`write_folder`], with the folders above.
+fn write_deep_folder(folder: &Path, fill: impl FnOnce(&Path) -> Result<(), WriteError>) -> Result<(), WriteError> {
+    if let Some(parent) = folder.parent() {
+        fs::create_dir_all(parent).map_err(|source| WriteError::Io { path: parent.to_owned(), source })?;
+    }
+    write_folder(folder, fill)
+}
+
 /// Writes a rig; makes the folder if it is not there.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+/// When a file cannot be written, or the folder has shapes of a family that this rig has none of: nothing has changed then.
+pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
+    for (family, none) in [("expression", rig.expressions.is_empty()), ("identity", rig.identities.is_empty())] {
+        let deltas = folder.join(deltas_name(family));
+        if none && deltas.exists() {
+            return Err(WriteError::data(&deltas, "no shapes of another rig here", "them: move them away"));
+        }
+    }
+    write_deep_folder(folder, |aside| write_rig_into(aside, rig))
+}
+
+fn write_rig_into(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     write_obj(&folder.join("template.obj"), &rig.mesh)?;
     write_atomically(&folder.join("face.mtl"), |file| file.write_all(MATERIALS.as_bytes()))?;
     write_points(&folder.join("neutral.npy"), &rig.neutral)?;
@@ -91,22 +107,38 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<()> {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_population(folder: &Path, rig: &FaceRig, people: usize, seed: u64) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+pub fn write_population(folder: &Path, rig: &FaceRig, people: usize, seed: u64) -> Result<(), WriteError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    for k in 0..people {
-        let weights: Vec<f64> = rig.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
-        write_obj(&folder.join(format!("person_{k:04}.obj")), &rig.mesh.with_positions(rig.pose(&[], &weights)))?;
-    }
-    Ok(())
+    write_deep_folder(folder, |aside| {
+        for k in 0..people {
+            let weights: Vec<f64> = rig.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
+            write_obj(&aside.join(format!("person_{k:04}.obj")), &rig.mesh.with_positions(rig.pose(&[], &weights)))?;
+        }
+        Ok(())
+    })
 }
 
 /// Writes a case; makes the folder if it is not there. `seed` is what the scan was simulated from.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_case(folder: &Path, rig: &FaceRig, case: &ScanCase, subject: &Subject, seed: u64) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+pub fn write_case(
+    folder: &Path,
+    rig: &FaceRig,
+    case: &ScanCase,
+    subject: &Subject,
+    seed: u64,
+) -> Result<(), WriteError> {
+    write_deep_folder(folder, |aside| write_case_into(aside, rig, case, subject, seed))
+}
+
+fn write_case_into(
+    folder: &Path,
+    rig: &FaceRig,
+    case: &ScanCase,
+    subject: &Subject,
+    seed: u64,
+) -> Result<(), WriteError> {
     write_ply(&folder.join("scan.ply"), &case.scan, PlyOptions::default())?;
     write_points(&folder.join("truth.npy"), &case.truth)?;
     write_npy(&folder.join("observed.npy"), &[case.observed.len()], &case.observed)?;
@@ -155,15 +187,14 @@ fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
     (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 
-/// Deltas and names of a family; without shapes no files, nor those of an earlier rig.
-fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<()> {
-    let [deltas_path, names_path] = ["deltas.npy", "names.json"].map(|end| folder.join(format!("{family}_{end}")));
-    let Some(vertices) = deltas.first().map(|d| d.len()) else {
-        for path in [deltas_path, names_path].iter().filter(|p| p.exists()) {
-            fs::remove_file(path).with_context(|| path.display().to_string())?;
-        }
-        return Ok(());
-    };
+fn deltas_name(family: &str) -> String {
+    format!("{family}_deltas.npy")
+}
+
+/// Deltas and names of a family; without shapes no files.
+fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<(), WriteError> {
+    let [deltas_path, names_path] = [deltas_name(family), format!("{family}_names.json")].map(|name| folder.join(name));
+    let Some(vertices) = deltas.first().map(|d| d.len()) else { return Ok(()) };
     let items: Vec<f32> =
         deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();
     write_npy(&deltas_path, &[names.len(), vertices, 3], &items)?;
@@ -171,13 +202,13 @@ fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: 
     write_json(&names_path, &names.into())
 }
 
-fn write_points(path: &Path, points: &[Vec3]) -> Result<()> {
+fn write_points(path: &Path, points: &[Vec3]) -> Result<(), WriteError> {
     let items: Vec<f32> = points.iter().flat_map(|p| [p.x, p.y, p.z]).map(|x| x as f32).collect();
-    Ok(write_npy(path, &[points.len(), 3], &items)?)
+    write_npy(path, &[points.len(), 3], &items)
 }
 
-fn write_json(path: &Path, value: &Value) -> Result<()> {
-    Ok(write_atomically(path, |file| writeln!(file, "{value:#}"))?)
+fn write_json(path: &Path, value: &Value) -> Result<(), WriteError> {
+    write_atomically(path, |file| writeln!(file, "{value:#}"))
 }
 
 #[cfg(test)]

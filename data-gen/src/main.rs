@@ -10,7 +10,8 @@ use data_gen::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
     WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
-use nonrigid::cli::{Failure, Stage, answer, say};
+use nonrigid::cli::{Failure, Stage, answer, check_plan, say};
+use nonrigid::mesh::io::FilePlan;
 use nonrigid::render::save_png;
 
 const EXAMPLES: &str = "\
@@ -188,8 +189,9 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(Err(failure)) = scans.next_if(Result::is_err) {
         return Err(failure);
     }
+    check_plan(&files(arguments, &plans))?;
     let folder = arguments.out.join("rig");
-    write_rig(&folder, &rig).map_err(unwritten)?;
+    write_rig(&folder, &rig).map_err(Failure::writing)?;
     let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
     say(format_args!(
         "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {generated:.1} s",
@@ -197,7 +199,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     ))?;
     if let Some(people) = arguments.population {
         let folder = arguments.out.join("population");
-        write_population(&folder, &rig, people, seed).map_err(unwritten)?;
+        write_population(&folder, &rig, people, seed).map_err(Failure::writing)?;
         say(format_args!("{}: {people} people", folder.display()))?;
     }
     let mut shown = Vec::new();
@@ -221,6 +223,17 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         say(path.display())?;
     }
     Ok(())
+}
+
+/// Everything that is written: a file of each folder stands for it.
+fn files(arguments: &Arguments, plans: &[Plan]) -> FilePlan {
+    let of_folder = |folder: &str| arguments.out.join(folder).join("neutral.npy");
+    let mut plan = FilePlan::new().writes("the rig", of_folder("rig"));
+    plan = plan.writes_all(plans.iter().map(|plan| (format!("--case {}", plan.name), of_folder(&plan.name))));
+    if arguments.contact_sheet {
+        plan = plan.writes("--contact-sheet", arguments.out.join("contact_sheet.png"));
+    }
+    plan
 }
 
 /// One scan to make.
@@ -302,7 +315,7 @@ fn write(
     let start = Instant::now();
     let folder = out.join(&plan.name);
     let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, case));
-    write_case(&folder, rig, case, &subject, plan.seed).map_err(unwritten)?;
+    write_case(&folder, rig, case, &subject, plan.seed).map_err(Failure::writing)?;
     let seen = case.observed.iter().filter(|o| **o).count();
     let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
     say(format_args!(

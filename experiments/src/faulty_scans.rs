@@ -4,12 +4,11 @@
 //! Varied: the fault, with landmarks and without. Held: people, expressions, template and each model's schedule. Measured: the
 //! error against the true vertices that the scan still shows, and every sign of [`Doubt`].
 
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::cli::say;
 use nonrigid::evaluation::ScanDistance;
 use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{Doubt, ModelFactory, ModelKind, Quality, RegistrationInput, StepRecord, register};
@@ -17,6 +16,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generated::{ScanOptions, Shot, Studio};
+use crate::output::make_output_folder;
 use crate::random_pose::random_pose;
 use crate::scan_bench::BenchCase;
 use crate::tables::{csv_text, table, write_csv, write_json};
@@ -281,7 +281,7 @@ pub fn faulty_scans(vertices: usize, people: u64, models: &[ModelKind], seed: u6
 /// # Errors
 /// A [`Failure`] of writing, or when a scan cannot be made.
 pub fn run(a: &Arguments) -> Result<()> {
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_output_folder(&a.out, [])?;
     let rows = faulty_scans(a.vertices as usize, u64::from(a.people), &a.models, a.seed)?;
     let header =
         "fault,landmarks,model,person,verdict,rmse,inliers,median_within,share_within,flipped,stretch_p99,doubts,error";

@@ -24,13 +24,12 @@ use crate::scan_bench::BenchCase;
 /// When a file cannot be written.
 pub fn write_standard_cases(folder: &Path, vertices: usize, triangles: usize, cases: &[&str], seed: u64) -> Result<()> {
     let rig = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-    let unwritten = |e: anyhow::Error| Failure::writing(format!("{e:#}"));
-    write_rig(&folder.join("rig"), &rig).map_err(unwritten)?;
+    write_rig(&folder.join("rig"), &rig).map_err(Failure::writing)?;
     let write = |(k, standard): (usize, &StandardCase)| -> Result<()> {
         let options = ScanOptions { expressions: Some(standard.expressions()), triangles, ..ScanOptions::default() };
         let (seed, place) = (seed + k as u64, folder.join("cases").join(standard.name));
         let scan = simulate_scan(&rig, &options, seed)?;
-        Ok(write_case(&place, &rig, &scan, &standard.subject(&rig)?, seed).map_err(unwritten)?)
+        Ok(write_case(&place, &rig, &scan, &standard.subject(&rig)?, seed).map_err(Failure::writing)?)
     };
     STANDARD_CASES.iter().enumerate().filter(|(_, standard)| cases.contains(&standard.name)).try_for_each(write)
 }

@@ -8,6 +8,7 @@ pub mod faulty_scans;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;
+pub mod output;
 pub mod plots;
 pub mod random_pose;
 pub mod real_scans;

@@ -18,6 +18,7 @@ use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_
 use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
+use crate::output::make_output_folder;
 use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// What to run.
@@ -150,7 +151,7 @@ pub fn register_all(a: &Arguments) -> Result<(Vec<RealScanRow>, RgbImage)> {
             format!("{}: none of the scans can be read; looked for {looked_for} (--scans)", a.scans.display());
         return Err(Failure::loading(message).into());
     }
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_output_folder(&a.out, [("--rig", &a.rig), ("--scans", &a.scans)])?;
     let (mut rows, mut sheet) = (
         Vec::new(),
         Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),

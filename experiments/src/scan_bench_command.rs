@@ -8,6 +8,7 @@ use nonrigid::cli::{Failure, say, tell};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 
+use crate::output::make_output_folder;
 use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, Scheduled, scan_bench, summarize};
 use crate::tables::{summary_table, table_of, write_tables};
@@ -58,6 +59,8 @@ pub struct Arguments {
 /// # Errors
 /// A [`Failure`] when something cannot be read or written; anything else is a failed registration.
 pub fn run(a: &Arguments) -> Result<()> {
+    let reads =
+        [("DIR", &a.cases), ("--rig", &a.rig)].into_iter().chain(a.config.iter().map(|path| ("--config", path)));
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
@@ -82,7 +85,7 @@ pub fn run(a: &Arguments) -> Result<()> {
         Ok(Scheduled { model, schedule })
     });
     let scheduled: Vec<Scheduled<'_>> = scheduled.collect::<Result<_>>()?;
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_output_folder(&a.out, reads)?;
     let models: Vec<&dyn ModelFactory> = scheduled.iter().map(|m| m as &dyn ModelFactory).collect();
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let rows = scan_bench(&models, &terms, &cases, a.landmarks, |row, case, result| {

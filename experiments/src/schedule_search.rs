@@ -21,6 +21,7 @@ use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;
 
 use crate::generated::standard_cases;
+use crate::output::make_output_folder;
 use crate::scan_bench::{BenchCase, LandmarkUse, run_case};
 
 /// What all models share, level by level.
@@ -313,7 +314,7 @@ pub fn run(options: &Options) -> Result<()> {
     for &seed in seeds {
         cases.extend(standard_cases(*vertices as usize, TRIANGLES, seed)?);
     }
-    std::fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
+    make_output_folder(out, [])?;
     let mut rows = "model,evaluation,axes,mean_rmse_plus_off\n".to_owned();
     for &model in models {
         let mut count = 0;

@@ -142,13 +142,12 @@ impl Plan {
     ) -> Result<Finished, BatchError> {
         let clock = Instant::now();
         self.check()?;
+        self.refuse_strangers()?;
         let folder = &self.batch.folder;
-        let made = !folder.is_dir();
         let lock = Lock::take(folder, self.shard, &self.fingerprint(), said)?;
         let run = Run { plan: self, batch: &self.batch, lock: &lock, hashes: Hashes::default() };
-        if !made {
-            run.refuse_strangers()?;
-        }
+        // another batch may have been there until now
+        self.refuse_strangers()?;
         run.claim()?;
         for folder in [folder.join("log"), folder.join("state")] {
             fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
@@ -158,6 +157,42 @@ impl Plan {
         let timing = Timing::new(self, &outcomes, clock.elapsed());
         write_atomically(&folder.join(self.timing()), |file| Ok(serde_json::to_writer_pretty(file, &timing)?))?;
         Ok(Finished { outcomes, summary, timing })
+    }
+}
+
+impl Plan {
+    /// Refuses files that would be replaced and are of no batch.
+    fn refuse_strangers(&self) -> Result<(), BatchError> {
+        let folder = &self.batch.folder;
+        let claimed = self.claimed();
+        let mut strangers = Vec::new();
+        for &k in self.chains.iter().flatten() {
+            let job = &self.jobs[k];
+            let record = Record::read(&self.batch.record(job));
+            let known = |name: &String| {
+                record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{}.json", job.name))
+            };
+            let there = self.batch.names(&job.name).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+            strangers.extend(there.filter(|name| !known(name)));
+        }
+        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.timing()]);
+        let there = shared.filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+        strangers.extend(there.filter(|name| !claimed.contains(name)));
+        match &strangers[..] {
+            [] => Ok(()),
+            [first, others @ ..] => Err(BatchError::Stranger { file: folder.join(first), others: others.len() }),
+        }
+    }
+
+    /// Names of the files that batches have written here besides results.
+    fn claimed(&self) -> BTreeSet<String> {
+        let mut claimed = BTreeSet::new();
+        let entries = fs::read_dir(self.batch.folder.join(HIDDEN)).into_iter().flatten().flatten();
+        for path in entries.map(|e| e.path()).filter(|path| path.extension().is_some_and(|e| e == "json")) {
+            let names: Option<Vec<String>> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+            claimed.extend(names.into_iter().flatten());
+        }
+        claimed
     }
 }
 
@@ -187,40 +222,6 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Refuses files that would be replaced and are of no batch.
-    fn refuse_strangers(&self) -> Result<(), BatchError> {
-        let folder = &self.batch.folder;
-        let claimed = self.claimed();
-        let mut strangers = Vec::new();
-        for &k in self.plan.chains.iter().flatten() {
-            let job = &self.plan.jobs[k];
-            let record = Record::read(&self.batch.record(job));
-            let known = |name: &String| {
-                record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{}.json", job.name))
-            };
-            let there = self.batch.names(&job.name).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
-            strangers.extend(there.filter(|name| !known(name)));
-        }
-        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.plan.timing()]);
-        let there = shared.filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
-        strangers.extend(there.filter(|name| !claimed.contains(name)));
-        match &strangers[..] {
-            [] => Ok(()),
-            [first, others @ ..] => Err(BatchError::Stranger { file: folder.join(first), others: others.len() }),
-        }
-    }
-
-    /// Names of the files that batches have written here besides results.
-    fn claimed(&self) -> BTreeSet<String> {
-        let mut claimed = BTreeSet::new();
-        let entries = fs::read_dir(self.batch.folder.join(HIDDEN)).into_iter().flatten().flatten();
-        for path in entries.map(|e| e.path()).filter(|path| path.extension().is_some_and(|e| e == "json")) {
-            let names: Option<Vec<String>> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
-            claimed.extend(names.into_iter().flatten());
-        }
-        claimed
-    }
-
     /// Writes down, before they are written, the names of the files besides results.
     fn claim(&self) -> Result<(), WriteError> {
         let names: Vec<String> = SUMMARY.map(str::to_owned).into_iter().chain([self.plan.timing()]).collect();

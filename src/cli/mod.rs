@@ -135,7 +135,7 @@ fn same_place(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Refuses a plan that would do harm, before anything is read or written.
+/// Refuses a plan that would do harm, before anything is written.
 ///
 /// # Errors
 /// As [`FilePlan::check`], by stage.

@@ -382,6 +382,7 @@ pub fn broken() -> Bench {
             if name == "unknown_node" { SCHEDULE.replace("nodes = 60", "node = \"round\"") } else { SCHEDULE.into() };
         bench.write(&format!("{name}.toml"), first + &then);
     }
+    one_file_under_two_names(&bench);
     bench
 }
 
@@ -434,4 +435,44 @@ fn broken_rigs_and_frames(bench: &Bench) {
     bench.write("frames_garbage/000.ply", [0u8, 159, 146, 150, 10, 255, 0, 1]);
     bench.write("frames_short/000.obj", &frame);
     bench.write("frames_short/001.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+}
+
+/// Files that are inputs of a command and would be its outputs, too.
+fn one_file_under_two_names(bench: &Bench) {
+    let link = |file: &str, name: &str| {
+        let path = bench.path(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::hard_link(bench.path(file), path).unwrap();
+    };
+    link("rig/template.obj", "hard.obj");
+    link("case/truth.npy", "linked.png");
+    link("rig/regions.json", "linked.json");
+    link("rig/landmarks.json", "hard.json");
+    link("people/a.obj", "rig_of_links/template.obj");
+    #[cfg(unix)]
+    for (target, name) in [("rig/template.obj", "soft.obj"), (".", "here")] {
+        std::os::unix::fs::symlink(target, bench.path(name)).unwrap();
+    }
+    let (mesh, landmarks) = (bench.read("people/a.obj"), bench.read("case/landmarks.json"));
+    for name in ["neutral.obj", "smile.obj"] {
+        bench.write(&format!("rig_in_links/{name}"), &mesh);
+    }
+    link("rig_in_links/neutral.obj", "rig_of_links/neutral.obj");
+    bench.write("times.timing.json", &landmarks);
+    bench.write("page/measurements.json", &landmarks);
+    bench.write("has_timing.timing.json/.keep", "");
+    let buffer = "{\"asset\": {\"version\": \"2.0\"}, \"buffers\": [{\"uri\": \"in_two.json\", \"byteLength\": 4}]}";
+    bench.write("in_two.gltf", buffer);
+    bench.write("in_two.json", "four");
+    let region = "region = { circle = { centre = [0, 0], radius = 9 } }";
+    bench.write("own_mask.toml", RECIPE.replace(region, "png = \"own_masks/step1-mask1.png\""));
+    bench.write("own_masks/step1-mask1.png", "");
+    write_rig(&bench.path("rig_unfinished"), &bench.rig).unwrap();
+    bench.write("rig_unfinished/.unfinished", "");
+
+    bench.write("own.csv", "target\nlone.ply\n");
+    bench.write("lone.json", &landmarks);
+    bench.write("marks.csv", "target,landmarks\nlone.ply,lone.json\n");
+    bench.write("clash/summary.csv", "target\n../case/scan.ply\n");
+    bench.write("strangers/scan.json", "mine");
 }

@@ -4,13 +4,13 @@
 //! program (`--external`). Held: the cases, their shapes and landmarks. Measured: what [`scan_bench`](crate::scan_bench) measures,
 //! apart from it seconds and memory, each variant in a process of its own.
 
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use nonrigid::cli::{Failure, Stage, say, tell};
 use nonrigid::registration::ModelKind;
 
+use crate::output::make_output_folder;
 use crate::scan_bench::LandmarkUse;
 use crate::this_program;
 
@@ -133,7 +133,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     a.check(&variants)?;
     let cases = measure::read_cases(folder, rig)?;
     let external = a.external.iter().map(|e| e.rows(&cases)).collect::<Result<Vec<_>>>()?.concat();
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_output_folder(&a.out, [("DIR", folder), ("--rig", rig)])?;
     let (threads, total) = (rayon::current_num_threads(), variants.len() * cases.len() + external.len());
     drop(cases); // the processes have their own
     let mut done = 0;

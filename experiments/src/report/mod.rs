@@ -28,6 +28,8 @@ use page::{Page, State};
 use studies::STUDIES;
 use study::{Setting, Study};
 
+use crate::output::{check_output_folder, make_output_folder, refuse_strangers};
+
 use crate::tables::write_json;
 
 /// What to run.
@@ -95,8 +97,13 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
     say(log, format!("page: {}, grows as results arrive\n\n", out.join("index.html").display()))?;
 
     let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
+    let reads = options.rig.iter().map(|path| ("--rig", path));
+    check_output_folder(out, reads.chain(options.scans.iter().map(|path| ("--scans", path))))?;
+    let named = ["index.html", MANIFEST, "machine.json"].map(str::to_owned).into_iter();
+    let of_tables = tables.iter().chain(&["claims"]).flat_map(|table| ["csv", "json"].map(|e| format!("{table}.{e}")));
+    refuse_strangers(out, (MANIFEST, "studies"), &named.chain(of_tables).collect::<Vec<_>>())?;
     let data = read_data(options, effort, log)?;
-    fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?;
+    make_output_folder(out, [])?;
     forget_results(out, &tables)?;
     let measured = Measured { folder: out, tables: &tables };
     write_manifest(options, effort, &data, &chosen)?;
@@ -216,6 +223,9 @@ fn about(options: &Options, effort: &Effort, data: &Data) -> String {
     )
 }
 
+/// Says in the folder of a report that it is one.
+const MANIFEST: &str = "manifest.json";
+
 /// What identifies a run: equal manifests, equal results.
 fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&Study]) -> Result<()> {
     let command: Vec<String> = std::env::args().skip(1).collect();
@@ -231,7 +241,7 @@ fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&St
         "generated": data.generated,
         "inputs": data.hashes()?,
     });
-    write_json(&options.out.join("manifest.json"), &manifest)
+    write_json(&options.out.join(MANIFEST), &manifest)
 }
 
 /// The commit that this program's sources are at, and whether they differ from it; `None` outside of a checkout.

@@ -7,7 +7,6 @@
 //! Every configuration runs in a process of its own, so that its peak memory is its own; making the data does not count. One line
 //! of JSON a run on standard output; tables, plots and the fitted exponents in the output folder.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
@@ -18,6 +17,7 @@ use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
 use crate::generated::shapes_at_most;
+use crate::output::make_output_folder;
 use crate::plots::{Line, LogLog, PowerLaw, write_log_log};
 use crate::tables::{csv_text, table, write_csv};
 use crate::this_program;
@@ -121,7 +121,7 @@ pub fn run(a: &Arguments) -> Result<()> {
         return run_here(configuration);
     }
     let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_output_folder(&a.out, [])?;
     let program = this_program()?;
     let mut rows = Vec::new();
     for (k, configuration) in configurations.iter().enumerate() {

@@ -1,0 +1,48 @@
+//! The folder that a study writes its results to.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use nonrigid::cli::{Failure, Stage, check_plan};
+use nonrigid::mesh::io::FilePlan;
+
+/// Makes the folder of results, unless a file or folder that is read is in it.
+///
+/// # Errors
+/// A [`Failure`] of the arguments that names the clash, or of writing.
+pub fn make_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a str, &'a PathBuf)>) -> Result<()> {
+    check_output_folder(out, reads)?;
+    Ok(fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?)
+}
+
+/// Refuses a folder of results that has a file or folder in it that is read.
+///
+/// # Errors
+/// A [`Failure`] of the arguments that names the clash.
+pub fn check_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a str, &'a PathBuf)>) -> Result<()> {
+    Ok(check_plan(&FilePlan::new().reads_all(reads).writes_in("--out", out))?)
+}
+
+/// Refuses a folder where one of these files stands that no earlier run of the same has written: one that did left `mark` there, JSON
+/// with this key.
+///
+/// # Errors
+/// A [`Failure`] of writing that names the file.
+pub fn refuse_strangers(out: &Path, (mark, key): (&str, &str), names: &[String]) -> Result<()> {
+    let marked = fs::read(out.join(mark)).ok();
+    let marked: Option<serde_json::Value> = marked.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    if marked.is_some_and(|value| value.get(key).is_some()) {
+        return Ok(());
+    }
+    match names.iter().map(|name| out.join(name)).find(|path| path.exists()) {
+        None => Ok(()),
+        Some(path) => {
+            let message = format!(
+                "{}: is there, and {mark} does not say that an earlier run wrote it; move it away, or give another --out",
+                path.display()
+            );
+            Err(Failure::new(Stage::Writing, message).into())
+        }
+    }
+}
