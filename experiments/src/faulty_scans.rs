@@ -279,7 +279,7 @@ pub fn faulty_scans(vertices: usize, people: u64, models: &[ModelKind], seed: u6
 /// Runs the command.
 ///
 /// # Errors
-/// A [`Failure`] of writing, or when a scan cannot be made.
+/// A [`Failure`](nonrigid::cli::Failure) of writing, or when a scan cannot be made.
 pub fn run(a: &Arguments) -> Result<()> {
     make_output_folder(&a.out, [])?;
     let rows = faulty_scans(a.vertices as usize, u64::from(a.people), &a.models, a.seed)?;
