@@ -409,6 +409,12 @@ fn what_is_no_result_is_not_replaced() {
     );
 }
 
+/// Processes that a process has started and that run.
+fn children(pid: u32) -> Vec<String> {
+    let found = Command::new("pgrep").args(["-P", &pid.to_string()]).output().unwrap().stdout;
+    String::from_utf8(found).unwrap().split_whitespace().map(str::to_owned).collect()
+}
+
 #[test]
 fn a_folder_has_one_batch_and_survives_its_end() {
     let bench = bench();
@@ -422,11 +428,7 @@ fn a_folder_has_one_batch_and_survives_its_end() {
         command.args(format!("batch scans.csv --out out {OPTIONS} --config endless.toml").split_whitespace());
         command.current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = command.spawn().unwrap();
-        let asides = || {
-            let all = fs::read_dir(bench.path("out/.nonrigid")).into_iter().flatten().flatten().map(|e| e.path());
-            all.filter(|path| path.join("log/f0_scan.txt").exists()).count()
-        };
-        while asides() == 0 {
+        while children(child.id()).is_empty() {
             assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
             std::thread::sleep(Duration::from_millis(2));
         }
@@ -449,9 +451,8 @@ fn a_folder_has_one_batch_and_survives_its_end() {
     let result = bench.read("out/f0_scan.obj");
     // SIGTERM, as Slurm sends it, to all processes
     let mut child = start();
-    let children = Command::new("pgrep").args(["-P", &child.id().to_string()]).output().unwrap().stdout;
-    let children = String::from_utf8(children).unwrap();
-    Command::new("kill").arg("-TERM").arg(child.id().to_string()).args(children.split_whitespace()).status().unwrap();
+    let all = [child.id().to_string()].into_iter().chain(children(child.id()));
+    Command::new("kill").arg("-TERM").args(all).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(143));
     assert!(bench.read("out/f0_scan.obj") == result, "an interrupted scan leaves the earlier result");
     assert!(bench.run(&second).stderr.contains("done before"));
@@ -472,9 +473,7 @@ fn the_end_of_one_process_alone_is_a_failure_of_its_scan() {
         .spawn()
         .unwrap();
     loop {
-        let found = Command::new("pgrep").args(["-P", &child.id().to_string()]).output().unwrap().stdout;
-        let found = String::from_utf8(found).unwrap();
-        if let Some(pid) = found.split_whitespace().next() {
+        if let Some(pid) = children(child.id()).first() {
             Command::new("kill").args(["-TERM", pid]).status().unwrap();
             break;
         }
@@ -498,7 +497,7 @@ fn buffers_of_gltf_belong_to_what_is_read() {
     let buffer = glb[28 + json_length..].to_vec();
     bench.write("scan.gltf", json.to_string());
     bench.write("points of.bin", &buffer);
-    list(&bench, &["scan.gltf,,,,rigid"]);
+    list(&bench, &["scan.gltf,f0/landmarks.json,,,rigid"]);
     let command = format!("batch scans.csv --out out {OPTIONS}");
     let done_before = |is: bool| {
         let run = bench.run(&command);

@@ -72,12 +72,24 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     assert!(bench.read("r.png").len() > 1000);
 }
 
+/// A registration that does not end by itself and has read everything: its landmarks, which come last, are a pipe.
+fn start_endless(bench: &Bench, outputs: &str) -> Child {
+    endless(bench);
+    let (path, landmarks) = (bench.path("case/landmarks.json"), bench.read("case/landmarks.json"));
+    fs::remove_file(&path).unwrap();
+    assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+    let child = start(bench, &format!("{FIT} --config endless.toml {outputs}"));
+    // opens when the other side does
+    fs::OpenOptions::new().write(true).open(&path).unwrap().write_all(&landmarks).unwrap();
+    fs::remove_file(&path).unwrap();
+    bench.write("case/landmarks.json", landmarks);
+    child
+}
+
 #[test]
 fn sigterm_is_as_ctrl_c() {
     let bench = Bench::new();
-    endless(&bench);
-    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json"));
-    std::thread::sleep(Duration::from_millis(1500));
+    let child = start_endless(&bench, "--out r.obj --report r.json");
     signal(&child, "-TERM");
     let output = ended(child);
     let said = text(&output.stderr);
@@ -86,8 +98,7 @@ fn sigterm_is_as_ctrl_c() {
     let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
     assert_eq!(report["stop"], "stopped_by_observer");
 
-    let child = start(&bench, &format!("{FIT} --config endless.toml --out s.obj"));
-    std::thread::sleep(Duration::from_millis(1000));
+    let child = start_endless(&bench, "--out s.obj");
     ["-STOP", "-INT", "-CONT", "-TERM"].into_iter().for_each(|name| signal(&child, name));
     let output = ended(child);
     // the second one ends it at once, unless the first has done so already
@@ -105,10 +116,8 @@ fn read_as(bench: &Bench, report: &str, role: &str) -> Vec<(String, String)> {
 #[test]
 fn what_becomes_of_inputs_during_a_run_changes_nothing() {
     let bench = Bench::new();
-    endless(&bench);
     let hashes = ["scan.ply", "landmarks.json", "neutral.npy"].map(|name| sha256(&bench.read(&format!("case/{name}"))));
-    let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json"));
-    std::thread::sleep(Duration::from_millis(1500));
+    let child = start_endless(&bench, "--out r.obj --report r.json");
     fs::remove_file(bench.path("case/scan.ply")).unwrap();
     bench.write("case/landmarks.json", "{}");
     fs::remove_file(bench.path("case/neutral.npy")).unwrap();

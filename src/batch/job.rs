@@ -173,20 +173,24 @@ impl Record {
         serde_json::from_slice(&std::fs::read(path).ok()?).ok()
     }
 
-    /// The record of a run with this key whose outputs are in `folder` as they were written: this, or of a job that has failed
-    /// since the one that was [kept](Kept).
+    /// The record of the run whose outputs are there: this, or of a job that has failed since the one that was [kept](Kept).
+    #[must_use]
+    pub fn standing(&self) -> Option<Self> {
+        match (self.status, &self.kept) {
+            (Status::Done, _) => Some(self.clone()),
+            (Status::Failed, Some(Kept { key, start })) => {
+                let (key, start) = (key.clone(), *start);
+                Some(Self { key, status: Status::Done, start, error: None, kept: None, ..self.clone() })
+            }
+            (Status::Failed, None) => None,
+        }
+    }
+
+    /// [`Self::standing`], if it has this key and its outputs are in `folder` as they were written.
     #[must_use]
     pub fn of_done(&self, key: &str, folder: &Path) -> Option<Self> {
         let intact = |(name, hash): (&String, &String)| hash_of(&folder.join(name)).as_ref() == Some(hash);
-        let done = match (self.status, &self.kept) {
-            (Status::Done, _) => self.clone(),
-            (Status::Failed, Some(Kept { key, start })) => {
-                let (key, start) = (key.clone(), *start);
-                Self { key, status: Status::Done, start, error: None, kept: None, ..self.clone() }
-            }
-            (Status::Failed, None) => return None,
-        };
-        (done.key.as_deref() == Some(key) && done.outputs.iter().all(intact)).then_some(done)
+        self.standing().filter(|done| done.key.as_deref() == Some(key) && done.outputs.iter().all(intact))
     }
 
     /// Whether a file of the folder of results is one that this job has written.

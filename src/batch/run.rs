@@ -248,7 +248,10 @@ impl Run<'_> {
                     let before = before.and_then(|(job, record)| Some((&jobs[*job], record.key.as_deref()?)));
                     let Some(outcome) = self.job(k, before, stop)? else { return Ok(()) };
                     finished(&outcome);
-                    previous = Some((k, outcome.record.clone()));
+                    // of a frame that cannot be read, an earlier run's end stands: those after it are not touched for that
+                    let standing = || Record::read(&self.batch.record(&jobs[k])).and_then(|known| known.standing());
+                    let record = if outcome.record.key.is_none() { standing() } else { Some(outcome.record.clone()) };
+                    previous = record.map(|record| (k, record));
                     outcomes.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
                 }
             }
