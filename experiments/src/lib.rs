@@ -19,6 +19,7 @@ pub mod scaling;
 pub mod scan_bench;
 pub mod scan_bench_command;
 pub mod schedule_search;
+pub mod silence;
 pub mod solver_case;
 pub mod start_bench;
 pub mod surgery;

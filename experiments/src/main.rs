@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
     compare, compare_rigs, faulty_scans, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
-    schedule_search, solver_case, start_bench, this_program,
+    schedule_search, silence, solver_case, start_bench, this_program,
 };
 use nonrigid::cli::{Failure, Stage, answer, tell};
 use nonrigid::registration::RegistrationError;
@@ -40,6 +40,8 @@ enum Command {
     StartBench(start_bench::Arguments),
     /// Register scans with faults, from outliers to two faces in one: right, refused, or wrong with a warning
     FaultyScans(faulty_scans::Arguments),
+    /// Register scans with all that can be wrong with them: how often a bad result is silent and a good one doubted
+    Silence(silence::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Search the default schedules: the same search for every model
@@ -71,6 +73,7 @@ fn main() -> ExitCode {
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
         Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
         Some(Command::FaultyScans(a)) => on_threads(a.threads, || faulty_scans::run(a)),
+        Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),

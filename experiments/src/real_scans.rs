@@ -382,7 +382,7 @@ pub const COLUMNS: [&str; 10] = [
 /// What the tables say of a fit, in the order of [`COLUMNS`].
 #[must_use]
 pub fn numbers(fit: &Fit, decimals: usize) -> Vec<String> {
-    let Quality { to_scan, median_within, flipped, mesh } = &fit.quality;
+    let Quality { to_scan, median_within, flipped, mesh, .. } = &fit.quality;
     let real = |x: f64| format!("{x:.decimals$}");
     vec![
         real(fit.accepted),

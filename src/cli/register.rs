@@ -182,12 +182,12 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let mut registered = template.clone();
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
-    let doubts = Doubt::of(&input, &result, &quality);
+    let reliability = Reliability::of(&input, &result, &quality);
     let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions)).transpose();
     let colors = colors.map_err(Failure::computation)?;
     let report = match &a.report {
         Some(path) => {
-            let report = Report::new(a.model.name(), files, &result, quality.clone(), doubts.clone());
+            let report = Report::new(a.model.name(), files, &result, quality.clone(), reliability.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
             let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
@@ -212,16 +212,17 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         write_json(path, &result.end)?;
     }
     if let Some(path) = &a.picture {
-        let title = format!("{} onto {}", a.model.name(), file_name(&a.target));
+        let percent = 100.0 * reliability.probability;
+        let title = format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
         let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
-    doubts.iter().for_each(warn);
+    reliability.doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
         let (seen, of) = (colors.observed_count(), colors.colors.len());
         say(format_args!("colour: {seen} of {of} vertices as on the scan, the others' diffused from them"))?;
     }
-    print_summary(a, &result, &quality, clock.elapsed().as_secs_f64())?;
+    print_summary(a, &result, &quality, &reliability, clock.elapsed().as_secs_f64())?;
     if result.stop == RegistrationStop::StoppedByObserver {
         let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());
         return Err(progress.interrupt.failure(message));
@@ -296,7 +297,13 @@ fn input_files(inputs: &Inputs) -> Vec<InputFile> {
     files.into_iter().map(InputFile::from).collect()
 }
 
-fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, seconds: f64) -> Result<(), Failure> {
+fn print_summary(
+    a: &Arguments,
+    result: &RegistrationResult,
+    quality: &Quality,
+    reliability: &Reliability,
+    seconds: f64,
+) -> Result<(), Failure> {
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);
     say(format_args!(
         "{}: {} steps in {seconds:.2} s, {:.0} % of the vertices accepted",
@@ -311,6 +318,8 @@ fn print_summary(a: &Arguments, result: &RegistrationResult, quality: &Quality, 
         quality.flipped
     ))?;
     say(quality.mesh)?;
+    let percent = 100.0 * reliability.probability;
+    say(format_args!("probability that the error exceeds {WRONG_MM} mm: {percent:.0} %"))?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;

@@ -1,98 +1,161 @@
-//! Signs that a result is probably wrong: what a report and a warning say instead of leaving it to be found out.
+//! What makes a result doubtful, in words: what was seen and what to do about it.
 //!
-//! No sign is proof. Thresholds are between what right and wrong results measure in `experiments faulty-scans`.
+//! [`Reliability`](super::Reliability) decides whether a result is doubtful and which risks speak for it; here each of them becomes
+//! a sentence with its number.
 
 use serde::Serialize;
 
-use super::{Quality, RegistrationInput, RegistrationResult, StartSearch, WITHIN_MM};
-use crate::mesh::Vec3;
-use crate::mesh::io::Landmark;
+use super::{Evidence, Quality, RegistrationInput, RegistrationResult, Risk};
 
-/// A sign that a result is probably wrong, with the number that gave it away.
+/// A reason to look at a result before it is used. Distances are millimetres, shares from 0 to 1.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "sign")]
 pub enum Doubt {
-    /// [`StartSearch::is_doubtful`].
+    /// The pose that the search found is not much better than others, or fits badly.
     Start {
         /// Poses tried.
         tried: usize,
         /// Share of the template's surface that the best of them matches.
         share: f64,
-        /// Root mean square distance of the matched part, millimetres.
+        /// Root mean square distance of the matched part.
         residual: f64,
-        /// [`StartSearch::rival`].
+        /// [`StartSearch::rival`](super::StartSearch::rival).
         rival: f64,
     },
-    /// Few of the template's vertices found the scan.
-    FewInliers {
-        /// Their share.
+    /// The scan shows little of the template.
+    LittleSeen {
+        /// Share of the vertices that it shows.
+        share: f64,
+    },
+    /// The scan has a surface where the template is, but elsewhere or facing elsewhere.
+    Contradicted {
+        /// Share of such vertices.
+        share: f64,
+    },
+    /// The template does not lie on all of the scan's surface that is over it.
+    ScanMissed {
+        /// Share of that surface.
         share: f64,
     },
     /// The vertices near the scan are not on it.
     HighResidual {
-        /// Median distance of those within [`WITHIN_MM`], millimetres.
+        /// Their median distance.
         median: f64,
     },
     /// Landmarks are not where they were said to be.
     Landmarks {
-        /// Root mean square distance, millimetres; a landmark of standard deviation sigma counts `1 / sigma^2`.
+        /// Root mean square distance; a landmark of standard deviation sigma counts `1 / sigma^2`.
+        rms: f64,
+        /// The one that is farthest off.
+        worst: String,
+        /// How far that is.
+        distance: f64,
+    },
+    /// Landmarks are few, or lie so that they leave the pose open.
+    FewLandmarks {
+        /// How many there are.
+        count: usize,
+    },
+    /// Without shapes, nothing says where along smooth skin a vertex belongs.
+    NoShapes,
+    /// The result is far from anything that the shapes can make.
+    BeyondShapes {
+        /// Root mean square distance from it.
         rms: f64,
     },
-    /// Triangles turned over.
-    ManyFolds {
-        /// How many.
-        folded: usize,
-        /// Of how many.
-        of: usize,
-    },
-    /// Blendshapes far outside of what they stand for, or held at a bound other than zero.
+    /// Blendshape weights are far from what they stand for.
     ExtremeWeights {
-        /// How many.
-        extreme: usize,
-        /// Of how many.
-        of: usize,
+        /// Mean square weight, in prior variances; about 1 for a person of the rig.
+        energy: f64,
+        /// The most extreme one.
+        worst: String,
+        /// It, in prior standard deviations.
+        deviations: f64,
+    },
+    /// The data leave the weights open.
+    LooseWeights {
+        /// What their standard deviations come to at a vertex.
+        shift: f64,
+    },
+    /// Triangles turned over, or pass through each other.
+    ManyFolds {
+        /// How many are turned over.
+        folded: usize,
+        /// Pairs that pass through each other, more than at rest.
+        intersections: usize,
+    },
+    /// Edges became much longer or shorter.
+    Stretched {
+        /// 99th percentile of length after over before.
+        longest: f64,
+        /// 1st percentile.
+        shortest: f64,
+    },
+    /// The template's features are not where the scan's are: its curvature is not that of the places it lies on.
+    FeaturesMoved {
+        /// Correlation of curvature between template and result.
+        correlation: f64,
+    },
+    /// The scan is of another size than the template.
+    Scale {
+        /// Size over the template's.
+        scale: f64,
     },
 }
 
-/// Share of accepted vertices below which a result is doubtful.
-const FEW_INLIERS: f64 = 0.5;
-/// Median distance of the vertices near the scan, above which it is, as a share of [`WITHIN_MM`].
-const HIGH_RESIDUAL: f64 = 0.2;
-/// Root mean square distance of the landmarks above which it is, as a share of the template's size.
-const FAR_LANDMARKS: f64 = 0.08;
-/// Share of flipped triangles above which it is.
-const MANY_FOLDS: f64 = 0.02;
-/// Standard deviations from which on a weight is extreme, and the share of such weights above which a result is doubtful.
-const EXTREME: f64 = 3.0;
-const MANY_WEIGHTS: f64 = 0.02;
-
 impl Doubt {
-    /// All signs that a result shows, most telling first.
-    #[must_use]
-    pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Vec<Self> {
-        let start = result.start_search.as_ref().filter(|search| search.is_doubtful()).map(Self::start);
-        let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-        let size = size(input.rest_positions());
-        let unit = result.start.scale * size / result.schedule.reference_size;
-        let landmarks = landmark_distance(input, &result.positions, result.schedule.sigma.landmark * unit);
-        let triangles = input.template.triangulate().triangles.len();
-        let extreme = extreme_weights(result);
-        let (median, of) = (quality.median_within, result.weights.len());
-        let signs = [
-            start,
-            (inliers < FEW_INLIERS).then_some(Self::FewInliers { share: inliers }),
-            (landmarks > FAR_LANDMARKS * size).then_some(Self::Landmarks { rms: landmarks }),
-            (median > HIGH_RESIDUAL * WITHIN_MM).then_some(Self::HighResidual { median }),
-            (quality.flipped as f64 > MANY_FOLDS * triangles as f64)
-                .then_some(Self::ManyFolds { folded: quality.flipped, of: triangles }),
-            (extreme as f64 > MANY_WEIGHTS * of as f64).then_some(Self::ExtremeWeights { extreme, of }),
-        ];
-        signs.into_iter().flatten().collect()
-    }
-
-    fn start(search: &StartSearch) -> Self {
-        let (tried, rival) = (search.tried, search.rival());
-        Self::Start { tried, share: search.fit.share, residual: search.fit.residual, rival }
+    /// The doubt that a risk stands for, with its numbers.
+    pub(super) fn new(
+        risk: Risk,
+        evidence: &Evidence,
+        input: &RegistrationInput<'_>,
+        result: &RegistrationResult,
+        quality: &Quality,
+    ) -> Self {
+        let size = evidence.size;
+        match risk {
+            Risk::StartLoss | Risk::StartRival => Self::Start {
+                tried: result.start_search.as_ref().map_or(0, |s| s.tried),
+                share: evidence.start_share,
+                residual: result.start_search.as_ref().map_or(0.0, |s| s.fit.residual),
+                rival: evidence.start_rival,
+            },
+            Risk::Unseen => Self::LittleSeen { share: 1.0 - evidence.coverage.unseen },
+            Risk::Contradicted | Risk::Turn => Self::Contradicted { share: evidence.coverage.contradicted },
+            Risk::ScanMissed => Self::ScanMissed { share: evidence.coverage.scan_missed },
+            Risk::Distance | Risk::DistanceSpread => Self::HighResidual { median: evidence.coverage.distance * size },
+            Risk::LandmarkRms | Risk::LandmarkWorst => {
+                let distance = |l: &&crate::mesh::io::Landmark| (l.template.position(&result.positions) - l.target).norm();
+                let worst = input.landmarks.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)));
+                Self::Landmarks {
+                    rms: evidence.landmark_rms * size,
+                    worst: worst.map(|l| l.name.clone()).unwrap_or_default(),
+                    distance: evidence.landmark_worst * size,
+                }
+            }
+            Risk::FewLandmarks | Risk::LandmarkFreedom => Self::FewLandmarks { count: evidence.landmarks },
+            Risk::NoShapes => Self::NoShapes,
+            Risk::BeyondShapes | Risk::BeyondShapesSpread => Self::BeyondShapes { rms: evidence.beyond_shapes * size },
+            Risk::WeightEnergy | Risk::WeightWorst => {
+                let ratio = |w: &&super::NamedWeight| w.value.abs();
+                let worst = result.weights.iter().max_by(|a, b| ratio(a).total_cmp(&ratio(b)));
+                Self::ExtremeWeights {
+                    energy: evidence.weight_energy,
+                    worst: worst.map(|w| w.name.clone()).unwrap_or_default(),
+                    deviations: evidence.weight_worst,
+                }
+            }
+            Risk::WeightUncertainty => Self::LooseWeights { shift: evidence.weight_uncertainty * size },
+            Risk::Flipped | Risk::Intersections => Self::ManyFolds {
+                folded: quality.flipped,
+                intersections: quality.mesh.self_intersections.saturating_sub(quality.mesh.self_intersections_at_rest),
+            },
+            Risk::Stretch | Risk::Squeeze => {
+                Self::Stretched { longest: quality.mesh.stretch.p99, shortest: quality.mesh.stretch.p1 }
+            }
+            Risk::CurvatureLost => Self::FeaturesMoved { correlation: evidence.curvature_kept },
+            Risk::Scale => Self::Scale { scale: evidence.scale },
+        }
     }
 
     /// The sign's name, as in the report.
@@ -100,67 +163,99 @@ impl Doubt {
     pub fn name(&self) -> &'static str {
         match self {
             Self::Start { .. } => "start",
-            Self::FewInliers { .. } => "few_inliers",
+            Self::LittleSeen { .. } => "little_seen",
+            Self::Contradicted { .. } => "contradicted",
+            Self::ScanMissed { .. } => "scan_missed",
             Self::HighResidual { .. } => "high_residual",
             Self::Landmarks { .. } => "landmarks",
-            Self::ManyFolds { .. } => "many_folds",
+            Self::FewLandmarks { .. } => "few_landmarks",
+            Self::NoShapes => "no_shapes",
+            Self::BeyondShapes { .. } => "beyond_shapes",
             Self::ExtremeWeights { .. } => "extreme_weights",
+            Self::LooseWeights { .. } => "loose_weights",
+            Self::ManyFolds { .. } => "many_folds",
+            Self::Stretched { .. } => "stretched",
+            Self::FeaturesMoved { .. } => "features_moved",
+            Self::Scale { .. } => "scale",
         }
     }
 }
 
 impl std::fmt::Display for Doubt {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let percent = |share: f64| 100.0 * share;
         match self {
             Self::Start { tried, share, residual, rival } => write!(
                 f,
-                "the start is doubtful: of {tried} poses tried, the best matches {:.0} % of the template to {residual:.1} mm, one in \
-                 another place comes to {:.0} % of its gain; look at the picture, or give three landmarks",
-                100.0 * share,
-                100.0 * rival
+                "of {tried} poses tried, the best matches {:.0} % of the template to {residual:.1} mm, and one in another place comes \
+                 to {:.0} % of its gain; look at the picture, or give three landmarks",
+                percent(*share),
+                percent(*rival)
             ),
-            Self::FewInliers { share } => write!(
+            Self::LittleSeen { share } => write!(
                 f,
-                "only {:.0} % of the template's vertices found the scan; check landmarks, units and the start",
-                100.0 * share
+                "the scan shows only {:.0} % of the template; what it does not show is a guess",
+                percent(*share)
+            ),
+            Self::Contradicted { share } => write!(
+                f,
+                "at {:.0} % of the vertices the scan has its surface elsewhere or facing elsewhere; look for hair, hands and clothes \
+                 (--mask leaves them out), or a wrong start",
+                percent(*share)
+            ),
+            Self::ScanMissed { share } => write!(
+                f,
+                "the template is not on {:.0} % of the scan's surface that lies over it; look there in the picture",
+                percent(*share)
             ),
             Self::HighResidual { median } => write!(
                 f,
                 "the vertices near the scan are {median:.2} mm off it in the median; check that it shows the template's subject"
             ),
-            Self::Landmarks { rms } => write!(
+            Self::Landmarks { rms, worst, distance } => write!(
                 f,
-                "the landmarks are {rms:.1} mm from where they should be; check that their names are right and that the scan is not \
-                 mirrored"
+                "the landmarks are {rms:.1} mm from where they should be, {worst:?} {distance:.1} mm; check that one first, then that \
+                 names are right and the scan is not mirrored"
             ),
-            Self::ManyFolds { folded, of } => {
-                write!(f, "{folded} of {of} triangles are folded; check landmarks and the start")
+            Self::FewLandmarks { count: 0 } => {
+                f.write_str("there are no landmarks to confirm the result; three or more, far apart, would")
             }
-            Self::ExtremeWeights { extreme, of } => write!(
+            Self::FewLandmarks { count } => {
+                write!(f, "{count} landmarks leave the pose open; more of them, far apart, would settle it")
+            }
+            Self::NoShapes => f.write_str(
+                "without shapes nothing says where along smooth skin a vertex belongs: sliding is undetermined; a rig would tell",
+            ),
+            Self::BeyondShapes { rms } => write!(
                 f,
-                "{extreme} of {of} weights are beyond {EXTREME} standard deviations or at a bound; check the start and the rig"
+                "the result is {rms:.1} mm from anything that the shapes make; check the neutral, or give more identity modes or \
+                 expressions"
+            ),
+            Self::ExtremeWeights { energy, worst, deviations } => write!(
+                f,
+                "the weights are {energy:.1} times as large as the rig's own people have them, {worst:?} {deviations:.1} deviations; \
+                 check the start, the neutral and that the rig has the shapes that the scan shows"
+            ),
+            Self::LooseWeights { shift } => {
+                write!(f, "the scan leaves the shapes open by {shift:.1} mm at a vertex; landmarks would help")
+            }
+            Self::ManyFolds { folded, intersections } => write!(
+                f,
+                "{folded} triangles are turned over and {intersections} pairs pass through each other; look at lips, lids and the rim \
+                 of what the scan shows"
+            ),
+            Self::Stretched { longest, shortest } => write!(
+                f,
+                "edges are stretched to {longest:.1} and shrunk to {shortest:.2} times their length; check landmarks and the start"
+            ),
+            Self::FeaturesMoved { correlation } => write!(
+                f,
+                "the template's features are not on the scan's: curvature agrees to {correlation:.2} only; look at nose, mouth and eyes"
+            ),
+            Self::Scale { scale } => write!(
+                f,
+                "the subject is {scale:.2} times as large as the template; a rig of such subjects would fit better"
             ),
         }
     }
-}
-
-/// Root mean square distance of the landmarks from their targets, each with its weight next to one of deviation `sigma`; 0
-/// without any.
-fn landmark_distance(input: &RegistrationInput<'_>, positions: &[Vec3], sigma: f64) -> f64 {
-    let weighted = |l: &Landmark| l.weight(sigma) * (l.template.position(positions) - l.target).norm_squared();
-    let total: f64 = input.landmarks.iter().map(|l| l.weight(sigma)).sum();
-    if total > 0.0 { (input.landmarks.iter().map(weighted).sum::<f64>() / total).sqrt() } else { 0.0 }
-}
-
-/// Root mean square distance from the centroid.
-fn size(points: &[Vec3]) -> f64 {
-    let count = points.len().max(1) as f64;
-    let centre = points.iter().sum::<Vec3>() / count;
-    (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt()
-}
-
-/// Weights beyond [`EXTREME`] prior standard deviations, or held at a bound that is not 0, where most expressions rest.
-fn extreme_weights(result: &RegistrationResult) -> usize {
-    let sigma = result.schedule.sigma.expression.max(result.schedule.sigma.identity);
-    result.weights.iter().filter(|w| w.value.abs() > EXTREME * sigma || (w.at_bound && w.value != 0.0)).count()
 }

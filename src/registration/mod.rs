@@ -5,9 +5,11 @@ mod correspondence;
 mod doubt;
 mod driver;
 mod error;
+mod evidence;
 mod level_term;
 mod masks;
 mod model_kind;
+mod reliability;
 mod report;
 mod scan;
 mod scan_points;
@@ -26,9 +28,11 @@ pub use driver::{
     register, register_with,
 };
 pub use error::RegistrationError;
+pub use evidence::{Coverage, Evidence};
 pub use level_term::LevelTerm;
 pub use masks::VertexMasks;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
+pub use reliability::{Calibration, Reliability, Risk, RiskCurve, WRONG_MM};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use scan::ScanSurface;
 pub use scan_points::ScanPoints;

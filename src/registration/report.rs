@@ -4,14 +4,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use rayon::prelude::*;
 use serde::Serialize;
 
+use super::evidence::Seen;
 use super::{
-    Doubt, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
-    VertexMasks,
+    Coverage, NamedWeight, RegistrationError, RegistrationInput, RegistrationResult, RegistrationStop, Reliability, Schedule, StartSearch, StepRecord,
 };
-use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
+use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::mesh::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
@@ -51,6 +50,8 @@ pub struct Quality {
     pub to_scan: DistanceSummary,
     /// Median distance of the vertices within 3 mm.
     pub median_within: f64,
+    /// How template and scan cover each other.
+    pub coverage: Coverage,
     /// Triangles whose normal turned by more than 90 degrees against the rest shape, after the best rigid motion.
     pub flipped: usize,
     /// Self-intersections and edge stretch against the rest shape.
@@ -73,16 +74,10 @@ impl Quality {
                 return Err(EvaluationError::VertexCount { what, expected, found }.into());
             }
         }
-        let distances = || -> Result<Vec<f64>, QualityError> {
-            let surface = ScanDistance::new(input.scan, input.scan_normals)?;
-            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
-            let vertices = positions.par_iter().zip(&masks.data);
-            Ok(vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect())
-        };
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
-        let (distances, mesh) = rayon::join(distances, || MeshQuality::new(&template, positions));
-        let distances = distances?;
+        let (seen, mesh) = rayon::join(|| Seen::new(input, positions), || MeshQuality::new(&template, positions));
+        let Seen { distances, coverage, .. } = seen?;
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
         let pairs: Vec<_> = rest.iter().copied().zip(positions.iter().copied()).collect();
@@ -91,6 +86,7 @@ impl Quality {
         Ok(Self {
             to_scan: DistanceSummary::new(&distances, WITHIN_MM),
             median_within: DistanceSummary::new(&within, WITHIN_MM).median,
+            coverage,
             flipped: flipped_triangles(&posed, positions, &template.triangulate().triangles)?,
             mesh: mesh?,
         })
@@ -106,6 +102,9 @@ pub enum QualityError {
     /// The result.
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),
+    /// The scan has no surface.
+    #[error(transparent)]
+    Registration(#[from] RegistrationError),
 }
 
 /// The report, as it is written to JSON.
@@ -139,8 +138,9 @@ pub struct Report {
     pub quality: Quality,
     /// Vertices whose colour the scan shows, of those of the template; `None` without colours.
     pub colors_observed: Option<usize>,
-    /// Signs that the result is wrong; none, usually.
-    pub doubts: Vec<Doubt>,
+    /// Probability that the result is wrong, what speaks for it, and what both rest on.
+    #[serde(flatten)]
+    pub reliability: Reliability,
     /// Blendshape weights by name, with their standard deviations.
     pub weights: Vec<NamedWeight>,
     /// Every step.
@@ -148,14 +148,14 @@ pub struct Report {
 }
 
 impl Report {
-    /// The report of a result, and of what makes it doubtful.
+    /// The report of a result, and of how far it can be believed.
     #[must_use]
     pub fn new(
         model: &str,
         inputs: Vec<InputFile>,
         result: &RegistrationResult,
         quality: Quality,
-        doubts: Vec<Doubt>,
+        reliability: Reliability,
     ) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -172,7 +172,7 @@ impl Report {
             weak_directions: result.weak_directions,
             quality,
             colors_observed: None,
-            doubts,
+            reliability,
             weights: result.weights.clone(),
             history: result.history.clone(),
         }

@@ -1,0 +1,307 @@
+//! What a finished registration shows of itself: numbers that differ between right and wrong results.
+//!
+//! None of them needs the truth. [`Doubt`](super::Doubt) weighs them into one probability; `experiments silence` measures how
+//! far that probability can be believed.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks};
+use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::io::Landmark;
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose};
+
+/// Signs of right and wrong. Lengths are shares of the result's size (root mean square distance from its centroid), so that they
+/// mean the same for any subject; zero where something does not apply.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Evidence {
+    /// How template and scan cover each other.
+    #[serde(flatten)]
+    pub coverage: Coverage,
+    /// Size of the result: root mean square distance from its centroid, millimetres.
+    pub size: f64,
+    /// Loss of the searched start, 0 to 1.
+    pub start_loss: f64,
+    /// Share of the template that the searched start matches; 1 with landmarks.
+    pub start_share: f64,
+    /// How close the best pose elsewhere comes, as a share of the start's gain.
+    pub start_rival: f64,
+    /// Number of landmarks.
+    pub landmarks: usize,
+    /// Root mean square distance of the landmarks from their targets.
+    pub landmark_rms: f64,
+    /// Largest distance of a landmark from its target.
+    pub landmark_worst: f64,
+    /// How far the landmarks leave the pose open: rms shift of a vertex over all poses that fit them to one standard deviation.
+    pub landmark_freedom: f64,
+    /// Whether the model has shapes.
+    pub shapes: usize,
+    /// Mean of `(w_k / sigma_k)^2` over the weights; about 1 for a draw from the prior.
+    pub weight_energy: f64,
+    /// Largest `|w_k| / sigma_k`.
+    pub weight_worst: f64,
+    /// Root mean square shift of a vertex by the weights' standard deviations.
+    pub weight_uncertainty: f64,
+    /// Root mean square distance of the result from what the shapes alone make of it, in the rigid pose nearest to it.
+    pub beyond_shapes: f64,
+    /// 95th percentile of the same.
+    pub beyond_shapes_p95: f64,
+    /// Share of flipped triangles.
+    pub flipped: f64,
+    /// Pairs of triangles that pass through each other beyond those at rest, as a share of the triangles.
+    pub intersections: f64,
+    /// 99th percentile of edge stretch, as the logarithm.
+    pub stretch: f64,
+    /// 1st percentile of edge stretch, as minus the logarithm.
+    pub squeeze: f64,
+    /// Correlation of mean curvature between rest shape and result, over the vertices on the scan: what slides takes on the
+    /// curvature of another place.
+    pub curvature_kept: f64,
+    /// Scale of the start.
+    pub scale: f64,
+    /// Largest motion of a vertex in the last step.
+    pub last_motion: f64,
+    /// Directions that nothing observed, as a share of the vertices.
+    pub unobserved_directions: f64,
+}
+
+/// How template and scan cover each other in a result.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Coverage {
+    /// Share of the vertices that lie on the scan and face as it does, of those that masks leave in.
+    pub on_scan: f64,
+    /// Share for which the scan ends before it reaches them: nothing is seen there.
+    pub unseen: f64,
+    /// The rest: the scan has a surface there, but elsewhere or facing elsewhere.
+    pub contradicted: f64,
+    /// Of the scan's surface that lies over the template: the share that the template is not on.
+    pub scan_missed: f64,
+    /// Median distance of the vertices on the scan, as a share of the size.
+    pub distance: f64,
+    /// 90th percentile of the same.
+    pub distance_p90: f64,
+    /// Mean of one minus the cosine between normals, over the vertices on the scan.
+    pub turn: f64,
+}
+
+/// What counts as on the scan, and as over the template, as a share of the size.
+const NEAR: f64 = 0.045;
+const OVER: f64 = 0.4;
+/// Distance between the points of the scan that are asked, as a share of the size.
+const SPACING: f64 = 0.06;
+/// Cosine of the widest angle between normals of what is on the scan.
+const FACING: f64 = 0.5;
+
+/// Root mean square distance from the centroid.
+pub(super) fn size(points: &[Vec3]) -> f64 {
+    let count = points.len().max(1) as f64;
+    let centre = points.iter().sum::<Vec3>() / count;
+    (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt()
+}
+
+/// What the scan says of each vertex of a result.
+pub(super) struct Seen {
+    /// Distance to the scan, NaN for vertices that masks take out and for a scan without a surface.
+    pub distances: Vec<f64>,
+    pub coverage: Coverage,
+}
+
+impl Seen {
+    /// Compares a result with the scan, both ways.
+    pub fn new(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
+        let scan = ScanSurface::new(input.scan.clone(), input.scan_normals, &ScanOptions::default())?;
+        let mut mesh = input.template.triangulate();
+        mesh.positions.copy_from_slice(positions);
+        let size = size(positions);
+        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let hits: Vec<_> = (0..positions.len())
+            .into_par_iter()
+            .map(|i| if masks.data[i] > 0.0 { scan.closest(&positions[i], None, f64::INFINITY) } else { None })
+            .collect();
+        let mut distances = vec![f64::NAN; positions.len()];
+        let (mut near, mut turn, mut unseen, mut asked) = (Vec::new(), 0.0, 0, 0);
+        for (i, hit) in hits.iter().enumerate().filter_map(|(i, hit)| Some((i, hit.as_ref()?))) {
+            asked += 1;
+            distances[i] = (hit.point - positions[i]).norm();
+            let cosine = hit.normal.dot(&normals[i]);
+            if hit.on_boundary {
+                unseen += 1;
+            } else if distances[i] <= NEAR * size && cosine >= FACING {
+                near.push(distances[i] / size);
+                turn += 1.0 - cosine;
+            }
+        }
+        near.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| near.get(((near.len() as f64 * share) as usize).min(near.len().max(1) - 1)).copied();
+        let share = |count: usize| count as f64 / f64::from(asked.max(1));
+        let coverage = Coverage {
+            on_scan: share(near.len()),
+            unseen: share(unseen),
+            contradicted: 1.0 - share(near.len()) - share(unseen),
+            scan_missed: scan_missed(&scan, &mesh, size)?,
+            distance: at(0.5).unwrap_or(0.0),
+            distance_p90: at(0.9).unwrap_or(0.0),
+            turn: turn / near.len().max(1) as f64,
+        };
+        Ok(Self { distances, coverage })
+    }
+}
+
+/// [`Coverage::scan_missed`].
+fn scan_missed(scan: &ScanSurface, result: &TriangleMesh, size: f64) -> Result<f64, MeshError> {
+    let tree = ClosestPoint::new(result)?;
+    let boundary = OpenBoundary::of(result);
+    let over = |(p, _): &(Vec3, Vec3)| {
+        let hit = tree.query_within(p, (OVER * size).powi(2))?;
+        let t = hit.triangle as usize;
+        let past = boundary.holds(t, result.triangles[t], hit.barycentric);
+        (!past).then_some(hit.squared_distance.sqrt() > NEAR * size)
+    };
+    let over: Vec<bool> = scan.spread(SPACING * size).0.par_iter().filter_map(over).collect();
+    Ok(over.iter().filter(|missed| **missed).count() as f64 / over.len().max(1) as f64)
+}
+
+impl Evidence {
+    /// Gathers what a result shows.
+    #[must_use]
+    pub fn new(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
+        let size = size(&result.positions).max(f64::MIN_POSITIVE);
+        let triangles = input.template.triangulate().triangles;
+        let of_triangles = |count: usize| count as f64 / triangles.len().max(1) as f64;
+        let search = result.start_search.as_ref();
+        let sigma = result.schedule.sigma.landmark * size / result.schedule.reference_size;
+        let prior = |k: usize| result.schedule.sigma.of(input.shapes.shapes()[k].family);
+        let ratios: Vec<f64> = result.weights.iter().enumerate().map(|(k, w)| w.value.abs() / prior(k)).collect();
+        let beyond = beyond_shapes(input, result);
+        let grown = quality.mesh.self_intersections.saturating_sub(quality.mesh.self_intersections_at_rest);
+        let landmark = |l: &Landmark| {
+            (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size)
+        };
+        let landmarks: Vec<(f64, f64)> = input.landmarks.iter().map(landmark).collect();
+        let total: f64 = landmarks.iter().map(|l| l.0).sum();
+        let squares: f64 = landmarks.iter().map(|(w, d)| w * d * d).sum();
+        Self {
+            coverage: quality.coverage,
+            size,
+            start_loss: search.map_or(0.0, |s| s.fit.loss),
+            start_share: search.map_or(1.0, |s| s.fit.share),
+            start_rival: search.map_or(0.0, |s| s.rival()),
+            landmarks: landmarks.len(),
+            landmark_rms: if total > 0.0 { (squares / total).sqrt() } else { 0.0 },
+            landmark_worst: landmarks.iter().map(|l| l.1).fold(0.0, f64::max),
+            landmark_freedom: landmark_freedom(input, sigma, size),
+            shapes: result.weights.len(),
+            weight_energy: ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len().max(1) as f64,
+            weight_worst: ratios.iter().copied().fold(0.0, f64::max),
+            weight_uncertainty: weight_uncertainty(input, result) / size,
+            beyond_shapes: beyond.0 / size,
+            beyond_shapes_p95: beyond.1 / size,
+            flipped: of_triangles(quality.flipped),
+            intersections: of_triangles(grown),
+            stretch: quality.mesh.stretch.p99.max(f64::MIN_POSITIVE).ln(),
+            squeeze: -quality.mesh.stretch.p1.max(1e-3).ln(),
+            curvature_kept: curvature_kept(input, result),
+            scale: result.start.scale,
+            last_motion: result.history.last().map_or(0.0, |h| h.motion) / result.schedule.reference_size,
+            unobserved_directions: result.weak_directions as f64 / result.positions.len().max(1) as f64,
+        }
+    }
+}
+
+/// Root mean square and 95th percentile of the distance between the result and what the shapes alone make, over the accepted
+/// vertices, to which it is posed rigidly.
+fn beyond_shapes(input: &RegistrationInput<'_>, result: &RegistrationResult) -> (f64, f64) {
+    let weights: Vec<f64> = result.weights.iter().map(|w| w.value).collect();
+    let blended = |i: usize| match weights.len() == input.shapes.len() {
+        true => input.shapes.blend(i, input.rest_positions()[i], &weights),
+        false => input.rest_positions()[i],
+    };
+    let shown: Vec<(Vec3, Vec3)> =
+        (0..result.positions.len()).filter(|&i| result.accepted[i]).map(|i| (blended(i), result.positions[i])).collect();
+    // A start that scales is part of the pose.
+    let kind = if result.start.scale == 1.0 { PoseKind::Rigid } else { PoseKind::Similarity };
+    let Ok(pose) = closest_pose(&shown, kind) else { return (0.0, 0.0) };
+    let mut apart: Vec<f64> = shown.iter().map(|(a, b)| (pose.apply(*a) - b).norm()).collect();
+    apart.sort_unstable_by(f64::total_cmp);
+    let rms = (apart.iter().map(|d| d * d).sum::<f64>() / apart.len().max(1) as f64).sqrt();
+    (rms, apart[apart.len() * 95 / 100])
+}
+
+/// Root mean square over the vertices of `sqrt(sum_k dev_k^2 |B_ik|^2)`, as if the weights were independent.
+fn weight_uncertainty(input: &RegistrationInput<'_>, result: &RegistrationResult) -> f64 {
+    let count = input.shapes.len();
+    if count == 0 || result.weights.len() != count {
+        return 0.0;
+    }
+    let variances: Vec<f64> = result.weights.iter().map(|w| w.deviation.unwrap_or(0.0).powi(2)).collect();
+    let vertex = |i: usize| -> f64 {
+        let rows = input.shapes.vertex(i).chunks_exact(count);
+        rows.flat_map(|row| row.iter().zip(&variances).map(|(d, v)| f64::from(*d).powi(2) * v)).sum()
+    };
+    let sums: Vec<f64> = (0..result.positions.len()).into_par_iter().map(vertex).collect();
+    (sums.iter().sum::<f64>() / sums.len().max(1) as f64).sqrt()
+}
+
+/// [`Evidence::landmark_freedom`]: the covariance of a rigid pose that landmarks of these deviations determine, at the vertices.
+fn landmark_freedom(input: &RegistrationInput<'_>, sigma: f64, of_result: f64) -> f64 {
+    if input.landmarks.len() < 3 {
+        return 0.0;
+    }
+    let rest = input.rest_positions();
+    let centre = rest.iter().sum::<Vec3>() / rest.len().max(1) as f64;
+    let arm = |p: Vec3| {
+        let p = p - centre;
+        let mut j = nalgebra::SMatrix::<f64, 3, 6>::zeros();
+        j.fixed_view_mut::<3, 3>(0, 0).copy_from(&-p.cross_matrix());
+        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&nalgebra::Matrix3::identity());
+        j
+    };
+    let unit = of_result / size(rest).max(f64::MIN_POSITIVE);
+    let mut information = nalgebra::SMatrix::<f64, 6, 6>::zeros();
+    for l in input.landmarks {
+        let j = arm(l.template.position(rest));
+        information += j.transpose() * j * (l.weight(sigma) / (sigma * sigma).max(f64::MIN_POSITIVE) * unit * unit);
+    }
+    // A direction without any information is as free as the template is large.
+    let floor = 1e-12 * information.trace().max(f64::MIN_POSITIVE);
+    for i in 0..6 {
+        information[(i, i)] += floor;
+    }
+    let Some(covariance) = information.try_inverse() else { return 1.0 };
+    let at = |p: &Vec3| {
+        let j = arm(*p);
+        (j * covariance * j.transpose()).trace()
+    };
+    let step = rest.len() / 500 + 1;
+    let sampled: Vec<f64> = rest.iter().step_by(step).map(at).collect();
+    let variance = sampled.iter().sum::<f64>() / sampled.len().max(1) as f64;
+    (variance.max(0.0).sqrt() * unit / of_result).min(1.0)
+}
+
+/// [`Evidence::curvature_kept`]. Curvature: the height of a vertex over the mean of its neighbours, along its normal.
+fn curvature_kept(input: &RegistrationInput<'_>, result: &RegistrationResult) -> f64 {
+    let mut mesh = input.template.triangulate();
+    let edges = EdgeGraph::of(&mesh);
+    let mut heights = |positions: &[Vec3]| -> Vec<f64> {
+        mesh.positions.copy_from_slice(positions);
+        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let height = |i: usize| {
+            let round = edges.neighbours(i);
+            let mean = round.iter().map(|&j| positions[j as usize]).sum::<Vec3>() / round.len().max(1) as f64;
+            normals[i].dot(&(positions[i] - mean))
+        };
+        (0..positions.len()).map(height).collect()
+    };
+    let (rest, end) = (heights(input.rest_positions()), heights(&result.positions));
+    let shown: Vec<usize> = (0..end.len()).filter(|&i| result.accepted[i]).collect();
+    let mean = |h: &[f64]| shown.iter().map(|&i| h[i]).sum::<f64>() / shown.len().max(1) as f64;
+    let (a, b) = (mean(&rest), mean(&end));
+    let sums = shown.iter().fold([0.0; 3], |[ab, aa, bb], &i| {
+        let (x, y) = (rest[i] - a, end[i] - b);
+        [ab + x * y, aa + x * x, bb + y * y]
+    });
+    if sums[1] * sums[2] > 0.0 { sums[0] / (sums[1] * sums[2]).sqrt() } else { 0.0 }
+}

@@ -1,0 +1,224 @@
+//! How probable it is that a result is wrong.
+//!
+//! `P(error > 3 mm) = 1 / (1 + exp(-z))`, `z = intercept + sum_r c_r(x_r)`, with a curve `c_r` that never falls for each [`Risk`] of
+//! the [`Evidence`]. Intercept and curves are fitted by `experiments silence` on registrations whose truth is known, and read from
+//! `reliability.toml`; the same command measures how far the probability can be believed on others.
+
+use std::sync::LazyLock;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Doubt, Evidence, Quality, RegistrationInput, RegistrationResult};
+
+/// Root mean square error over the vertices that the scan shows above which a result counts as wrong, millimetres on a face
+/// (of 67 mm root mean square size); on other subjects the same share of the size.
+pub const WRONG_MM: f64 = 3.0;
+
+/// What a result says of itself.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reliability {
+    /// Probability that the error exceeds [`WRONG_MM`].
+    #[serde(rename = "error_probability")]
+    pub probability: f64,
+    /// What speaks for that, most telling first; empty unless the probability is above the threshold of the calibration.
+    pub doubts: Vec<Doubt>,
+    /// What it was computed from.
+    pub evidence: Evidence,
+}
+
+impl Reliability {
+    /// Judges a result.
+    #[must_use]
+    pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
+        static CALIBRATION: LazyLock<Calibration> = LazyLock::new(|| {
+            toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it")
+        });
+        let evidence = Evidence::new(input, result, quality);
+        let probability = CALIBRATION.probability(&evidence);
+        let doubts = match probability > CALIBRATION.threshold {
+            true => CALIBRATION.signs(&evidence).map(|risk| Doubt::new(risk, &evidence, input, result, quality)).collect(),
+            false => Vec::new(),
+        };
+        // Two risks may be one doubt.
+        let mut doubts: Vec<Doubt> = doubts;
+        doubts.dedup_by_key(|doubt| doubt.name());
+        Self { probability, doubts, evidence }
+    }
+
+    /// Whether it should be looked at.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        !self.doubts.is_empty()
+    }
+}
+
+/// A number of the evidence that grows with the risk of an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Risk {
+    /// Loss of the searched start.
+    StartLoss,
+    /// How close another pose comes.
+    StartRival,
+    /// Share of vertices that the scan does not show.
+    Unseen,
+    /// [`Coverage::contradicted`](super::Coverage::contradicted).
+    Contradicted,
+    /// [`Coverage::turn`](super::Coverage::turn).
+    Turn,
+    /// [`Coverage::scan_missed`](super::Coverage::scan_missed).
+    ScanMissed,
+    /// [`Coverage::distance`](super::Coverage::distance).
+    Distance,
+    /// [`Coverage::distance_p90`](super::Coverage::distance_p90).
+    DistanceSpread,
+    /// [`Evidence::landmark_rms`].
+    LandmarkRms,
+    /// [`Evidence::landmark_worst`].
+    LandmarkWorst,
+    /// [`Evidence::landmark_freedom`].
+    LandmarkFreedom,
+    /// One over one more than the number of landmarks.
+    FewLandmarks,
+    /// One without shapes, else zero.
+    NoShapes,
+    /// [`Evidence::beyond_shapes`].
+    BeyondShapes,
+    /// [`Evidence::beyond_shapes_p95`].
+    BeyondShapesSpread,
+    /// [`Evidence::weight_energy`].
+    WeightEnergy,
+    /// [`Evidence::weight_worst`].
+    WeightWorst,
+    /// [`Evidence::weight_uncertainty`].
+    WeightUncertainty,
+    /// [`Evidence::flipped`].
+    Flipped,
+    /// [`Evidence::intersections`].
+    Intersections,
+    /// [`Evidence::stretch`].
+    Stretch,
+    /// [`Evidence::squeeze`].
+    Squeeze,
+    /// One minus [`Evidence::curvature_kept`].
+    CurvatureLost,
+    /// How far the logarithm of [`Evidence::scale`] is from 0.
+    Scale,
+}
+
+impl Risk {
+    /// All of them.
+    pub const ALL: [Self; 24] = [
+        Self::StartLoss,
+        Self::StartRival,
+        Self::Unseen,
+        Self::Contradicted,
+        Self::Turn,
+        Self::ScanMissed,
+        Self::Distance,
+        Self::DistanceSpread,
+        Self::LandmarkRms,
+        Self::LandmarkWorst,
+        Self::LandmarkFreedom,
+        Self::FewLandmarks,
+        Self::NoShapes,
+        Self::BeyondShapes,
+        Self::BeyondShapesSpread,
+        Self::WeightEnergy,
+        Self::WeightWorst,
+        Self::WeightUncertainty,
+        Self::Flipped,
+        Self::Intersections,
+        Self::Stretch,
+        Self::Squeeze,
+        Self::CurvatureLost,
+        Self::Scale,
+    ];
+
+    /// The number.
+    #[must_use]
+    pub fn of(self, e: &Evidence) -> f64 {
+        match self {
+            Self::StartLoss => e.start_loss,
+            Self::StartRival => e.start_rival,
+            Self::Unseen => e.coverage.unseen,
+            Self::Contradicted => e.coverage.contradicted,
+            Self::Turn => e.coverage.turn,
+            Self::ScanMissed => e.coverage.scan_missed,
+            Self::Distance => e.coverage.distance,
+            Self::DistanceSpread => e.coverage.distance_p90,
+            Self::LandmarkRms => e.landmark_rms,
+            Self::LandmarkWorst => e.landmark_worst,
+            Self::LandmarkFreedom => e.landmark_freedom,
+            Self::FewLandmarks => 1.0 / (1.0 + e.landmarks as f64),
+            Self::NoShapes => if e.shapes == 0 { 1.0 } else { 0.0 },
+            Self::BeyondShapes => e.beyond_shapes,
+            Self::BeyondShapesSpread => e.beyond_shapes_p95,
+            Self::WeightEnergy => e.weight_energy,
+            Self::WeightWorst => e.weight_worst,
+            Self::WeightUncertainty => e.weight_uncertainty,
+            Self::Flipped => e.flipped,
+            Self::Intersections => e.intersections,
+            Self::Stretch => e.stretch,
+            Self::Squeeze => e.squeeze,
+            Self::CurvatureLost => 1.0 - e.curvature_kept,
+            Self::Scale => e.scale.max(f64::MIN_POSITIVE).ln().abs(),
+        }
+    }
+}
+
+/// The fitted curves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Probability above which a result is doubtful.
+    pub threshold: f64,
+    /// Log-odds of a result that no risk speaks against.
+    pub intercept: f64,
+    /// One curve for each risk that says something.
+    pub risks: Vec<RiskCurve>,
+}
+
+/// What a risk adds to the log-odds: `sum_j weights[j] ramp_j(x)`, where ramp `j` rises from 0 to 1 between knots `j` and `j + 1`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RiskCurve {
+    /// Which number of the evidence.
+    pub risk: Risk,
+    /// Ascending.
+    pub knots: Vec<f64>,
+    /// One less than knots, none negative.
+    pub weights: Vec<f64>,
+}
+
+impl RiskCurve {
+    /// Ramp `j` at `x`.
+    #[must_use]
+    pub fn ramp(&self, j: usize, x: f64) -> f64 {
+        ((x - self.knots[j]) / (self.knots[j + 1] - self.knots[j])).clamp(0.0, 1.0)
+    }
+
+    /// The curve at `x`.
+    #[must_use]
+    pub fn at(&self, x: f64) -> f64 {
+        self.weights.iter().enumerate().map(|(j, w)| w * self.ramp(j, x)).sum()
+    }
+}
+
+impl Calibration {
+    /// Probability that the error exceeds [`WRONG_MM`].
+    #[must_use]
+    pub fn probability(&self, evidence: &Evidence) -> f64 {
+        let z = self.intercept + self.risks.iter().map(|curve| curve.at(curve.risk.of(evidence))).sum::<f64>();
+        1.0 / (1.0 + (-z).exp())
+    }
+
+    /// The risks that add most, one at least: those that add half as much as the greatest.
+    fn signs(&self, evidence: &Evidence) -> impl Iterator<Item = Risk> + use<> {
+        let mut added: Vec<(f64, Risk)> =
+            self.risks.iter().map(|curve| (curve.at(curve.risk.of(evidence)), curve.risk)).collect();
+        added.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let greatest = added.first().map_or(0.0, |a| a.0);
+        added.into_iter().take_while(move |a| a.0 >= 0.5 * greatest).map(|a| a.1)
+    }
+}
