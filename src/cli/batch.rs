@@ -11,9 +11,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::interrupt::Interrupt;
-use super::{Failure, Stage, check_output_folder, register, say, tell, write_json};
+use super::{Failure, Stage, bounded, check_output_folder, register, say, tell, write_json};
 use crate::batch::{Batch, Columns, Job, Manifest, Outcome, Row, Shard, Status, Summary, chains};
 use crate::mesh::io::write_atomically;
+use crate::text;
 
 /// Arguments of `nonrigid batch`.
 #[derive(Debug, Args)]
@@ -131,8 +132,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let of_kind = |keep: &dyn Fn(&Arg) -> bool| known.iter().filter(|o| keep(&o.1)).map(|o| o.0.clone()).collect();
     let columns = Columns { options: of_kind(&|_| true), paths: of_kind(&is_path), required: SCAN.to_owned() };
     let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
-    let cores = a.threads.map_or_else(rayon::current_num_threads, usize::from);
-    let at_once = a.jobs.map_or(cores, usize::from);
+    let cores = a.threads.map_or_else(rayon::current_num_threads, |asked| bounded("--threads", asked.into()));
+    let at_once = a.jobs.map_or(cores, |asked| bounded("--jobs", asked.into()));
     let batch = Batch {
         program: std::env::current_exe().map_err(|e| Failure::computation(format!("cannot find this program: {e}")))?,
         command: vec!["register".into()],
@@ -276,9 +277,9 @@ impl<'a> Progress<'a> {
             tell(format_args!("[{}/{}] {name}: {what}{left}", ended.0, self.count));
         } else {
             if outcome.record.error.is_some() {
-                self.bar.println(format!("{name}: {what}"));
+                self.bar.println(text::message(&format!("{name}: {what}")));
             }
-            self.bar.set_message(format!("{name}{left}"));
+            self.bar.set_message(format!("{}{left}", text::short(name)));
             self.bar.inc(1);
         }
     }

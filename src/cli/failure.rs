@@ -4,6 +4,7 @@ use std::fmt;
 use std::process::ExitCode;
 
 use super::tell;
+use crate::text::message;
 
 /// The stage at which a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,7 +65,7 @@ impl Failure {
     #[must_use]
     pub fn report(&self) -> ExitCode {
         let kind = if self.stage == Stage::Interrupted { "warning" } else { "error" };
-        tell(format_args!("{kind}: {self}"));
+        tell(format_args!("{kind}: {}", message(&self.message)));
         self.exit_code()
     }
 }

@@ -9,7 +9,7 @@ use clap::Args;
 
 use super::{Failure, Stage, tell};
 use crate::mesh::io::{self, FACE_EXTENT, KnownUnit, LandmarkSet, LengthUnit, MeshFile, Scan, UnitSource, face_extent};
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::rig::{Population, Rig};
 
 /// Units of the inputs.
@@ -102,37 +102,37 @@ impl Units<'_> {
         Ok(known.unit.millimetres() / of_format.map_or(1.0, LengthUnit::millimetres))
     }
 
-    /// Brings points to millimetres.
-    pub fn bring(&mut self, input: &'static str, path: &Path, points: &mut [Vec3]) -> Result<(), Failure> {
-        let factor = self.factor(input, path, points)?;
-        points.iter_mut().for_each(|p| *p *= factor);
-        Ok(())
-    }
-
     /// Reads a mesh.
     pub fn read_mesh(&mut self, input: &'static str, path: &Path) -> Result<PolygonMesh, Failure> {
         let MeshFile { mut mesh, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
-        self.bring(input, path, &mut mesh.positions)?;
+        let factor = self.factor(input, path, &surface_points(&mesh.positions, mesh.corners.iter().copied()))?;
+        mesh.positions.iter_mut().for_each(|p| *p *= factor);
         Ok(mesh)
     }
 
     /// Reads a scan.
     pub fn read_scan(&mut self, input: &'static str, path: &Path) -> Result<Scan, Failure> {
         let mut scan = io::read_scan(path).map_err(Failure::loading)?;
-        self.bring(input, path, &mut scan.mesh.positions)?;
+        let TriangleMesh { positions, triangles } = &mut scan.mesh;
+        let factor = self.factor(input, path, &surface_points(positions, triangles.as_flattened().iter().copied()))?;
+        positions.iter_mut().for_each(|p| *p *= factor);
         Ok(scan)
     }
 
     /// Reads vertex positions from a mesh or an N x 3 array.
     pub fn read_positions(&mut self, input: &'static str, path: &Path) -> Result<Vec<Vec3>, Failure> {
-        let mut positions = super::inputs::read_positions(path)?;
-        self.bring(input, path, &mut positions)?;
+        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+            return Ok(self.read_mesh(input, path)?.positions);
+        }
+        let mut positions = io::read_npy_points(path).map_err(Failure::loading)?;
+        let factor = self.factor(input, path, &positions)?;
+        positions.iter_mut().for_each(|p| *p *= factor);
         Ok(positions)
     }
 
     /// Brings a rig to millimetres.
     pub fn bring_rig(&mut self, path: &Path, rig: &mut Rig) -> Result<(), Failure> {
-        let factor = self.factor("rig", path, rig.neutral())?;
+        let factor = self.factor("rig", path, &rig.surface_points())?;
         rig.scale(factor);
         Ok(())
     }

@@ -5,8 +5,8 @@
 use serde::Serialize;
 
 use super::{Quality, RegistrationInput, RegistrationResult, StartSearch, WITHIN_MM};
-use crate::mesh::Vec3;
 use crate::mesh::io::Landmark;
+use crate::mesh::{Vec3, surface_points};
 
 /// A sign that a result is probably wrong, with the number that gave it away.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -72,7 +72,7 @@ impl Doubt {
     pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Vec<Self> {
         let start = result.start_search.as_ref().filter(|search| search.is_doubtful()).map(Self::start);
         let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-        let size = size(input.rest_positions());
+        let size = size(&surface_points(input.rest_positions(), input.template.corners.iter().copied()));
         let unit = result.start.scale * size / result.schedule.reference_size;
         let landmarks = landmark_distance(input, &result.positions, result.schedule.sigma.landmark * unit);
         let triangles = input.template.triangulate().triangles.len();

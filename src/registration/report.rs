@@ -14,7 +14,7 @@ use super::{
 };
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
 use crate::mesh::io::KnownUnit;
-use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
+use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose, referenced};
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -71,7 +71,8 @@ impl Quality {
         }
         let distances = || -> Result<Vec<f64>, QualityError> {
             let surface = ScanDistance::new(input.scan, input.scan_normals)?;
-            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+            let used = referenced(positions.len(), input.template.corners.iter().copied());
+            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]).of_surface(&used);
             let vertices = positions.par_iter().zip(&masks.data);
             Ok(vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect())
         };

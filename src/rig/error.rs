@@ -40,6 +40,26 @@ pub enum RigError {
         /// Index of the vertex.
         vertex: usize,
     },
+    /// A displacement is absurdly long.
+    #[error(
+        "shape {shape:?} moves vertex {vertex} by {displacement:?}, the neutral is {size:.6} across; mend the shape or leave it out"
+    )]
+    Displacement {
+        /// The shape.
+        shape: String,
+        /// Index of the vertex.
+        vertex: usize,
+        /// Where it goes.
+        displacement: [f64; 3],
+        /// Diagonal of the neutral's box.
+        size: f64,
+    },
+    /// A name is too long for one.
+    #[error("shape {name:?} has a name of more than {} letters", crate::text::LONGEST_NAME)]
+    LongName {
+        /// Its beginning.
+        name: String,
+    },
     /// A shape is there twice, or asked for twice.
     #[error("shape {name:?} is named twice, expected every shape once")]
     DuplicateName {

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::{Family, Rig};
 use crate::mesh::io::{WriteError, write_atomically, write_npy, write_npy_points, write_obj};
 use crate::mesh::{PolygonMesh, Vec3};
+use crate::text;
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
@@ -122,7 +123,7 @@ fn make(folder: &Path) -> Result<(), WriteError> {
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
     write_atomically(path, |w| {
-        serde_json::to_writer(&mut *w, value)?;
+        w.write_all(text::json(serde_json::to_string(value)?).as_bytes())?;
         w.write_all(b"\n")
     })
 }

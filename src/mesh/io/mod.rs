@@ -18,6 +18,7 @@ mod xyz;
 use std::path::Path;
 
 pub use atomic::write_atomically;
+pub(crate) use error::check_side_file;
 pub use error::{Place, ReadError, WriteError};
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
 pub use landmarks::{
@@ -36,6 +37,24 @@ pub use xyz::parse_xyz;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};
 use error::extension;
+
+/// The largest coordinate of a file, in its unit: beyond, squares of areas leave the range of numbers before anything else does.
+pub const LARGEST_COORDINATE: f64 = 1e12;
+
+/// Refuses coordinates that are not finite, or beyond [`LARGEST_COORDINATE`]; `path` is named in the error.
+///
+/// # Errors
+/// With the first such vertex.
+pub fn check_coordinates(path: &Path, points: &[Vec3]) -> Result<(), ReadError> {
+    match points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST_COORDINATE)) {
+        None => Ok(()),
+        Some(v) => {
+            let found = format!("{:?} at vertex {v}", points[v].as_slice());
+            let expected = format!("coordinates up to {LARGEST_COORDINATE:e}");
+            Err(ReadError::malformed(path, Place::File, expected, found))
+        }
+    }
+}
 
 const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz, .glb and .gltf";
 const WRITTEN: &str = ".obj, .ply and .glb";
@@ -70,6 +89,7 @@ pub struct Scan {
 pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
     if matches!(extension(path).as_str(), "glb" | "gltf") {
         let GltfMesh { mesh, colors, .. } = read_gltf(path)?;
+        check_coordinates(path, &mesh.positions)?;
         return Ok(MeshFile { colors, ..mesh.into() });
     }
     let parse: fn(&[u8], &Path) -> Result<MeshFile, ReadError> = match gzip::inner_extension(path).as_str() {
@@ -80,7 +100,9 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
         "xyz" => parse_xyz,
         found => return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: READ }),
     };
-    parse(&gzip::read_unpacked(path)?, path)
+    let file = parse(&gzip::read_unpacked(path)?, path)?;
+    check_coordinates(path, &file.mesh.positions)?;
+    Ok(file)
 }
 
 impl From<PolygonMesh> for MeshFile {
