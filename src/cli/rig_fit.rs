@@ -104,6 +104,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         if !fitted.converged {
             warn(format_args!("{}: the weights have not settled", path.display()));
         }
+        fitted.doubts.iter().for_each(|doubt| warn(format_args!("{}: {doubt}", path.display())));
         frames.push(Frame { name, fitted });
     }
     units.say();

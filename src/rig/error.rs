@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::Unlike;
 use crate::mesh::io::ReadError;
 
 /// A rig cannot be read or used.
@@ -106,6 +107,14 @@ pub enum RigError {
         /// Why.
         reason: String,
     },
+    /// A mesh has not the vertices of the rig, in their order.
+    #[error("{what} is no mesh of this rig: {why}")]
+    Unlike {
+        /// The mesh.
+        what: &'static str,
+        /// What was seen.
+        why: Unlike,
+    },
     /// Fewer identity modes than asked for.
     #[error("{asked} identity modes asked for, the rig has {found}")]
     IdentityModes {
@@ -124,6 +133,13 @@ pub enum RigWarning {
         /// The shape.
         name: String,
     },
+    /// A mesh looks as if it had not the vertices of the rig.
+    Unlike {
+        /// The mesh.
+        what: &'static str,
+        /// What was seen.
+        why: Unlike,
+    },
     /// The neutral array and the polygon mesh disagree about where the vertices are; the array is used.
     NeutralDiffers {
         /// The largest distance, millimetres.
@@ -134,6 +150,7 @@ pub enum RigWarning {
 impl fmt::Display for RigWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Unlike { what, why } => write!(f, "{what} is an odd mesh for this rig: {why}"),
             Self::Motionless { name } => write!(f, "shape {name:?} moves nothing and was left out"),
             Self::NeutralDiffers { distance } => {
                 write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")

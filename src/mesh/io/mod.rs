@@ -32,7 +32,7 @@ pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
-pub use unit::{FACE_EXTENT, KnownUnit, LengthUnit, UnitSource, face_extent};
+pub use unit::{FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
 pub use xyz::parse_xyz;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};
