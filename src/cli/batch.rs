@@ -92,14 +92,17 @@ fn is_path(arg: &Arg) -> bool {
 
 /// Options of `register` for every row: each as given, to be judged with the row's own.
 #[derive(Debug, Default)]
-struct OfRegister(Vec<(String, String)>);
+struct OfRegister(Vec<(String, OsString)>);
 
 impl Args for OfRegister {
     fn augment_args(command: clap::Command) -> clap::Command {
         options().into_iter().filter(|(long, _)| long != SCAN).fold(command, |command, (long, arg)| {
             let names = arg.get_value_names().unwrap_or_default().to_vec();
             let mut copy = Arg::new(format!("register-{long}")).long(long).value_names(names);
-            copy = copy.allow_hyphen_values(true).help_heading("For every scan, as in `nonrigid register`");
+            copy = copy
+                .value_parser(clap::value_parser!(OsString))
+                .allow_hyphen_values(true)
+                .help_heading("For every scan, as in `nonrigid register`");
             command.arg(if let Some(help) = arg.get_help() { copy.help(help.clone()) } else { copy })
         })
     }
@@ -112,7 +115,7 @@ impl Args for OfRegister {
 impl FromArgMatches for OfRegister {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let given = |(long, _): (String, Arg)| {
-            let value = matches.try_get_one::<String>(&format!("register-{long}")).ok()??.clone();
+            let value = matches.try_get_one::<OsString>(&format!("register-{long}")).ok()??.clone();
             Some((long, value))
         };
         Ok(Self(options().into_iter().filter_map(given).collect()))
@@ -180,11 +183,16 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What a row runs: the options of the command line, then its own instead of them.
-fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns) -> Job {
+fn job(row: &Row, of_all: &[(String, OsString)], batch: &Batch, columns: &Columns) -> Job {
     let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
-    let mut settings: Vec<(String, String)> = of_all.iter().filter(|(long, _)| !of_row(long)).cloned().collect();
-    settings.extend(row.options.clone());
-    let arguments: Vec<OsString> = settings.iter().map(|(long, value)| format!("--{long}={value}").into()).collect();
+    let of_all = of_all.iter().filter(|(long, _)| !of_row(long)).cloned();
+    let settings: Vec<(String, OsString)> = of_all.chain(row.options.iter().cloned()).collect();
+    let argument = |(long, value): &(String, OsString)| {
+        let mut argument = OsString::from(format!("--{long}="));
+        argument.push(value);
+        argument
+    };
+    let arguments: Vec<OsString> = settings.iter().map(argument).collect();
     // what the batch itself adds does not matter here
     let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
@@ -193,7 +201,10 @@ fn job(row: &Row, of_all: &[(String, String)], batch: &Batch, columns: &Columns)
         Err(error) => (Err(first_line(&error)), None),
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
-    settings.retain(|(long, _)| !columns.paths.contains(long));
+    // what is no path came from text
+    let of_text = settings.into_iter().filter(|(long, _)| !columns.paths.contains(long));
+    let mut settings: Vec<(String, String)> =
+        of_text.map(|(long, value)| (long, value.to_string_lossy().into_owned())).collect();
     settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
     let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
     Job { name: row.name.clone(), arguments, settings, goes_on, inputs }

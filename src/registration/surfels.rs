@@ -295,3 +295,52 @@ impl Lattice {
         (id > 0).then(|| id as usize - 1)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::sheet;
+
+    const FRAME: fn() -> Frame = || Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: 1.0 };
+
+    fn disc(n: u32) -> TriangleMesh {
+        let point = |i: u32| {
+            let t = f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+            Vec3::new(100.0 * t.cos(), 100.0 * t.sin(), 1.0)
+        };
+        let triangles = (1..n - 1).map(|i| [0, i, i + 1]).collect();
+        TriangleMesh { positions: (0..n).map(point).collect(), triangles }
+    }
+
+    /// One surface as a fan of slivers, whose longest edges are 25 cells, and as a few triangles.
+    #[test]
+    fn slivers_are_sampled_as_evenly_as_other_triangles_and_by_area() {
+        let (few, many) = (disc(60), disc(20_000));
+        let of = |mesh: &TriangleMesh| surfels(mesh, None, &[], FRAME(), 8.0);
+        let (a, b) = (of(&few), of(&many));
+        assert!((a.len() as f64 / b.len() as f64 - 1.0).abs() < 0.05, "{} {}", a.len(), b.len());
+        let area = |surfels: &[Surfel]| surfels.iter().map(|s| s.area).sum::<f64>();
+        let exact = std::f64::consts::PI * 1e4;
+        assert!((area(&a) / exact - 1.0).abs() < 0.01 && (area(&b) / exact - 1.0).abs() < 0.01);
+        assert!(b.iter().all(|s| s.normal.z > 0.999 && (s.point.z - 1.0).abs() < 1e-9));
+        let sample = |mesh: &TriangleMesh| {
+            let p = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize]));
+            pieces_of(p, 8.0)
+        };
+        let (cut, by_area) = sample(&many);
+        assert!(cut <= FEW * many.triangles.len() as f64 && exact / by_area.each < 1e4, "{cut} {}", by_area.each);
+    }
+
+    #[test]
+    fn ordinary_triangles_are_cut_as_ever_and_large_ones_come_to_a_number_that_is_bounded() {
+        let mesh = sheet(5, 5, |x, y| Vec3::new(30.0 * x, 20.0 * y, x * y));
+        for t in &mesh.triangles {
+            let (_, cuts) = cuts(&t.map(|v| mesh.positions[v as usize]), 4.0);
+            assert!(cuts.is_some());
+        }
+        let large = [Vec3::zeros(), Vec3::x() * 1e4, Vec3::y() * 1e4];
+        let (cut, by_area) = pieces_of(std::iter::repeat_n(large, 10_000), 4.0);
+        assert!(cut == 0.0 && by_area.all);
+        assert!(10_000.0 * 5e7 / by_area.each <= FEW * 1e4 + MOST + 1.0);
+    }
+}

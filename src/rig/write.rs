@@ -81,7 +81,7 @@ impl Rig {
         names.sort_unstable();
         let bad = |name: &str| {
             let file = Path::new(name).file_name().is_some_and(|f| f == name);
-            !file || name.contains(['/', '\\', ':', '\0']) || name.starts_with('.')
+            !file || name.contains(['/', '\\', ':']) || name.contains(text::is_hidden) || name.starts_with('.')
         };
         if let Some(shape) = self.shapes.iter().find(|s| bad(&s.name)) {
             return Err(WriteError::data(

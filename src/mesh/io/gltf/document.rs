@@ -11,7 +11,7 @@ use base64::Engine as _;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use crate::mesh::io::error::{check_side_file, excerpt};
+use crate::mesh::io::error::excerpt;
 use crate::mesh::io::{Place, ReadError};
 
 /// Extensions that do not change what a mesh is, or that only allow further types of numbers.
@@ -212,7 +212,6 @@ fn load(
             false => Err(malformed(&format!("{} bytes in every buffer of one file", known.len()))),
         };
     }
-    check_side_file(&file_path)?;
     let file = File::open(&file_path).map_err(fail)?;
     let metadata = file.metadata().map_err(fail)?;
     if !metadata.is_file() || metadata.len() < length as u64 {
