@@ -342,9 +342,9 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
             LOADING,
             &["collapsed/000.obj", "no area"],
         ),
-        ("rig fit --rig face.npz --meshes shuffled --out o.csv", COMPUTATION, &["shuffled/000.obj", "mm rms"]),
-        ("rig fit --rig face.npz --meshes mirrored --out o.csv", COMPUTATION, &["mirrored/000.obj", "mirror image"]),
-        ("rig fit --rig face.npz --meshes flat --out o.csv", COMPUTATION, &["flat/000.obj", "flat"]),
+        ("rig fit --rig face.npz --meshes shuffled --out o.csv", LOADING, &["shuffled/000.obj", "mm rms"]),
+        ("rig fit --rig face.npz --meshes mirrored --out o.csv", LOADING, &["mirrored/000.obj", "mirror image"]),
+        ("rig fit --rig face.npz --meshes flat --out o.csv", LOADING, &["flat/000.obj", "flat"]),
         ("measure --mesh inches/000.obj --landmarks marks.json", LOADING, &["in cm", "in in", "--unit mesh=in"]),
         ("measure --mesh small/000.obj --landmarks marks.json", LOADING, &["in cm", "in in", "--unit mesh=cm"]),
         (
