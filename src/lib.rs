@@ -15,6 +15,7 @@
 //! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
 //! - [`batch`]: many scans, each in a process of its own.
 //! - [`self_test`]: does this build compute what it should on this machine?
+//! - [`text`]: what came from a file, on its way into another one or onto a terminal.
 //! - [`cli`]: the `nonrigid` command.
 
 pub mod batch;
@@ -33,6 +34,7 @@ pub mod render;
 pub mod rig;
 pub mod self_test;
 pub mod term;
+pub mod text;
 
 /// The README's program compiles.
 #[cfg(doctest)]

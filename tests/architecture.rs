@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[(&str, &[&str])] = &[
     ("guide", &[]),
     ("nlls", &[]),
-    ("mesh", &[]),
-    ("page", &[]),
-    ("rig", &["mesh", "nlls"]),
+    ("text", &[]),
+    ("mesh", &["text"]),
+    ("page", &["text"]),
+    ("rig", &["mesh", "nlls", "text"]),
     ("energy", &["mesh", "nlls"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
     ("term", &["energy", "mesh", "nlls"]),
@@ -18,8 +19,8 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("render", &["mesh"]),
     ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
-    ("measurement", &["evaluation", "mesh", "page", "render"]),
-    ("batch", &["mesh", "page"]),
+    ("measurement", &["evaluation", "mesh", "page", "render", "text"]),
+    ("batch", &["mesh", "page", "text"]),
     ("self_test", &["evaluation", "mesh", "nlls", "registration", "rig"]),
     (
         "cli",
@@ -38,6 +39,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "rig",
             "self_test",
             "term",
+            "text",
         ],
     ),
 ];

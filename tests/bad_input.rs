@@ -223,7 +223,7 @@ const ROWS: &[Row] = &[
     ("register", "--state nowhere/state.json", WRITING, &["nowhere/state.json", "no folder"]),
     ("register", "--state case/landmarks.json", ARGUMENTS, &["--state", "overwrite"]),
     // units
-    ("register", "--unit inches", ARGUMENTS, &["--unit", "inches", "um, mm, cm and m, or auto"]),
+    ("register", "--unit inches", ARGUMENTS, &["--unit", "inches", "um, mm, cm, m and in, or auto"]),
     ("register", "--unit scan=mm", ARGUMENTS, &["--unit", "no input 'scan'", "template, target"]),
     ("register", "--unit mm,cm", ARGUMENTS, &["--unit", "given twice"]),
     ("register", "--unit target=mm,target=cm", ARGUMENTS, &["--unit", "target given twice"]),

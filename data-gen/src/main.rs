@@ -10,7 +10,7 @@ use data_gen::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
     WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
-use nonrigid::cli::{Failure, Stage, answer, check_plan, say};
+use nonrigid::cli::{Failure, Stage, answer, bounded, check_plan, say};
 use nonrigid::mesh::io::FilePlan;
 use nonrigid::render::save_png;
 
@@ -168,7 +168,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(threads) = arguments.threads {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(bounded("--threads", threads.into())).build_global();
         pool.map_err(|e| Failure::computation(format!("threads: {e}")))?;
     }
     if !(1e-3..=1e4).contains(&arguments.fps) {

@@ -1,6 +1,6 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
-use nonrigid::mesh::io::LengthUnit;
+use nonrigid::mesh::io::{FaceUnit, LengthUnit, face_extent};
 
 pub mod compare;
 pub mod compare_rigs;
@@ -30,11 +30,11 @@ pub mod tables;
 /// # Errors
 /// The message names the file and the unit.
 pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]) -> anyhow::Result<()> {
-    match LengthUnit::of_face(points) {
-        Some(unit) if unit != LengthUnit::Millimetre => {
+    match FaceUnit::of(face_extent(points)) {
+        FaceUnit::One(LengthUnit::Millimetre) | FaceUnit::Unknown => Ok(()),
+        FaceUnit::One(unit) | FaceUnit::Likely(unit, _) | FaceUnit::Either(unit, _) => {
             anyhow::bail!("{}: expected millimetres, found the size of a face in {unit}", path.display())
         }
-        _ => Ok(()),
     }
 }
 

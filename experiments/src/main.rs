@@ -9,7 +9,7 @@ use experiments::{
     compare, compare_rigs, faulty_scans, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
     schedule_search, silence, solver_case, start_bench, this_program,
 };
-use nonrigid::cli::{Failure, Stage, answer, tell};
+use nonrigid::cli::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
@@ -99,7 +99,9 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 /// Does the work on so many threads, all cores without a number. On them, not beside them: a loop in parallel that is started
 /// from another thread wakes the pool and waits for it every time.
 fn on_threads(threads: Option<u16>, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.map_or(0, usize::from)).build();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.map_or(0, |asked| bounded("--threads", asked.into())))
+        .build();
     pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work)
 }
 

@@ -11,18 +11,19 @@ use std::path::{Path, PathBuf};
 
 use nonrigid::mesh::io::{
     LandmarkPlace, LandmarkSet, MeshFile, NpyArray, Npz, parse_gltf, parse_landmark_set, parse_landmarks, parse_obj,
-    parse_off, parse_ply, parse_stl, parse_xyz, write_landmark_set,
+    parse_off, parse_ply, parse_stl, parse_xyz, write_landmark_set, write_obj,
 };
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::morph::Recipe;
 use nonrigid::registration::Schedule;
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
+use nonrigid::text;
 
 /// What is asked of a reader.
 pub type Target = fn(&[u8]);
 
 /// All of them, by name.
-pub const TARGETS: [(&str, Target); 13] = [
+pub const TARGETS: [(&str, Target); 14] = [
     ("ply", ply),
     ("obj", obj),
     ("stl", stl),
@@ -36,6 +37,7 @@ pub const TARGETS: [(&str, Target); 13] = [
     ("rig", rig),
     ("schedule", schedule),
     ("recipe", recipe),
+    ("text", text),
 ];
 
 /// An error says which file, and not the whole of it.
@@ -81,9 +83,56 @@ pub fn ply(bytes: &[u8]) {
 /// OBJ.
 pub fn obj(bytes: &[u8]) {
     match parse_obj(bytes, Path::new("fuzz.obj")) {
-        Ok(mesh) => check_mesh(&mesh),
+        Ok(mesh) => {
+            check_mesh(&mesh);
+            check_written(&mesh);
+        }
         Err(e) => check_error(e, "fuzz.obj"),
     }
+}
+
+/// Written as OBJ, a mesh is read back: no name of it is a line of its own.
+fn check_written(mesh: &PolygonMesh) {
+    in_memory(|folder| {
+        let path = folder.join("written.obj");
+        write_obj(&path, mesh).expect("memory for a small file");
+        let again = parse_obj(&std::fs::read(&path).expect("it was written"), &path).expect("what was written is read");
+        assert_eq!((&again.positions, &again.starts, &again.corners), (&mesh.positions, &mesh.starts, &mesh.corners));
+        let (ours, theirs) = (&mesh.metadata, &again.metadata);
+        assert_eq!(theirs.statements.len(), ours.statements.len());
+        assert_eq!(theirs.material_libraries.len(), ours.material_libraries.len());
+        let _ = std::fs::remove_file(&path); // in memory, and written over by the next
+    });
+}
+
+/// Text of a file, where it goes: one field of a table and no formula, one line, nothing hidden, no markup.
+pub fn text(bytes: &[u8]) {
+    let name = &*String::from_utf8_lossy(bytes);
+    let field = text::csv_field(name);
+    let inner = match field.strip_prefix('"').and_then(|f| f.strip_suffix('"')) {
+        Some(inner) => {
+            assert!(!inner.replace("\"\"", "").contains('"'), "{field:?}");
+            inner.replace("\"\"", "\"")
+        }
+        None => {
+            assert!(!field.contains([',', '"', '\n', '\r']), "{field:?}");
+            field
+        }
+    };
+    assert!(!inner.starts_with(['=', '+', '-', '@', '\t', '\r']) || name.parse::<f64>().is_ok(), "{inner:?}");
+    if !name.contains(|c: char| c.is_control() && !matches!(c, '\n' | '\r' | '\t')) {
+        assert_eq!(text::from_csv_field(&inner), name);
+    }
+    for line in [text::visible(name), text::short(name)] {
+        assert!(!line.contains(text::is_hidden), "{line:?}");
+    }
+    assert!(!text::message(name).contains(|c| text::is_hidden(c) && c != '\n' && c != '\t'));
+    let line = text::obj_line(name);
+    assert!(!line.contains(|c: char| c.is_control()) && !line.ends_with('\\'), "{line:?}");
+    assert!(!text::html(name).contains(['<', '>', '"']));
+    let quoted = text::json(serde_json::Value::from(name).to_string());
+    assert!(!quoted.contains(text::is_hidden));
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&quoted).expect("it is JSON"), name);
 }
 
 /// STL.
@@ -125,6 +174,7 @@ pub fn gltf(bytes: &[u8]) {
     match parse_gltf(&bytes, Path::new("fuzz.folder/fuzz.gltf")) {
         Ok(gltf) => {
             check_mesh(&gltf.mesh);
+            check_written(&gltf.mesh);
             let (names, vertices) = (&gltf.target_names, gltf.mesh.positions.len());
             assert_eq!(gltf.target_deltas.len(), 3 * vertices * names.len());
             assert!(gltf.target_deltas.iter().all(|d| d.is_finite()));

@@ -1,9 +1,11 @@
 //! The list of what is to be done: a CSV file with a row for each scan.
 
 use std::collections::HashMap;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::mesh::io::{Place, ReadError};
+use crate::text::is_hidden;
 
 /// Which columns a manifest may have besides `name` and `sequence`: options of the command that each row runs.
 #[derive(Debug, Clone, Default)]
@@ -25,8 +27,9 @@ pub struct Row {
     pub name: String,
     /// The sequence whose next frame it is.
     pub sequence: Option<String>,
-    /// Option and value, by the order of the columns; empty cells are left out.
-    pub options: Vec<(String, String)>,
+    /// Option and value, by the order of the columns; empty cells are left out. Paths need not be Unicode: that of the manifest's
+    /// folder may be anything.
+    pub options: Vec<(String, OsString)>,
 }
 
 /// Rows of a CSV file.
@@ -93,9 +96,9 @@ impl Manifest {
                     "name" => name = Some(cell.to_owned()),
                     "sequence" => row.sequence = Some(cell.to_owned()),
                     _ if columns.paths.iter().any(|p| p == column) => {
-                        row.options.push((column.to_owned(), folder.join(cell).to_string_lossy().into_owned()));
+                        row.options.push((column.to_owned(), folder.join(cell).into()));
                     }
-                    _ => row.options.push((column.to_owned(), cell.to_owned())),
+                    _ => row.options.push((column.to_owned(), cell.into())),
                 }
             }
             if !row.options.iter().any(|(column, _)| *column == columns.required) {
@@ -116,7 +119,8 @@ impl Manifest {
         let mut lines: HashMap<String, usize> = HashMap::new();
         for row in &self.rows {
             let name = &row.name;
-            let bad = name.is_empty() || name.contains(['/', '\\', ':', '\0']) || name.starts_with('.');
+            let bad =
+                name.is_empty() || name.contains(['/', '\\', ':']) || name.contains(is_hidden) || name.starts_with('.');
             let taken = name.eq_ignore_ascii_case("summary") || name.to_lowercase().ends_with(".timing");
             if bad || taken {
                 let expected = "a name that files can have, not \"summary\" and without \".timing\" at its end";

@@ -10,8 +10,15 @@ use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::Interrupt;
+<<<<<<< HEAD
 use super::{Failure, Stage, check_output_folder, register, say, tell, warn};
 use crate::batch::{Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
+=======
+use super::{Failure, Stage, bounded, check_output_folder, register, say, tell, write_json};
+use crate::batch::{Batch, Columns, Job, Manifest, Outcome, Row, Shard, Status, Summary, chains};
+use crate::mesh::io::write_atomically;
+use crate::text;
+>>>>>>> part-b
 
 /// Arguments of `nonrigid batch`.
 #[derive(Debug, Args)]
@@ -89,14 +96,17 @@ fn is_path(arg: &Arg) -> bool {
 
 /// Options of `register` for every row: each as given, to be judged with the row's own.
 #[derive(Debug, Default)]
-struct OfRegister(Vec<(String, String)>);
+struct OfRegister(Vec<(String, OsString)>);
 
 impl Args for OfRegister {
     fn augment_args(command: clap::Command) -> clap::Command {
         options().into_iter().filter(|(long, _)| long != SCAN).fold(command, |command, (long, arg)| {
             let names = arg.get_value_names().unwrap_or_default().to_vec();
             let mut copy = Arg::new(format!("register-{long}")).long(long).value_names(names);
-            copy = copy.allow_hyphen_values(true).help_heading("For every scan, as in `nonrigid register`");
+            copy = copy
+                .value_parser(clap::value_parser!(OsString))
+                .allow_hyphen_values(true)
+                .help_heading("For every scan, as in `nonrigid register`");
             command.arg(if let Some(help) = arg.get_help() { copy.help(help.clone()) } else { copy })
         })
     }
@@ -109,7 +119,7 @@ impl Args for OfRegister {
 impl FromArgMatches for OfRegister {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let given = |(long, _): (String, Arg)| {
-            let value = matches.try_get_one::<String>(&format!("register-{long}")).ok()??.clone();
+            let value = matches.try_get_one::<OsString>(&format!("register-{long}")).ok()??.clone();
             Some((long, value))
         };
         Ok(Self(options().into_iter().filter_map(given).collect()))
@@ -128,8 +138,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let of_kind = |keep: &dyn Fn(&Arg) -> bool| known.iter().filter(|o| keep(&o.1)).map(|o| o.0.clone()).collect();
     let columns = Columns { options: of_kind(&|_| true), paths: of_kind(&is_path), required: SCAN.to_owned() };
     let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
-    let cores = a.threads.map_or_else(rayon::current_num_threads, usize::from);
-    let at_once = a.jobs.map_or(cores, usize::from);
+    let cores = a.threads.map_or_else(rayon::current_num_threads, |asked| bounded("--threads", asked.into()));
+    let at_once = a.jobs.map_or(cores, |asked| bounded("--jobs", asked.into()));
     let batch = Batch {
         program: std::env::current_exe().map_err(|e| Failure::computation(format!("cannot find this program: {e}")))?,
         command: vec!["register".into()],
@@ -168,11 +178,20 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What a row runs: the options of the command line, then its own instead of them.
+<<<<<<< HEAD
 fn job(row: &Row, of_all: &[(String, String)], further: &[(String, String)], columns: &Columns) -> Job {
+=======
+fn job(row: &Row, of_all: &[(String, OsString)], batch: &Batch, columns: &Columns) -> Job {
+>>>>>>> part-b
     let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
-    let mut settings: Vec<(String, String)> = of_all.iter().filter(|(long, _)| !of_row(long)).cloned().collect();
-    settings.extend(row.options.clone());
-    let arguments: Vec<OsString> = settings.iter().map(|(long, value)| format!("--{long}={value}").into()).collect();
+    let of_all = of_all.iter().filter(|(long, _)| !of_row(long)).cloned();
+    let settings: Vec<(String, OsString)> = of_all.chain(row.options.iter().cloned()).collect();
+    let argument = |(long, value): &(String, OsString)| {
+        let mut argument = OsString::from(format!("--{long}="));
+        argument.push(value);
+        argument
+    };
+    let arguments: Vec<OsString> = settings.iter().map(argument).collect();
     // what the batch itself adds does not matter here
     let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
@@ -185,9 +204,18 @@ fn job(row: &Row, of_all: &[(String, String)], further: &[(String, String)], col
         }
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
+<<<<<<< HEAD
     let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
     settings.retain(|(long, _)| !columns.paths.contains(long));
     settings.extend(further.iter().cloned());
+=======
+    // what is no path came from text
+    let of_text = settings.into_iter().filter(|(long, _)| !columns.paths.contains(long));
+    let mut settings: Vec<(String, String)> =
+        of_text.map(|(long, value)| (long, value.to_string_lossy().into_owned())).collect();
+    settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
+    let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
+>>>>>>> part-b
     Job { name: row.name.clone(), arguments, settings, goes_on, inputs }
 }
 
@@ -242,9 +270,9 @@ impl<'a> Progress<'a> {
             tell(format_args!("[{}/{}] {name}: {what}{left}", ended.0, self.count));
         } else {
             if outcome.record.error.is_some() {
-                self.bar.println(format!("{name}: {what}"));
+                self.bar.println(text::message(&format!("{name}: {what}")));
             }
-            self.bar.set_message(format!("{name}{left}"));
+            self.bar.set_message(format!("{}{left}", text::short(name)));
             self.bar.inc(1);
         }
     }

@@ -4,6 +4,7 @@ use std::fmt;
 use std::process::ExitCode;
 
 use super::tell;
+use crate::text::message;
 
 /// The stage at which a command failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,9 +66,14 @@ impl Failure {
     /// Says it on stderr and gives the exit code.
     #[must_use]
     pub fn report(&self) -> ExitCode {
+<<<<<<< HEAD
         let asked = matches!(self.stage, Stage::Interrupted | Stage::Terminated);
         let kind = if asked { "warning" } else { "error" };
         tell(format_args!("{kind}: {self}"));
+=======
+        let kind = if self.stage == Stage::Interrupted { "warning" } else { "error" };
+        tell(format_args!("{kind}: {}", message(&self.message)));
+>>>>>>> part-b
         self.exit_code()
     }
 }

@@ -6,8 +6,12 @@ use clap::Args;
 
 use super::units::Units;
 use super::{Failure, warn};
+<<<<<<< HEAD
 use crate::mesh::Vec3;
 use crate::mesh::io::{self, Inputs};
+=======
+use crate::mesh::io;
+>>>>>>> part-b
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
@@ -138,14 +142,6 @@ pub fn read_rig(
     warnings.iter().for_each(warn);
     units.bring_rig(folder, &mut rig)?;
     Ok(rig)
-}
-
-/// Vertex positions from a mesh or an N x 3 array, in the file's unit.
-pub fn read_positions(path: &Path) -> Result<Vec<Vec3>, Failure> {
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
-        return io::read_npy_points(path).map_err(Failure::loading);
-    }
-    Ok(io::read_polygon_mesh(path).map_err(Failure::loading)?.positions)
 }
 
 /// Two numbers between which a weight may lie.

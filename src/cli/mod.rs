@@ -26,7 +26,12 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
+<<<<<<< HEAD
 use crate::mesh::io::{FilePlan, files_of_mesh, write_atomically};
+=======
+use crate::mesh::io::write_atomically;
+use crate::text;
+>>>>>>> part-b
 
 pub use failure::{Failure, Stage};
 pub use output::{answer, say, say_to, tell};
@@ -106,9 +111,22 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// The number that was asked for with `option`, of threads or processes, but at most what this machine has a use for, with a
+/// warning: four for each core, and sixteen. More only wait for each other, for minutes.
+#[must_use]
+pub fn bounded(option: &str, asked: usize) -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = (4 * cores).max(16);
+    if asked > most {
+        warn(format_args!("{option} {asked}: this machine has {cores} cores, so {most} are used"));
+    }
+    asked.min(most)
+}
+
 /// Runs `work` on `threads` threads, or on all cores.
 fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
+    let threads = threads.map_or(0, |asked| bounded("--threads", asked));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
 }
 
@@ -175,11 +193,12 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
 
 /// Prints a warning.
 fn warn(message: impl std::fmt::Display) {
-    tell(format_args!("warning: {message}"));
+    tell(format_args!("warning: {}", text::message(&message.to_string())));
 }
 
 /// Writes a value as JSON.
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
+    let text = text::json(text);
     write_atomically(path, |out| writeln!(out, "{text}")).map_err(Failure::writing)
 }

@@ -6,13 +6,14 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use super::{Failure, Stage};
+use crate::text;
 
-/// Writes a line to stdout. When nobody reads any more, nothing is said and nothing fails: files may still be wanted.
+/// Writes a line to stdout, or several; control characters are shown. When nobody reads any more, nothing is said and nothing fails: files may still be wanted.
 ///
 /// # Errors
 /// When stdout cannot be written for another reason, such as a full disk: a failure at [`Stage::Writing`].
 pub fn say(line: impl fmt::Display) -> Result<(), Failure> {
-    say_to(&mut io::stdout().lock(), format_args!("{line}\n"))
+    say_to(&mut io::stdout().lock(), format_args!("{}\n", text::lines(&line.to_string())))
 }
 
 /// [`say`], to `out` and without a line's end.
@@ -26,17 +27,22 @@ pub fn say_to(out: &mut dyn Write, text: fmt::Arguments<'_>) -> Result<(), Failu
     }
 }
 
-/// Writes a line to stderr: progress, warnings, errors. When nobody reads it there is nowhere to say so, and the exit code still
+/// Writes a line to stderr: progress, warnings, errors; control characters are shown. When nobody reads it there is nowhere to say so, and the exit code still
 /// tells.
 pub fn tell(line: impl fmt::Display) {
-    let _ = writeln!(io::stderr(), "{line}");
+    let _ = writeln!(io::stderr(), "{}", text::lines(&line.to_string()));
 }
 
 /// Prints what clap has to say, help or what is wrong with the arguments, and gives the exit code.
 #[must_use]
 pub fn answer(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
-        let _ = error.print(); // if that fails, there is nowhere to say so
+        let plain = error.render().to_string();
+        if text::lines(&plain) == plain {
+            let _ = error.print(); // in colour; if that fails, there is nowhere to say so
+        } else {
+            tell(plain.trim_end());
+        }
         return ExitCode::from(Stage::Arguments as u8);
     }
     match say_to(&mut io::stdout().lock(), format_args!("{}", error.render())) {

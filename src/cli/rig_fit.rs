@@ -11,7 +11,7 @@ use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, meshes, say, warn, write_json};
 use crate::mesh::io::{FilePlan, write_atomically};
 use crate::page::csv_text;
-use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
+use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 
 /// Arguments of `nonrigid rig fit`.
 #[derive(Debug, Args)]
@@ -106,10 +106,14 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
             let (found, expected) = (positions.len(), neutral.len());
             return Err(Failure::loading(format!("{}: found {found} vertices, expected {expected}", path.display())));
         }
-        let fitted = fitter.fit(&positions).map_err(|e| Failure::computation(format!("{}: {e}", path.display())))?;
+        let fitted = fitter.fit(&positions).map_err(|e| {
+            let stage = if matches!(e, RigError::Unlike { .. }) { Stage::Loading } else { Stage::Computation };
+            Failure::new(stage, format!("{}: {e}", path.display()))
+        })?;
         if !fitted.converged {
             warn(format_args!("{}: the weights have not settled", path.display()));
         }
+        fitted.doubts.iter().for_each(|doubt| warn(format_args!("{}: {doubt}", path.display())));
         frames.push(Frame { name, fitted });
     }
     units.say();

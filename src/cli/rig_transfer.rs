@@ -61,7 +61,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             TransferError::Anchor(_) => (Stage::Arguments, "--anchor".to_owned()),
             TransferError::NoPolygons => (Stage::Loading, a.rig.display().to_string()),
             TransferError::Rig(_) => (Stage::Loading, a.subject.display().to_string()),
-            _ => (Stage::Computation, a.subject.display().to_string()),
+            TransferError::Pose(_) => (Stage::Loading, a.subject.display().to_string()),
+            TransferError::Linear(_) => (Stage::Computation, a.subject.display().to_string()),
         };
         Failure::new(stage, format!("{at}: {e}"))
     })?;

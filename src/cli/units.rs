@@ -8,14 +8,16 @@ use std::str::FromStr;
 use clap::Args;
 
 use super::{Failure, Stage, tell};
-use crate::mesh::io::{self, FACE_EXTENT, KnownUnit, LandmarkSet, LengthUnit, MeshFile, Scan, UnitSource, face_extent};
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::mesh::io::{
+    self, FACE_EXTENT, FaceUnit, KnownUnit, LandmarkSet, LengthUnit, MeshFile, Scan, UnitSource, face_extent,
+};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::rig::{Population, Rig};
 
 /// Units of the inputs.
 #[derive(Debug, Args)]
 pub struct UnitArguments {
-    /// Unit of the inputs: mm, cm, m, um, or auto: what the format states (glTF: metres), or else the unit in which the input has
+    /// Unit of the inputs: mm, cm, m, um, in, or auto: what the format states (glTF: metres), or else the unit in which the input has
     /// the size of a face. For one input alone INPUT=UNIT, such as target=m. Outputs are in millimetres [default: auto]
     #[arg(long = "unit", value_name = "[INPUT=]UNIT", value_delimiter = ',')]
     choices: Vec<Choice>,
@@ -43,6 +45,8 @@ impl FromStr for Choice {
 pub struct Units<'a> {
     choices: &'a [Choice],
     known: Vec<(&'static str, KnownUnit)>,
+    /// Inputs that could be in another unit, with both and their extent.
+    unsure: BTreeMap<&'static str, (LengthUnit, LengthUnit, f64)>,
 }
 
 impl UnitArguments {
@@ -63,7 +67,7 @@ impl UnitArguments {
                 _ => {}
             }
         }
-        Ok(Units { choices: &self.choices, known: Vec::new() })
+        Ok(Units { choices: &self.choices, known: Vec::new(), unsure: BTreeMap::new() })
     }
 }
 
@@ -82,7 +86,16 @@ impl Units<'_> {
             (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
             (None, Some(unit)) => KnownUnit { unit, by: UnitSource::File },
             (None, None) => {
-                let unit = LengthUnit::of_face(points).ok_or_else(|| unknown(input, path, points))?;
+                let extent = face_extent(points);
+                let unit = match FaceUnit::of(extent) {
+                    FaceUnit::One(unit) => unit,
+                    FaceUnit::Likely(unit, other) => {
+                        self.unsure.entry(input).or_insert((unit, other, extent));
+                        unit
+                    }
+                    FaceUnit::Either(a, b) => return Err(unclear(input, path, extent, [a, b])),
+                    FaceUnit::Unknown => return Err(unknown(input, path, extent)),
+                };
                 KnownUnit { unit, by: UnitSource::Size }
             }
         };
@@ -102,37 +115,37 @@ impl Units<'_> {
         Ok(known.unit.millimetres() / of_format.map_or(1.0, LengthUnit::millimetres))
     }
 
-    /// Brings points to millimetres.
-    pub fn bring(&mut self, input: &'static str, path: &Path, points: &mut [Vec3]) -> Result<(), Failure> {
-        let factor = self.factor(input, path, points)?;
-        points.iter_mut().for_each(|p| *p *= factor);
-        Ok(())
-    }
-
     /// Reads a mesh.
     pub fn read_mesh(&mut self, input: &'static str, path: &Path) -> Result<PolygonMesh, Failure> {
         let MeshFile { mut mesh, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
-        self.bring(input, path, &mut mesh.positions)?;
+        let factor = self.factor(input, path, &surface_points(&mesh.positions, mesh.corners.iter().copied()))?;
+        mesh.positions.iter_mut().for_each(|p| *p *= factor);
         Ok(mesh)
     }
 
     /// Reads a scan.
     pub fn read_scan(&mut self, input: &'static str, path: &Path) -> Result<Scan, Failure> {
         let mut scan = io::read_scan(path).map_err(Failure::loading)?;
-        self.bring(input, path, &mut scan.mesh.positions)?;
+        let TriangleMesh { positions, triangles } = &mut scan.mesh;
+        let factor = self.factor(input, path, &surface_points(positions, triangles.as_flattened().iter().copied()))?;
+        positions.iter_mut().for_each(|p| *p *= factor);
         Ok(scan)
     }
 
     /// Reads vertex positions from a mesh or an N x 3 array.
     pub fn read_positions(&mut self, input: &'static str, path: &Path) -> Result<Vec<Vec3>, Failure> {
-        let mut positions = super::inputs::read_positions(path)?;
-        self.bring(input, path, &mut positions)?;
+        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+            return Ok(self.read_mesh(input, path)?.positions);
+        }
+        let mut positions = io::read_npy_points(path).map_err(Failure::loading)?;
+        let factor = self.factor(input, path, &positions)?;
+        positions.iter_mut().for_each(|p| *p *= factor);
         Ok(positions)
     }
 
     /// Brings a rig to millimetres.
     pub fn bring_rig(&mut self, path: &Path, rig: &mut Rig) -> Result<(), Failure> {
-        let factor = self.factor("rig", path, rig.neutral())?;
+        let factor = self.factor("rig", path, &rig.surface_points())?;
         rig.scale(factor);
         Ok(())
     }
@@ -189,14 +202,35 @@ impl Units<'_> {
         if !self.known.is_empty() {
             let line: Vec<String> = self.known.iter().map(|(input, known)| format!("{input} {known}")).collect();
             tell(format_args!("units: {}", line.join(", ")));
+            for (input, (unit, other, extent)) in &self.unsure {
+                let [taken, not] = [unit, other].map(|unit| extent * unit.millimetres());
+                tell(format_args!(
+                    "units: {input} is taken for {taken:.0} mm across, in {unit}; if it is in {other}, {not:.0} mm, say --unit {input}={other}"
+                ));
+            }
         }
     }
 }
 
-fn unknown(input: &str, path: &Path, points: &[Vec3]) -> Failure {
-    let ([low, high], extent) = (FACE_EXTENT, face_extent(points));
-    Failure::loading(format!(
+fn unknown(input: &str, path: &Path, extent: f64) -> Failure {
+    let [low, high] = FACE_EXTENT;
+    let mut message = format!(
         "{}: {extent:.3} across, which no face is in mm, cm, m or um ({low} to {high} mm); say its unit, such as --unit {input}=mm",
+        path.display()
+    );
+    let inches = extent * LengthUnit::Inch.millimetres();
+    if (low..high).contains(&inches) {
+        message += &format!("; in inches it would be {inches:.0} mm: --unit {input}=in");
+    }
+    Failure::loading(message)
+}
+
+fn unclear(input: &str, path: &Path, extent: f64, units: [LengthUnit; 2]) -> Failure {
+    let [a, b] = units;
+    let [of_a, of_b] = units.map(|unit| extent * unit.millimetres());
+    Failure::loading(format!(
+        "{}: {extent:.3} across, which a face may be in {a} ({of_a:.0} mm) and in {b} ({of_b:.0} mm); say --unit {input}={a} or \
+         --unit {input}={b}",
         path.display()
     ))
 }

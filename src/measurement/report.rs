@@ -13,6 +13,7 @@ use crate::page;
 use crate::render::{
     Camera, ColourMap, ColourScale, Frame, Rgb8, Scene, Sheet, Style, View, encode_png, error_sheet, render,
 };
+use crate::text;
 
 /// What a report is made of.
 #[derive(Debug, Clone)]
@@ -89,10 +90,7 @@ pub fn write_with(
 /// # Errors
 /// When the file cannot be written.
 pub fn write_json(path: &Path, measured: &Measurements) -> Result<(), WriteError> {
-    write_atomically(path, |file| {
-        serde_json::to_writer_pretty(&mut *file, measured)?;
-        writeln!(file)
-    })
+    write_atomically(path, |file| writeln!(file, "{}", text::json(serde_json::to_string_pretty(measured)?)))
 }
 
 fn check_mask(report: &Report<'_>) -> Result<(), MeasurementError> {

@@ -22,7 +22,7 @@ use crate::evaluation::percentile;
 use crate::mesh::adjacency::OpenBoundary;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_normals, vertex_areas, vertex_normals};
-use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// What steers the search; the defaults suit faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -96,7 +96,10 @@ impl Symmetry {
             faces: face_normals(&mesh.positions, &mesh.triangles),
             normals: vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Angle),
             step: areas.len().div_ceil(options.samples.max(1)),
-            size: bounding_box_diagonal(&mesh.positions),
+            size: bounding_box_diagonal(&surface_points(
+                &mesh.positions,
+                mesh.triangles.as_flattened().iter().copied(),
+            )),
             cosine: options.normal_angle.to_radians().cos(),
             mesh,
             areas,

@@ -1,5 +1,7 @@
 //! Polygon meshes, what can be computed on them, and the files they come from. Millimetres throughout.
 
+use std::borrow::Cow;
+
 pub mod adjacency;
 pub mod closest_point;
 mod error;
@@ -25,6 +27,29 @@ pub use triangle_mesh::TriangleMesh;
 
 /// A point or vector in space, millimetres.
 pub type Vec3 = nalgebra::Vector3<f64>;
+
+/// Which of `count` vertices are corners of something; all of them where nothing has corners, as in a cloud.
+#[must_use]
+pub fn referenced(count: usize, corners: impl IntoIterator<Item = u32>) -> Vec<bool> {
+    let mut referenced = vec![false; count];
+    let mut any = false;
+    for corner in corners {
+        any = true;
+        referenced.get_mut(corner as usize).into_iter().for_each(|r| *r = true);
+    }
+    if any { referenced } else { vec![true; count] }
+}
+
+/// The points that are [`referenced`]: what has a size, a place and a unit. Files hold others too, such as all pixels of a depth
+/// frame.
+#[must_use]
+pub fn surface_points(points: &[Vec3], corners: impl IntoIterator<Item = u32>) -> Cow<'_, [Vec3]> {
+    let referenced = referenced(points.len(), corners);
+    if referenced.iter().all(|r| *r) {
+        return Cow::Borrowed(points);
+    }
+    Cow::Owned(points.iter().zip(referenced).filter_map(|(p, r)| r.then_some(*p)).collect())
+}
 
 /// Lowest and highest corner of the axis-parallel box round `points`; `None` without points.
 #[must_use]

@@ -5,6 +5,8 @@
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
+pub use crate::text::{csv_field as csv_text, html as escaped};
+
 const STYLE: &str = "\
 body{font:16px/1.5 system-ui,sans-serif;color:#20242c;max-width:1180px;margin:0 auto;padding:24px}\
 h1{font-size:30px;margin:0 0 4px}h2{font-size:23px;margin:48px 0 8px;border-top:1px solid #d0d3d8;padding-top:24px}\
@@ -46,18 +48,6 @@ pub fn table(caption: &str, header: &[impl AsRef<str>], rows: impl IntoIterator<
     format!("<div class=\"wide\"><table><caption>{caption}</caption>{head}{rows}</table></div>\n")
 }
 
-/// Text as HTML.
-#[must_use]
-pub fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-/// Text as one field of a CSV line.
-#[must_use]
-pub fn csv_text(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,7 +55,6 @@ mod tests {
     #[test]
     fn text_stays_text() {
         assert_eq!(escaped("<b> & \"c\""), "&lt;b&gt; &amp; &quot;c&quot;");
-        assert_eq!(["a b", "a, b", "a \"b\""].map(csv_text), ["a b", "\"a, b\"", "\"a \"\"b\"\"\""]);
         let table = table("<i>c</i>", &["x<y"], [vec!["1 & 2".to_owned()]]);
         assert!(
             table.contains("<i>c</i>") && table.contains("<th>x&lt;y</th>") && table.contains("<td>1 &amp; 2</td>")

@@ -5,7 +5,13 @@
 
 use serde::Serialize;
 
+<<<<<<< HEAD
 use super::{Evidence, Quality, RegistrationInput, RegistrationResult, Risk};
+=======
+use super::{Quality, RegistrationInput, RegistrationResult, StartSearch, WITHIN_MM};
+use crate::mesh::io::Landmark;
+use crate::mesh::{Vec3, surface_points};
+>>>>>>> part-b
 
 /// A reason to look at a result before it is used. Distances are millimetres, shares from 0 to 1.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -104,6 +110,7 @@ pub enum Doubt {
 }
 
 impl Doubt {
+<<<<<<< HEAD
     /// The doubt that a risk stands for, with its numbers.
     pub(super) fn new(
         risk: Risk,
@@ -156,6 +163,34 @@ impl Doubt {
             Risk::CurvatureLost => Self::FeaturesMoved { correlation: evidence.curvature_kept },
             Risk::Scale => Self::Scale { scale: evidence.scale },
         }
+=======
+    /// All signs that a result shows, most telling first.
+    #[must_use]
+    pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Vec<Self> {
+        let start = result.start_search.as_ref().filter(|search| search.is_doubtful()).map(Self::start);
+        let inliers = result.history.last().map_or(0.0, |h| h.inliers);
+        let size = size(&surface_points(input.rest_positions(), input.template.corners.iter().copied()));
+        let unit = result.start.scale * size / result.schedule.reference_size;
+        let landmarks = landmark_distance(input, &result.positions, result.schedule.sigma.landmark * unit);
+        let triangles = input.template.triangulate().triangles.len();
+        let extreme = extreme_weights(result);
+        let (median, of) = (quality.median_within, result.weights.len());
+        let signs = [
+            start,
+            (inliers < FEW_INLIERS).then_some(Self::FewInliers { share: inliers }),
+            (landmarks > FAR_LANDMARKS * size).then_some(Self::Landmarks { rms: landmarks }),
+            (median > HIGH_RESIDUAL * WITHIN_MM).then_some(Self::HighResidual { median }),
+            (quality.flipped as f64 > MANY_FOLDS * triangles as f64)
+                .then_some(Self::ManyFolds { folded: quality.flipped, of: triangles }),
+            (extreme as f64 > MANY_WEIGHTS * of as f64).then_some(Self::ExtremeWeights { extreme, of }),
+        ];
+        signs.into_iter().flatten().collect()
+    }
+
+    fn start(search: &StartSearch) -> Self {
+        let (tried, rival) = (search.tried, search.rival());
+        Self::Start { tried, share: search.fit.share, residual: search.fit.residual, rival }
+>>>>>>> part-b
     }
 
     /// The sign's name, as in the report.

@@ -14,7 +14,7 @@ use super::{
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3, referenced, surface_points};
 use crate::model::Linearisation;
 use crate::nlls::{
     Algorithm, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Options, Problem as _, StopReason,
@@ -395,14 +395,17 @@ impl Rest {
     fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, MeshError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(input.rest_positions());
-        let count = mesh.positions.len() as f64;
-        let centre = mesh.positions.iter().sum::<Vec3>() / count;
+        let corners = || mesh.triangles.as_flattened().iter().copied();
+        let used = referenced(mesh.positions.len(), corners());
+        let points = surface_points(&mesh.positions, corners());
+        let count = points.len() as f64;
+        let centre = points.iter().sum::<Vec3>() / count;
+        let size = (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt();
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
-        let size = (mesh.positions.iter().map(Vec3::norm_squared).sum::<f64>() / count).sqrt();
         let unit = size / schedule.reference_size;
         let finer = (count / schedule.reference_vertices).sqrt();
         let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
-        let masks = VertexMasks::new(input.mask, input.free_mask, rim);
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim).of_surface(&used);
         let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
         let density = schedule.reference_vertices / count;
         Ok(Self { mesh, masks, seams, centre, unit, density })

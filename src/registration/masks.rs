@@ -39,6 +39,13 @@ impl VertexMasks {
         Self { data, bound, rim }
     }
 
+    /// The same, but the scan has no say in vertices that no polygon uses.
+    #[must_use]
+    pub fn of_surface(mut self, referenced: &[bool]) -> Self {
+        self.data.iter_mut().zip(referenced).filter(|(_, r)| !**r).for_each(|(data, _)| *data = 0.0);
+        self
+    }
+
     /// Vertices that the scan has no say in.
     #[must_use]
     pub fn unseen(&self) -> Vec<bool> {

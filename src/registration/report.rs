@@ -10,9 +10,15 @@ use super::evidence::Seen;
 use super::{
     Coverage, NamedWeight, RegistrationError, RegistrationInput, RegistrationResult, RegistrationStop, Reliability, Schedule, StartSearch, StepRecord,
 };
+<<<<<<< HEAD
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::mesh::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
+=======
+use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
+use crate::mesh::io::KnownUnit;
+use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose, referenced};
+>>>>>>> part-b
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -74,6 +80,16 @@ impl Quality {
                 return Err(EvaluationError::VertexCount { what, expected, found }.into());
             }
         }
+<<<<<<< HEAD
+=======
+        let distances = || -> Result<Vec<f64>, QualityError> {
+            let surface = ScanDistance::new(input.scan, input.scan_normals)?;
+            let used = referenced(positions.len(), input.template.corners.iter().copied());
+            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]).of_surface(&used);
+            let vertices = positions.par_iter().zip(&masks.data);
+            Ok(vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect())
+        };
+>>>>>>> part-b
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
         let (seen, mesh) = rayon::join(|| Seen::new(input, positions), || MeshQuality::new(&template, positions));

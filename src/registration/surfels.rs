@@ -58,9 +58,17 @@ impl Frame {
 
 /// At most this many pieces along a triangle's edge.
 const MOST_PIECES: f64 = 64.0;
+/// Pieces for each cell's area that a triangle may be cut into. As many as `(longest / cell)^2` follow the longest edge, and more than
+/// these means a sliver: slivers together are sampled by area.
+const DENSE: f64 = 16.0;
+/// A triangle may always be cut into so many.
+const FEW: f64 = 4.0;
+/// Pieces beyond [`FEW`] for each triangle, however large the triangles are: 100 MB.
+const MOST: f64 = 1e6;
 
 /// The surface of `mesh` in `frame`, one surfel per cell of a cubic lattice that it passes through: mean point and normal of
-/// the surface inside. Where the normals there cancel, as in a fold, there is none. `normals`, one per vertex, if they are
+/// the surface inside. Where the normals there cancel, as in a fold, there is none. Memory follows the number of triangles, not
+/// their shapes. `normals`, one per vertex, if they are
 /// known; triangles that touch a vertex in `ignored` are left out.
 pub(super) fn surfels(
     mesh: &TriangleMesh,
@@ -74,16 +82,25 @@ pub(super) fn surfels(
         None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
     };
     let normals = normals.unwrap_or(&computed);
-    let mut pieces: Vec<([i32; 3], Surfel)> = Vec::new();
-    for &t in &mesh.triangles {
-        if t.iter().any(|&v| ignored.get(v as usize).copied().unwrap_or(false)) {
-            continue;
-        }
-        let p = t.map(|v| frame.to_local(mesh.positions[v as usize]));
+    let counted = |t: &&[u32; 3]| !t.iter().any(|&v| ignored.get(v as usize).copied().unwrap_or(false));
+    let corners = |t: &[u32; 3]| t.map(|v| frame.to_local(mesh.positions[v as usize]));
+    let (cut, mut by_area) = pieces_of(mesh.triangles.iter().filter(counted).map(corners), cell);
+    let mut pieces: Vec<([i32; 3], Surfel)> = Vec::with_capacity(cut as usize);
+    for t in mesh.triangles.iter().filter(counted) {
+        let p = corners(t);
         let n = t.map(|v| frame.axes.tr_mul(&normals[v as usize]));
-        let area = 0.5 * (p[1] - p[0]).cross(&(p[2] - p[0])).norm();
-        let longest = (0..3).map(|i| (p[(i + 1) % 3] - p[i]).norm()).fold(0.0, f64::max);
-        let cuts = (longest / cell).ceil().clamp(1.0, MOST_PIECES);
+        let (area, cuts) = cuts(&p, cell);
+        let mut add = |u: f64, v: f64, area: f64| {
+            let mix = |c: &[Vec3; 3]| c[0] * (1.0 - u - v) + c[1] * u + c[2] * v;
+            let point = mix(&p);
+            let normal = mix(&n).try_normalize(0.0).unwrap_or_default();
+            let place = (point / cell).map(f64::floor);
+            pieces.push(([place.x as i32, place.y as i32, place.z as i32], Surfel { point, normal, area }));
+        };
+        let Some(cuts) = cuts.filter(|_| !by_area.all) else {
+            by_area.sample(area, add);
+            continue;
+        };
         let area = area / (cuts * cuts);
         if area <= 0.0 {
             continue;
@@ -94,11 +111,7 @@ pub(super) fn surfels(
             for i in 0..rest {
                 for j in 0..rest - i {
                     let (u, v) = ((i as f64 + third) / cuts, (j as f64 + third) / cuts);
-                    let mix = |c: &[Vec3; 3]| c[0] * (1.0 - u - v) + c[1] * u + c[2] * v;
-                    let point = mix(&p);
-                    let normal = mix(&n).try_normalize(0.0).unwrap_or_default();
-                    let place = (point / cell).map(f64::floor);
-                    pieces.push(([place.x as i32, place.y as i32, place.z as i32], Surfel { point, normal, area }));
+                    add(u, v, area);
                 }
             }
         }
@@ -111,6 +124,58 @@ pub(super) fn surfels(
         (normal.norm() > COHERENT).then(|| Surfel { point, normal: normal.normalize(), area })
     };
     pieces.chunk_by(|a, b| a.0 == b.0).filter_map(mean).collect()
+}
+
+/// Area of a triangle, and along each edge how many pieces it is cut into, unless it is a sliver.
+fn cuts(p: &[Vec3; 3], cell: f64) -> (f64, Option<f64>) {
+    let area = 0.5 * (p[1] - p[0]).cross(&(p[2] - p[0])).norm();
+    let longest = (0..3).map(|i| (p[(i + 1) % 3] - p[i]).norm()).fold(0.0, f64::max);
+    let cuts = (longest / cell).ceil().clamp(1.0, MOST_PIECES);
+    let few = cuts * cuts <= (DENSE * area / (cell * cell)).max(FEW);
+    (area, few.then_some(cuts))
+}
+
+/// How the triangles are sampled: number of pieces of those that are cut, and how the slivers are sampled, or all triangles if that
+/// number is too large.
+fn pieces_of(triangles: impl Iterator<Item = [Vec3; 3]>, cell: f64) -> (f64, ByArea) {
+    let (mut count, mut cut, mut total) = (0.0, 0.0, 0.0);
+    for p in triangles {
+        let (area, cuts) = cuts(&p, cell);
+        count += 1.0;
+        cut += cuts.map_or(0.0, |cuts| cuts * cuts);
+        total += area;
+    }
+    let most = FEW * count + MOST;
+    let all = cut > most;
+    // of the slivers alone, or of all
+    let each = (cell * cell / DENSE).max(total / most);
+    (if all { 0.0 } else { cut }, ByArea { all, each, carried: each, samples: 0 })
+}
+
+/// Samples at equal steps of the area of one triangle after the other, at places in them that are spread evenly (the sequence of
+/// the golden ratio in two dimensions, Roberts 2018).
+struct ByArea {
+    /// Whether of all triangles, not of slivers alone.
+    all: bool,
+    /// Area of a sample.
+    each: f64,
+    /// Area since the last sample.
+    carried: f64,
+    samples: u32,
+}
+
+impl ByArea {
+    fn sample(&mut self, area: f64, mut add: impl FnMut(f64, f64, f64)) {
+        self.carried += area;
+        while self.carried >= self.each && self.each > 0.0 {
+            self.carried -= self.each;
+            self.samples += 1;
+            let at = |step: f64| (f64::from(self.samples) * step).fract();
+            let (u, v) = (at(0.754_877_666_246_692_7), at(0.569_840_290_998_053_2));
+            let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+            add(u, v, self.each);
+        }
+    }
 }
 
 /// Length of a cell's mean normal below which its surface is folded.
@@ -228,5 +293,54 @@ impl Lattice {
         }
         let id = self.nearest[(z * self.size[1] + y) * self.size[0] + x];
         (id > 0).then(|| id as usize - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::sheet;
+
+    const FRAME: fn() -> Frame = || Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: 1.0 };
+
+    fn disc(n: u32) -> TriangleMesh {
+        let point = |i: u32| {
+            let t = f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+            Vec3::new(100.0 * t.cos(), 100.0 * t.sin(), 1.0)
+        };
+        let triangles = (1..n - 1).map(|i| [0, i, i + 1]).collect();
+        TriangleMesh { positions: (0..n).map(point).collect(), triangles }
+    }
+
+    /// One surface as a fan of slivers, whose longest edges are 25 cells, and as a few triangles.
+    #[test]
+    fn slivers_are_sampled_as_evenly_as_other_triangles_and_by_area() {
+        let (few, many) = (disc(60), disc(20_000));
+        let of = |mesh: &TriangleMesh| surfels(mesh, None, &[], FRAME(), 8.0);
+        let (a, b) = (of(&few), of(&many));
+        assert!((a.len() as f64 / b.len() as f64 - 1.0).abs() < 0.05, "{} {}", a.len(), b.len());
+        let area = |surfels: &[Surfel]| surfels.iter().map(|s| s.area).sum::<f64>();
+        let exact = std::f64::consts::PI * 1e4;
+        assert!((area(&a) / exact - 1.0).abs() < 0.01 && (area(&b) / exact - 1.0).abs() < 0.01);
+        assert!(b.iter().all(|s| s.normal.z > 0.999 && (s.point.z - 1.0).abs() < 1e-9));
+        let sample = |mesh: &TriangleMesh| {
+            let p = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize]));
+            pieces_of(p, 8.0)
+        };
+        let (cut, by_area) = sample(&many);
+        assert!(cut <= FEW * many.triangles.len() as f64 && exact / by_area.each < 1e4, "{cut} {}", by_area.each);
+    }
+
+    #[test]
+    fn ordinary_triangles_are_cut_as_ever_and_large_ones_come_to_a_number_that_is_bounded() {
+        let mesh = sheet(5, 5, |x, y| Vec3::new(30.0 * x, 20.0 * y, x * y));
+        for t in &mesh.triangles {
+            let (_, cuts) = cuts(&t.map(|v| mesh.positions[v as usize]), 4.0);
+            assert!(cuts.is_some());
+        }
+        let large = [Vec3::zeros(), Vec3::x() * 1e4, Vec3::y() * 1e4];
+        let (cut, by_area) = pieces_of(std::iter::repeat_n(large, 10_000), 4.0);
+        assert!(cut == 0.0 && by_area.all);
+        assert!(10_000.0 * 5e7 / by_area.each <= FEW * 1e4 + MOST + 1.0);
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::Unlike;
 use crate::mesh::io::ReadError;
 
 /// A rig cannot be read or used.
@@ -39,6 +40,26 @@ pub enum RigError {
         what: String,
         /// Index of the vertex.
         vertex: usize,
+    },
+    /// A displacement is absurdly long.
+    #[error(
+        "shape {shape:?} moves vertex {vertex} by {displacement:?}, the neutral is {size:.6} across; mend the shape or leave it out"
+    )]
+    Displacement {
+        /// The shape.
+        shape: String,
+        /// Index of the vertex.
+        vertex: usize,
+        /// Where it goes.
+        displacement: [f64; 3],
+        /// Diagonal of the neutral's box.
+        size: f64,
+    },
+    /// A name is too long for one.
+    #[error("shape {name:?} has a name of more than {} letters", crate::text::LONGEST_NAME)]
+    LongName {
+        /// Its beginning.
+        name: String,
     },
     /// A shape is there twice, or asked for twice.
     #[error("shape {name:?} is named twice, expected every shape once")]
@@ -86,6 +107,14 @@ pub enum RigError {
         /// Why.
         reason: String,
     },
+    /// A mesh has not the vertices of the rig, in their order.
+    #[error("{what} is no mesh of this rig: {why}")]
+    Unlike {
+        /// The mesh.
+        what: &'static str,
+        /// What was seen.
+        why: Unlike,
+    },
     /// Fewer identity modes than asked for.
     #[error("{asked} identity modes asked for, the rig has {found}")]
     IdentityModes {
@@ -104,6 +133,13 @@ pub enum RigWarning {
         /// The shape.
         name: String,
     },
+    /// A mesh looks as if it had not the vertices of the rig.
+    Unlike {
+        /// The mesh.
+        what: &'static str,
+        /// What was seen.
+        why: Unlike,
+    },
     /// The neutral array and the polygon mesh disagree about where the vertices are; the array is used.
     NeutralDiffers {
         /// The largest distance, millimetres.
@@ -114,6 +150,7 @@ pub enum RigWarning {
 impl fmt::Display for RigWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Unlike { what, why } => write!(f, "{what} is an odd mesh for this rig: {why}"),
             Self::Motionless { name } => write!(f, "shape {name:?} moves nothing and was left out"),
             Self::NeutralDiffers { distance } => {
                 write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Rotation3};
 
-use super::{RigError, ShapeBasis};
+use super::{RigError, ShapeBasis, likeness};
 use crate::mesh::{Pose, PoseError, PoseKind, Vec3, closest_pose};
 use crate::nlls::{BlockStructure, BorderBounds, Minimizer, NormalEquations, Options, Problem, StopReason, Workspace};
 
@@ -46,6 +46,9 @@ pub struct FittedFrame {
     pub max: f64,
     /// Whether the minimiser came to rest within its iterations.
     pub converged: bool,
+    /// What looks as if the mesh had not the vertices of the rig, or the rig not the shapes of the mesh.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub doubts: Vec<String>,
 }
 
 /// Fits the frames of a sequence one after the other; what depends on the rig alone is computed once.
@@ -81,7 +84,8 @@ impl WeightFitter {
     /// Fits the next frame, vertices in millimetres; it starts where the last one ended.
     ///
     /// # Errors
-    /// When the frame has another number of vertices, is not finite or has no pose, or the minimiser fails.
+    /// When the frame has another number of vertices, is not finite, has no pose or is no mesh of this rig
+    /// ([`Unlike`](super::Unlike)), or the minimiser fails.
     pub fn fit(&mut self, frame: &[Vec3]) -> Result<FittedFrame, RigError> {
         let problem = &mut self.problem;
         let (found, expected) = (frame.len(), problem.neutral.len());
@@ -91,6 +95,8 @@ impl WeightFitter {
         if let Some(vertex) = frame.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(RigError::NotFinite { what: "the frame".into(), vertex });
         }
+        let unlike = |why| RigError::Unlike { what: "the frame", why };
+        let doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?;
         problem.frame.clear();
         problem.frame.extend_from_slice(frame);
         let mut x = match self.x.take() {
@@ -114,6 +120,7 @@ impl WeightFitter {
             rms: (sum / frame.len() as f64).sqrt(),
             max: max.sqrt(),
             converged,
+            doubts: doubts.iter().map(ToString::to_string).collect(),
         };
         self.x = Some(x);
         Ok(fitted)

@@ -9,6 +9,7 @@ mod basis;
 mod error;
 mod fit;
 mod gltf;
+mod likeness;
 mod npz;
 mod pca;
 mod population;
@@ -20,7 +21,12 @@ mod write;
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
 pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
+<<<<<<< HEAD
 pub use pca::{COMPONENT_FILES, ShapePca};
+=======
+pub use likeness::Unlike;
+pub use pca::ShapePca;
+>>>>>>> part-b
 pub use population::{Population, PopulationError};
 pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
@@ -28,11 +34,18 @@ pub use regions::Regions;
 pub use transfer::{TransferError, TransferOptions};
 pub use write::RIG_FILES;
 
-use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
+use std::borrow::Cow;
+
+use crate::mesh::io::LARGEST_COORDINATE;
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
+use crate::text::{self, LONGEST_NAME};
 
 /// A vertex counts as moved, and a shape as one that moves something, beyond this share of the neutral's bounding-box
 /// diagonal: a fraction of a micrometre on a face, below what the files' 32 bits resolve.
 pub const MOTIONLESS_SHARE: f64 = 1e-6;
+
+/// A shape moves no vertex farther than this many times the neutral's bounding-box diagonal.
+pub const FARTHEST_SHARE: f64 = 100.0;
 
 /// What a shape describes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -95,8 +108,8 @@ impl Rig {
     /// reported.
     ///
     /// # Errors
-    /// When lengths do not fit, a number is not finite, a name comes twice, or a polygon mesh has another number of
-    /// vertices.
+    /// When lengths do not fit, a number is not finite, a displacement is longer than [`FARTHEST_SHARE`] allows, a name comes twice or
+    /// is longer than [`LONGEST_NAME`], or a polygon mesh has another number of vertices.
     pub fn new(
         neutral: Vec<Vec3>,
         mesh: Option<PolygonMesh>,
@@ -125,9 +138,25 @@ impl Rig {
             let what = format!("shape {:?}", shapes[i / width].name);
             return Err(RigError::NotFinite { what, vertex: i % width / 3 });
         }
+        if let Some(shape) = shapes.iter().find(|s| s.name.chars().nth(LONGEST_NAME).is_some()) {
+            return Err(RigError::LongName { name: text::short(&shape.name).into_owned() });
+        }
         let mut rig = Self { neutral, mesh, shapes, deltas, motionless: Vec::new(), landmarks: None, regions: None };
+        rig.check_lengths()?;
         let warnings = rig.drop_motionless();
         Ok((rig, warnings))
+    }
+
+    /// Refuses displacements that no neutral of this size has.
+    fn check_lengths(&self) -> Result<(), RigError> {
+        let size = bounding_box_diagonal(&self.surface_points());
+        // a neutral that is one point has no size to compare with
+        let most = if size > 0.0 { FARTHEST_SHARE * size } else { LARGEST_COORDINATE };
+        let far = |d: &[f32]| Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2])).norm() > most;
+        let Some(i) = self.deltas.chunks_exact(3).position(far) else { return Ok(()) };
+        let (shape, vertex) = (self.shapes[i / self.neutral.len()].name.clone(), i % self.neutral.len());
+        let d = [0, 1, 2].map(|axis| f64::from(self.deltas[3 * i + axis]));
+        Err(RigError::Displacement { shape, vertex, displacement: d, size })
     }
 
     fn drop_motionless(&mut self) -> Vec<RigWarning> {
@@ -161,6 +190,12 @@ impl Rig {
     #[must_use]
     pub fn neutral(&self) -> &[Vec3] {
         &self.neutral
+    }
+
+    /// The neutral's positions without vertices that no polygon uses: what has a size and a unit.
+    #[must_use]
+    pub fn surface_points(&self) -> Cow<'_, [Vec3]> {
+        surface_points(&self.neutral, self.mesh.iter().flat_map(|mesh| mesh.corners.iter().copied()))
     }
 
     /// The polygons, if the rig came with them; their positions are those of the mesh file.
@@ -261,7 +296,7 @@ impl Rig {
     /// What each shape moves.
     #[must_use]
     pub fn info(&self) -> Vec<ShapeInfo> {
-        let threshold = MOTIONLESS_SHARE * bounding_box_diagonal(&self.neutral);
+        let threshold = MOTIONLESS_SHARE * bounding_box_diagonal(&self.surface_points());
         let info = |(k, shape): (usize, &Shape)| {
             let (mut moved_vertices, mut max_displacement) = (0, 0.0f64);
             for d in self.deltas(k).chunks_exact(3) {

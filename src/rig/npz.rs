@@ -77,7 +77,12 @@ impl Rig {
             let names = npz.array(&of_names)?.read_text()?;
             let array = npz.array(&of_deltas)?;
             array.expect_shape(&[Some(names.len()), Some(vertices), Some(3)])?;
-            deltas.extend(array.read_f32_rows(most)?);
+            let read = array.read_f32_rows(most)?;
+            if deltas.is_empty() {
+                deltas = read
+            } else {
+                deltas.extend(read)
+            }
             shapes.extend(names.into_iter().take(most).map(|name| Shape { name, family }));
         }
         let mut indices = |name: &str, limit: usize, none: bool| -> Result<Vec<u32>, ReadError> {

@@ -17,9 +17,13 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
+<<<<<<< HEAD
 use crate::mesh::io::{
     Noting, NpyArray, Place, ReadError, read_file, read_npy_points, read_polygon_mesh, refuse_unfinished,
 };
+=======
+use crate::mesh::io::{NpyArray, Place, ReadError, check_side_file, read_npy_points, read_polygon_mesh};
+>>>>>>> part-b
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
 /// What the files of a folder of meshes hold.
@@ -69,7 +73,11 @@ impl Rig {
             return Ok((rig, warnings));
         }
         let folder = path;
+<<<<<<< HEAD
         refuse_unfinished(folder)?;
+=======
+        check_members(folder)?;
+>>>>>>> part-b
         let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
         let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
             read_arrays(folder, options)?
@@ -101,6 +109,16 @@ impl Rig {
         self.deltas.truncate(kept * width);
         self.shapes.truncate(kept);
     }
+}
+
+/// Refuses a folder with pipes or devices in it among what may be read.
+fn check_members(folder: &Path) -> Result<(), ReadError> {
+    let fail = |source| ReadError::Io { path: folder.to_owned(), source };
+    let paths = std::fs::read_dir(folder).and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());
+    let mut paths: Vec<PathBuf> = paths.map_err(fail)?;
+    paths.sort();
+    let read = |path: &&PathBuf| ["obj", "ply", "npy", "json"].contains(&extension(path).as_str());
+    paths.iter().filter(read).try_for_each(|path| check_side_file(path))
 }
 
 /// The extension in lower case, empty if there is none.

@@ -1,5 +1,6 @@
 //! Named regions of a template: `regions.json` of a rig, `{"name": [vertex, ...], ...}`, or the groups of an OBJ file.
 
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::Path;
 
@@ -10,6 +11,7 @@ use super::read::read_json;
 use super::write::write_json;
 use crate::mesh::PolygonMesh;
 use crate::mesh::io::{Place, ReadError, WriteError};
+use crate::text::{self, LONGEST_NAME};
 
 /// Sets of a template's vertices by name. A vertex may belong to any number of them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -38,8 +40,15 @@ impl Regions {
         vertex_count: usize,
     ) -> Result<Self, ReadError> {
         let malformed = |expected: String, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
-        for (i, (name, vertices)) in regions.iter().enumerate() {
-            if regions[..i].iter().any(|r| r.0 == *name) {
+        let mut known = HashSet::new();
+        for (name, vertices) in &regions {
+            if name.chars().nth(LONGEST_NAME).is_some() {
+                return malformed(
+                    format!("names of at most {LONGEST_NAME} letters"),
+                    format!("{:?}", text::short(name)),
+                );
+            }
+            if !known.insert(name) {
                 return malformed("every region once".into(), format!("{name:?} twice"));
             }
             if let Some(v) = vertices.iter().find(|v| **v as usize >= vertex_count) {
@@ -53,9 +62,10 @@ impl Regions {
     #[must_use]
     pub fn of_groups(mesh: &PolygonMesh) -> Self {
         let mut regions: Vec<(String, Vec<u32>)> = Vec::new();
+        let mut known: HashMap<&str, usize> = HashMap::new();
         for (names, polygons) in mesh.groups() {
             for name in names.split_whitespace() {
-                let at = regions.iter().position(|r| r.0 == name).unwrap_or(regions.len());
+                let at = *known.entry(name).or_insert(regions.len());
                 if at == regions.len() {
                     regions.push((name.to_owned(), Vec::new()));
                 }

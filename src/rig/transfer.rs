@@ -18,7 +18,7 @@ use std::sync::Arc;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{Family, Rig, RigError, RigWarning, Shape};
+use super::{Family, Rig, RigError, RigWarning, Shape, likeness};
 use crate::mesh::{PoseError, PoseKind, Vec3, bounding_box_diagonal, closest_pose};
 use crate::nlls::linear::SparseCholesky;
 use crate::nlls::{BlockStructure, LinearError, LinearSolver as _, NormalEquations};
@@ -73,7 +73,8 @@ impl Rig {
     /// faces differ, are left out; landmarks, regions, textures and groups stay.
     ///
     /// # Errors
-    /// When there are no polygons, the subject has another number of vertices or is not finite, or is a line or a point.
+    /// When there are no polygons, the subject has another number of vertices or is not finite, is a line or a point, or is no mesh of
+    /// this rig: in another order, mirrored, flat, collapsed ([`Unlike`](super::Unlike)). What is merely odd is a warning.
     pub fn transfer(
         &self,
         subject: &[Vec3],
@@ -93,6 +94,8 @@ impl Rig {
         }
         let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(subject.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Similarity)?;
+        let doubts = likeness::compare(&self.neutral, &mesh.triangulate().triangles, subject)
+            .map_err(|why| RigError::Unlike { what: "the subject", why })?;
         let source: Vec<Vec3> = self.neutral.iter().map(|&p| pose.apply(p)).collect();
         let diagonal = bounding_box_diagonal(subject);
         let elements =
@@ -134,7 +137,10 @@ impl Rig {
         }
         let shapes: Vec<Shape> = chosen.iter().map(|&k| self.shapes[k].clone()).collect();
         let mesh = mesh.with_positions(subject.to_vec());
-        let (mut rig, warnings) = Rig::new(subject.to_vec(), Some(mesh), shapes, deltas)?;
+        let (mut rig, dropped) = Rig::new(subject.to_vec(), Some(mesh), shapes, deltas)?;
+        let mut warnings: Vec<RigWarning> =
+            doubts.into_iter().map(|why| RigWarning::Unlike { what: "the subject", why }).collect();
+        warnings.extend(dropped);
         rig.landmarks.clone_from(&self.landmarks);
         rig.regions.clone_from(&self.regions);
         Ok((rig, warnings))

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::{Family, Rig};
 use crate::mesh::io::{WriteError, write_atomically, write_folder, write_npy, write_npy_points, write_obj};
 use crate::mesh::{PolygonMesh, Vec3};
+use crate::text;
 
 /// What [`Rig::write`] can write.
 pub const RIG_FILES: [&str; 8] = [
@@ -96,7 +97,7 @@ impl Rig {
         names.sort_unstable();
         let bad = |name: &str| {
             let file = Path::new(name).file_name().is_some_and(|f| f == name);
-            !file || name.contains(['/', '\\', ':', '\0']) || name.starts_with('.')
+            !file || name.contains(['/', '\\', ':']) || name.contains(text::is_hidden) || name.starts_with('.')
         };
         if let Some(shape) = self.shapes.iter().find(|s| bad(&s.name)) {
             return Err(WriteError::data(
@@ -133,7 +134,7 @@ impl Rig {
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
     write_atomically(path, |w| {
-        serde_json::to_writer(&mut *w, value)?;
+        w.write_all(text::json(serde_json::to_string(value)?).as_bytes())?;
         w.write_all(b"\n")
     })
 }

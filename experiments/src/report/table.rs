@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::mesh::io::write_atomically;
+use nonrigid::text::from_csv_field;
 use serde_json::{Map, Value};
 
 use crate::tables::{csv_text, write_json};
@@ -73,7 +74,7 @@ impl Table {
         let place = || path.display().to_string();
         let mut reader = csv::Reader::from_path(path).with_context(place)?;
         let header = reader.headers().with_context(place)?.iter().map(str::to_owned).collect();
-        let rows = reader.records().map(|r| Ok(r?.iter().map(str::to_owned).collect()));
+        let rows = reader.records().map(|r| Ok(r?.iter().map(|cell| from_csv_field(cell).to_owned()).collect()));
         Ok(Self { header, rows: rows.collect::<Result<_>>().with_context(place)? })
     }
 

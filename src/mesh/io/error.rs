@@ -157,6 +157,17 @@ pub(crate) fn excerpt(bytes: &[u8]) -> String {
     if cut.len() < text.len() || bytes.len() > 160 { format!("{:?}...", cut) } else { format!("{cut:?}") }
 }
 
+/// Refuses what is no regular file, for files that another file or a folder names: to open a pipe waits for who writes it, and a
+/// device has no end.
+pub(crate) fn check_side_file(path: &Path) -> Result<(), ReadError> {
+    let metadata = std::fs::metadata(path).map_err(|source| ReadError::io(path, source))?;
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let found = if metadata.is_dir() { "a folder" } else { "a pipe or device" };
+    Err(ReadError::malformed(path, Place::File, "a regular file", found))
+}
+
 /// Reads a whole file, naming it in the error.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
     super::inputs::read(path).map_err(|source| ReadError::io(path, source))

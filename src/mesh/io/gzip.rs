@@ -24,7 +24,7 @@ pub(super) fn inner_extension(path: &Path) -> String {
 /// The content of a file, unpacked if it ends in `.gz`.
 pub(super) fn read_unpacked(path: &Path) -> Result<Vec<u8>, ReadError> {
     let bytes = read_file(path)?;
-    if is_packed(path) { unpack(&bytes, path, most(bytes.len())) } else { Ok(bytes) }
+    if is_packed(path) { unpack(&bytes, path, most_unpacked(bytes.len() as u64)) } else { Ok(bytes) }
 }
 
 fn is_packed(path: &Path) -> bool {
@@ -32,8 +32,8 @@ fn is_packed(path: &Path) -> bool {
 }
 
 /// What so many bytes may unpack to.
-fn most(packed: usize) -> u64 {
-    (packed as u64).saturating_mul(MOST_PER_BYTE).clamp(ALWAYS, MOST)
+pub(super) fn most_unpacked(packed: u64) -> u64 {
+    packed.saturating_mul(MOST_PER_BYTE).clamp(ALWAYS, MOST)
 }
 
 fn unpack(bytes: &[u8], path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {

@@ -21,10 +21,15 @@ mod xyz;
 use std::path::{Path, PathBuf};
 
 pub use atomic::write_atomically;
+<<<<<<< HEAD
 pub(crate) use error::read_file;
 pub use error::{Place, ReadError, WriteError, read_text};
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
+=======
+pub(crate) use error::check_side_file;
+pub use error::{Place, ReadError, WriteError};
+>>>>>>> part-b
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use landmarks::{
@@ -39,11 +44,29 @@ pub use off::parse_off;
 pub use plan::{FilePlan, PlanError};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
-pub use unit::{FACE_EXTENT, KnownUnit, LengthUnit, UnitSource, face_extent};
+pub use unit::{FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
 pub use xyz::parse_xyz;
 
 use super::{PolygonMesh, TriangleMesh, Vec3};
 use error::extension;
+
+/// The largest coordinate of a file, in its unit: beyond, squares of areas leave the range of numbers before anything else does.
+pub const LARGEST_COORDINATE: f64 = 1e12;
+
+/// Refuses coordinates that are not finite, or beyond [`LARGEST_COORDINATE`]; `path` is named in the error.
+///
+/// # Errors
+/// With the first such vertex.
+pub fn check_coordinates(path: &Path, points: &[Vec3]) -> Result<(), ReadError> {
+    match points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST_COORDINATE)) {
+        None => Ok(()),
+        Some(v) => {
+            let found = format!("{:?} at vertex {v}", points[v].as_slice());
+            let expected = format!("coordinates up to {LARGEST_COORDINATE:e}");
+            Err(ReadError::malformed(path, Place::File, expected, found))
+        }
+    }
+}
 
 const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz, .glb and .gltf";
 const WRITTEN: &str = ".obj, .ply and .glb";
@@ -78,6 +101,7 @@ pub struct Scan {
 pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
     if matches!(extension(path).as_str(), "glb" | "gltf") {
         let GltfMesh { mesh, colors, .. } = read_gltf(path)?;
+        check_coordinates(path, &mesh.positions)?;
         return Ok(MeshFile { colors, ..mesh.into() });
     }
     let parse: fn(&[u8], &Path) -> Result<MeshFile, ReadError> = match gzip::inner_extension(path).as_str() {
@@ -88,7 +112,9 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
         "xyz" => parse_xyz,
         found => return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: READ }),
     };
-    parse(&gzip::read_unpacked(path)?, path)
+    let file = parse(&gzip::read_unpacked(path)?, path)?;
+    check_coordinates(path, &file.mesh.positions)?;
+    Ok(file)
 }
 
 /// Every file that reading a mesh opens: itself and, of glTF, the buffers beside it. What cannot be read yet, or is a pipe, is named

@@ -1,12 +1,18 @@
 //! NPZ archives of NumPy arrays. They are written uncompressed, the arrays in the order given, with no dates, so that the same
 //! arrays are the same bytes.
 
+<<<<<<< HEAD
 use std::io::{Cursor, Read, Seek, Write};
+=======
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
+>>>>>>> part-b
 use std::path::{Path, PathBuf};
 
 use npyz::zip::write::{FileOptions, ZipWriter};
 use npyz::zip::{CompressionMethod, DateTime};
 
+use super::gzip::most_unpacked;
 use super::npy::{NpyArray, NpyItem, npy_start, points};
 use super::{Place, ReadError, WriteError, read_file, write_atomically};
 use crate::mesh::Vec3;
@@ -15,6 +21,8 @@ use crate::mesh::Vec3;
 pub struct Npz<R: Read + Seek = Cursor<Vec<u8>>> {
     path: PathBuf,
     archive: npyz::npz::NpzArchive<R>,
+    /// Bytes that the arrays still to be read may unpack to.
+    left: u64,
 }
 
 impl<R: Read + Seek> std::fmt::Debug for Npz<R> {
@@ -38,9 +46,10 @@ impl<R: Read + Seek> Npz<R> {
     ///
     /// # Errors
     /// As [`Npz::open`].
-    pub fn from_reader(reader: R, path: &Path) -> Result<Self, ReadError> {
+    pub fn from_reader(mut reader: R, path: &Path) -> Result<Self, ReadError> {
+        let length = reader.seek(SeekFrom::End(0)).map_err(|source| ReadError::io(path, source))?;
         match npyz::npz::NpzArchive::new(reader) {
-            Ok(archive) => Ok(Self { path: path.to_owned(), archive }),
+            Ok(archive) => Ok(Self { path: path.to_owned(), archive, left: most_unpacked(length) }),
             Err(e) => Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", e.to_string())),
         }
     }
@@ -56,7 +65,8 @@ impl<R: Read + Seek> Npz<R> {
     /// The array called `name`.
     ///
     /// # Errors
-    /// When there is none (the message lists those there are), or as [`NpyArray::open`].
+    /// When there is none (the message lists those there are), the arrays read so far and this one come to more than 200 times the
+    /// archive, or as [`NpyArray::open`].
     pub fn array(&mut self, name: &str) -> Result<NpyArray<'_>, ReadError> {
         let names = self.names();
         if !names.iter().any(|n| n == name) {
@@ -69,7 +79,12 @@ impl<R: Read + Seek> Npz<R> {
         let inside = PathBuf::from(inside);
         match self.archive.zip_archive().by_name(&npyz::npz::file_name_from_array_name(name)) {
             Ok(entry) => {
-                let size = entry.size();
+                let size = entry.size(); // more is not read, whatever the entry unpacks to
+                let Some(left) = self.left.checked_sub(size) else {
+                    let expected = format!("at most {} more bytes from an archive of its length", self.left);
+                    return Err(ReadError::malformed(&inside, Place::File, expected, size.to_string()));
+                };
+                self.left = left;
                 NpyArray::from_reader(Box::new(entry), Some(size), &inside)
             }
             Err(e) => Err(ReadError::malformed(&inside, Place::File, "a readable archive entry", e.to_string())),

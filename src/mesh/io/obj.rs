@@ -14,6 +14,7 @@ use std::path::Path;
 use super::error::{excerpt, read_file};
 use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
+use crate::text::obj_line;
 
 /// Reads an OBJ file. Vertex indices are those of the file, counted from 0.
 ///
@@ -257,7 +258,7 @@ pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<
     }
     write_atomically(path, |w| {
         for library in &metadata.material_libraries {
-            writeln!(w, "mtllib {library}")?;
+            writeln!(w, "mtllib {}", obj_line(library))?;
         }
         for (i, p) in mesh.positions.iter().enumerate() {
             write!(w, "v {} {} {}", p.x, p.y, p.z)?;
@@ -290,7 +291,7 @@ pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<
 
 fn write_statement(w: &mut impl Write, statement: &ObjStatement) -> std::io::Result<()> {
     let (keyword, rest) = statement.parts();
-    if rest.is_empty() { writeln!(w, "{keyword}") } else { writeln!(w, "{keyword} {rest}") }
+    if rest.is_empty() { writeln!(w, "{keyword}") } else { writeln!(w, "{keyword} {}", obj_line(rest)) }
 }
 
 #[cfg(test)]

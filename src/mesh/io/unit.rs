@@ -1,7 +1,8 @@
 //! Units of length of files. Inside, everything is millimetres.
 //!
-//! Most formats state no unit. That of a face, head or bust can be told from its size: units are ten times apart or more, faces
-//! are not.
+//! Most formats state no unit. That of a face, head or bust can be told from its size: metric units are ten times apart or more,
+//! faces are not. Inches are 2.54 cm, so that one number may be a small face in centimetres and a large one in inches: what is
+//! likely in one of them only is taken for that, and said; the rest has to be stated.
 
 use std::fmt;
 use std::path::Path;
@@ -14,6 +15,8 @@ use crate::mesh::Vec3;
 
 /// From where to where the extent of a face, head or bust lies, millimetres: see [`face_extent`].
 pub const FACE_EXTENT: [f64; 2] = [100.0, 900.0];
+/// Where nearly all of them lie: from a child's face without ears to a head with its neck.
+pub const LIKELY_EXTENT: [f64; 2] = [150.0, 450.0];
 
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,6 +29,21 @@ pub enum LengthUnit {
     Centimetre,
     /// m
     Metre,
+    /// in
+    Inch,
+}
+
+/// What the size of a face says of its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FaceUnit {
+    /// In this unit alone has it the size of a face.
+    One(LengthUnit),
+    /// In both, but in the second it would be unlikely.
+    Likely(LengthUnit, LengthUnit),
+    /// In both, neither likelier.
+    Either(LengthUnit, LengthUnit),
+    /// In none.
+    Unknown,
 }
 
 impl LengthUnit {
@@ -37,6 +55,7 @@ impl LengthUnit {
             Self::Millimetre => 1.0,
             Self::Centimetre => 10.0,
             Self::Metre => 1000.0,
+            Self::Inch => 25.4,
         }
     }
 
@@ -46,12 +65,31 @@ impl LengthUnit {
         matches!(extension(path).as_str(), "glb" | "gltf").then_some(Self::Metre)
     }
 
-    /// The unit in which the points have the extent of a face: within [`FACE_EXTENT`]. `None` if there is none.
+    /// The unit in which the points have the extent of a face: within [`FACE_EXTENT`]. `None` if there is none, or if
+    /// [`FaceUnit::Either`].
     #[must_use]
     pub fn of_face(points: &[Vec3]) -> Option<Self> {
-        let extent = face_extent(points);
-        let fits = |unit: &Self| (FACE_EXTENT[0]..FACE_EXTENT[1]).contains(&(extent * unit.millimetres()));
-        [Self::Micrometre, Self::Millimetre, Self::Centimetre, Self::Metre].into_iter().find(fits)
+        match FaceUnit::of(face_extent(points)) {
+            FaceUnit::One(unit) | FaceUnit::Likely(unit, _) => Some(unit),
+            FaceUnit::Either(..) | FaceUnit::Unknown => None,
+        }
+    }
+}
+
+impl FaceUnit {
+    /// What an extent ([`face_extent`]) says.
+    #[must_use]
+    pub fn of(extent: f64) -> Self {
+        let within = |unit: LengthUnit, [low, high]: [f64; 2]| (low..high).contains(&(extent * unit.millimetres()));
+        let metric = [LengthUnit::Micrometre, LengthUnit::Millimetre, LengthUnit::Centimetre, LengthUnit::Metre];
+        let metric = metric.into_iter().find(|unit| within(*unit, FACE_EXTENT));
+        let inch = LengthUnit::Inch;
+        match metric {
+            None => Self::Unknown,
+            Some(unit) if !within(inch, FACE_EXTENT) => Self::One(unit),
+            Some(unit) if within(unit, LIKELY_EXTENT) && !within(inch, LIKELY_EXTENT) => Self::Likely(unit, inch),
+            Some(unit) => Self::Either(unit, inch),
+        }
     }
 }
 
@@ -118,6 +156,7 @@ impl fmt::Display for LengthUnit {
             Self::Millimetre => "mm",
             Self::Centimetre => "cm",
             Self::Metre => "m",
+            Self::Inch => "in",
         })
     }
 }
@@ -131,7 +170,8 @@ impl FromStr for LengthUnit {
             "mm" => Ok(Self::Millimetre),
             "cm" => Ok(Self::Centimetre),
             "m" => Ok(Self::Metre),
-            _ => Err(format!("unknown unit {text:?}; known are um, mm, cm and m")),
+            "in" => Ok(Self::Inch),
+            _ => Err(format!("unknown unit {text:?}; known are um, mm, cm, m and in")),
         }
     }
 }
@@ -162,6 +202,24 @@ mod tests {
         for unit in ["um", "mm", "cm", "m"].map(|u| u.parse::<LengthUnit>().unwrap()) {
             let scaled: Vec<Vec3> = points.iter().map(|p| p / unit.millimetres()).collect();
             assert_eq!(LengthUnit::of_face(&scaled), Some(unit));
+        }
+    }
+
+    /// A face in inches is nowhere taken for another unit without a word.
+    #[test]
+    fn inches_are_told_from_centimetres_or_asked_for() {
+        use LengthUnit::{Centimetre, Inch};
+        for (millimetres, of_inches, of_centimetres) in [
+            (110.0, FaceUnit::Unknown, FaceUnit::Either(Centimetre, Inch)),
+            (160.0, FaceUnit::Unknown, FaceUnit::Either(Centimetre, Inch)),
+            (200.0, FaceUnit::Unknown, FaceUnit::Likely(Centimetre, Inch)),
+            (260.0, FaceUnit::Either(Centimetre, Inch), FaceUnit::Likely(Centimetre, Inch)),
+            (440.0, FaceUnit::Either(Centimetre, Inch), FaceUnit::One(Centimetre)),
+            (800.0, FaceUnit::Likely(Centimetre, Inch), FaceUnit::One(Centimetre)),
+        ] {
+            assert_eq!(FaceUnit::of(millimetres / 25.4), of_inches, "{millimetres} mm in inches");
+            assert_eq!(FaceUnit::of(millimetres / 10.0), of_centimetres, "{millimetres} mm in centimetres");
+            assert_eq!(FaceUnit::of(millimetres), FaceUnit::One(LengthUnit::Millimetre));
         }
     }
 

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{LandmarkError, LandmarkSet};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// Landmarks closer than this share of the mesh's size are one point.
 const SAME: f64 = 1e-6;
@@ -111,7 +111,7 @@ impl LandmarkCheck {
         let off = landmarks.iter().filter(|l| l.distance_mm > tolerance).map(|l| l.name.clone()).collect();
         let names: Vec<&str> = set.landmarks.iter().map(|l| l.name.as_str()).collect();
         let both = |[a, b]: [usize; 2]| [names[a].to_owned(), names[b].to_owned()];
-        let close = SAME * bounding_box_diagonal(&mesh.positions);
+        let close = SAME * bounding_box_diagonal(&surface_points(&mesh.positions, mesh.corners.iter().copied()));
         let duplicates = duplicates(positions, close).into_iter().map(both).collect();
 
         let pairs = pairs(&names);

@@ -86,8 +86,3 @@ pub(super) fn split_quoted(line: &str) -> Vec<String> {
     }
     fields.iter().map(|f| f.trim().to_owned()).collect()
 }
-
-/// A field, in quotation marks if it needs them.
-pub(super) fn field(text: &str) -> String {
-    if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
-}

@@ -28,9 +28,10 @@ pub use pairs::{
 };
 pub use places::{LandmarkError, PlaceKind};
 
-use super::error::{extension, read_file};
-use super::{LengthUnit, Place, ReadError, WriteError, write_atomically};
+use super::error::{excerpt, extension, read_file};
+use super::{LengthUnit, Place, ReadError, WriteError, check_coordinates, write_atomically};
 use crate::mesh::Vec3;
+use crate::text::{LONGEST_NAME, is_hidden};
 use json::Json;
 
 /// Where a landmark is.
@@ -312,6 +313,11 @@ fn parse(bytes: &[u8], path: &Path, side: Side) -> Result<LandmarkSet, ReadError
     };
     let mut names: Vec<&str> = set.landmarks.iter().map(|l| l.name.as_str()).collect();
     names.extend(set.missing.iter().map(String::as_str));
+    if let Some(name) = names.iter().find(|name| name.chars().nth(LONGEST_NAME).is_some()) {
+        let expected = format!("names of at most {LONGEST_NAME} letters");
+        return Err(ReadError::malformed(path, Place::File, expected, excerpt(name.as_bytes())));
+    }
+    check_coordinates(path, &set.positions().map(|(_, p)| p).collect::<Vec<Vec3>>())?;
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(ReadError::malformed(path, Place::File, "every name once", format!("{:?} twice", pair[0])));
@@ -354,6 +360,13 @@ pub fn write_landmark_set(path: &Path, set: &LandmarkSet, format: LandmarkFormat
     if let Some(landmark) = set.landmarks.iter().find(|l| !format.holds(&l.place)) {
         let found = format!("{:?} at {:?}", landmark.name, landmark.place);
         return fail(format!("landmarks whose places {format} can hold (give the mesh that they are on)"), found);
+    }
+    let escapes = ["json", "ljson"].contains(&extension(path).as_str());
+    if let Some(landmark) = set.landmarks.iter().find(|l| !escapes && l.name.contains(is_hidden)) {
+        return fail(
+            format!("names that {format} can hold, without control characters"),
+            format!("{:?}", landmark.name),
+        );
     }
     let text = render(set, format);
     let again = match parse_landmark_set(text.as_bytes(), path) {

@@ -11,6 +11,7 @@ use std::path::Path;
 use super::json::{Json, wrong_entry};
 use super::lines::{Lines, split_quoted};
 use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlacedLandmark, ReadError};
+use crate::text::{csv_field, from_csv_field};
 
 pub(super) fn is(json: &Json) -> bool {
     json.array().is_some_and(|items| {
@@ -64,7 +65,7 @@ pub(super) fn parse_csv(text: &str, path: &Path) -> Result<LandmarkSet, ReadErro
         }
         let position = line.point(&fields[1..4])?;
         let place = LandmarkPlace::Position(set.space.map_or(position, |space| space.to_lps(position)));
-        set.landmarks.push(PlacedLandmark { name: fields[0].clone(), place, sigma: None });
+        set.landmarks.push(PlacedLandmark { name: from_csv_field(&fields[0]).to_owned(), place, sigma: None });
     }
     Ok(set)
 }
@@ -92,7 +93,7 @@ pub(super) fn render_json(set: &LandmarkSet) -> String {
 pub(super) fn render_csv(set: &LandmarkSet) -> String {
     let mut out = String::new();
     for (landmark, p) in set.positions() {
-        let _ = writeln!(out, "{},{},{},{}", super::lines::field(&landmark.name), p.x, p.y, p.z);
+        let _ = writeln!(out, "{},{},{},{}", csv_field(&landmark.name), p.x, p.y, p.z);
     }
     out
 }

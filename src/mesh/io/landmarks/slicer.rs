@@ -10,8 +10,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::json::Json;
-use super::lines::{Lines, field, split_quoted};
+use super::lines::{Lines, split_quoted};
 use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, Place, PlacedLandmark, ReadError};
+use crate::text::{csv_field, from_csv_field};
 
 const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
 const COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID";
@@ -107,7 +108,7 @@ pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadErr
         let (Some(x), Some(y), Some(z)) = (x, y, z) else {
             return Err(line.error(format!("columns {}", columns.names), format!("{} fields", fields.len())));
         };
-        let named = label.or(id).filter(|n| !n.is_empty()).cloned();
+        let named = label.or(id).filter(|n| !n.is_empty()).map(|n| from_csv_field(n).to_owned());
         let name = named.unwrap_or_else(|| (set.landmarks.len() + set.missing.len()).to_string());
         let status = fields.get(columns.count);
         if status.is_some_and(|s| NOT_PLACED.contains(&s.as_str())) {
@@ -147,7 +148,7 @@ pub(super) fn render_fcsv(set: &LandmarkSet) -> String {
         format!("# Markups fiducial file version = 4.13\n# CoordinateSystem = {space}\n# columns = {COLUMNS}\n");
     for (i, (landmark, p)) in set.positions().enumerate() {
         let p = space.to_lps(p);
-        let name = field(&landmark.name);
+        let name = csv_field(&landmark.name);
         let _ = writeln!(out, "{},{},{},{},0,0,0,1,1,1,0,{name},,", i + 1, p.x, p.y, p.z);
     }
     out

@@ -9,7 +9,11 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::error::excerpt;
+<<<<<<< HEAD
 use super::{Place, ReadError, inputs};
+=======
+use super::{Place, ReadError, check_coordinates};
+>>>>>>> part-b
 use crate::mesh::Vec3;
 use header::{Header, Kind, parse_header, shape_text};
 
@@ -312,7 +316,9 @@ pub(super) fn points(array: NpyArray<'_>) -> Result<Vec<Vec3>, ReadError> {
         let expected = format!("finite coordinates of point {}", i / 3);
         return Err(ReadError::malformed(&path, Place::File, expected, values[i].to_string()));
     }
-    Ok(values.chunks_exact(3).map(|p| Vec3::new(p[0], p[1], p[2])).collect())
+    let points: Vec<Vec3> = values.chunks_exact(3).map(|p| Vec3::new(p[0], p[1], p[2])).collect();
+    check_coordinates(&path, &points)?;
+    Ok(points)
 }
 
 /// Reads a one-dimensional array of numbers, of length `length` if that is given.

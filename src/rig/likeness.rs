@@ -1,0 +1,207 @@
+//! Whether a mesh has the vertices of a rig in the rig's order: what transfers and fits rest on, and nothing else tells.
+//!
+//! Faces of one topology differ from a neutral, posed and scaled onto them, by a tenth of their size or less, expressions included.
+//! A mesh whose vertices are in another order, a mirror image, a flat or a collapsed mesh differ by far more, or by other signs.
+
+use std::fmt;
+
+use nalgebra::{Matrix3, SymmetricEigen};
+
+use crate::mesh::normals::face_cross;
+use crate::mesh::{PoseKind, Vec3, closest_pose};
+
+/// Root mean square distance from the posed neutral, as a share of the size, above which a mesh is doubtful, and is refused.
+const FAR: [f64; 2] = [0.15, 0.4];
+/// The same where the neutral's mirror image comes at least twice as close.
+const MIRRORED: f64 = 0.1;
+/// Thickness, as a share of the neutral's, below which a mesh is flat.
+const FLAT: f64 = 0.2;
+/// Shares of triangles without area above which a mesh is doubtful, and is refused; and a triangle's least share of its area on the
+/// posed neutral.
+const COLLAPSED: [f64; 2] = [0.01, 0.1];
+const LEAST_AREA: f64 = 1e-4;
+/// Shares of triangles that face backwards.
+const FOLDED: [f64; 2] = [0.02, 0.25];
+/// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
+const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+
+/// What a mesh shows that no mesh with a rig's vertices should.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Unlike {
+    /// Its vertices are elsewhere.
+    Far {
+        /// Root mean square distance from the posed neutral, millimetres.
+        rms: f64,
+        /// Root mean square distance from the centroid, millimetres.
+        size: f64,
+    },
+    /// It is the neutral's mirror image.
+    Mirrored {
+        /// As in [`Unlike::Far`].
+        rms: f64,
+        /// The same of the mirror image.
+        mirrored: f64,
+    },
+    /// It is flat, and the neutral is not.
+    Flat {
+        /// Smallest deviation along any axis, as a share of the size.
+        thickness: f64,
+        /// That of the neutral.
+        neutral: f64,
+    },
+    /// Triangles have no area.
+    Collapsed {
+        /// How many.
+        triangles: usize,
+        /// Of so many that have one on the neutral.
+        of: usize,
+    },
+    /// Triangles face backwards.
+    Folded {
+        /// How many.
+        triangles: usize,
+        /// Of so many.
+        of: usize,
+    },
+    /// It is of another size.
+    Size {
+        /// Times the neutral's.
+        factor: f64,
+    },
+}
+
+impl fmt::Display for Unlike {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Far { rms, size } => write!(
+                f,
+                "its vertices are {rms:.1} mm rms from those of the neutral, posed onto it, and it is {size:.1} mm in size: give a mesh \
+                 with the rig's vertices in the rig's order, as `nonrigid register` writes it"
+            ),
+            Self::Mirrored { rms, mirrored } => write!(
+                f,
+                "it is a mirror image: {rms:.1} mm rms from the neutral, posed onto it, but {mirrored:.1} mm from the neutral's mirror \
+                 image: mirror it back"
+            ),
+            Self::Flat { thickness, neutral } => write!(
+                f,
+                "it is flat: {:.1} % of its size thick, the neutral {:.1} %: give the whole surface, not a projection",
+                100.0 * thickness,
+                100.0 * neutral
+            ),
+            Self::Collapsed { triangles, of } => write!(
+                f,
+                "{triangles} of its {of} triangles have no area: vertices have fallen together; look at the mesh"
+            ),
+            Self::Folded { triangles, of } => {
+                write!(f, "{triangles} of its {of} triangles face backwards; look at the mesh")
+            }
+            Self::Size { factor } => {
+                write!(f, "it is {factor:.2} times as large as the neutral; if that is not so, state its unit")
+            }
+        }
+    }
+}
+
+/// What was found: why a mesh cannot be used, or what to doubt.
+pub(super) type Verdict = Result<Vec<Unlike>, Unlike>;
+
+/// Compares a mesh of `points` with a neutral of as many vertices. Nothing is found where either has no extent.
+pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3]) -> Verdict {
+    let pairs: Vec<(Vec3, Vec3)> = neutral.iter().copied().zip(points.iter().copied()).collect();
+    let flipped: Vec<(Vec3, Vec3)> = pairs.iter().map(|(p, q)| (Vec3::new(-p.x, p.y, p.z), *q)).collect();
+    let (Ok(pose), Ok(mirror)) =
+        (closest_pose(&pairs, PoseKind::Similarity), closest_pose(&flipped, PoseKind::Similarity))
+    else {
+        return Ok(Vec::new());
+    };
+    let mut doubts = Vec::new();
+    let ([size, thickness], [neutral_size, neutral_thickness]) = (spread(points), spread(neutral));
+    if thickness < FLAT * neutral_thickness {
+        return Err(Unlike::Flat { thickness, neutral: neutral_thickness });
+    }
+    let posed: Vec<Vec3> = neutral.iter().map(|p| pose.apply(*p)).collect();
+    let (of, collapsed, folded) = triangles.iter().fold((0, 0, 0), |(of, collapsed, folded), t| {
+        let (a, b) = (face_cross(&posed, *t), face_cross(points, *t));
+        // what has no area on the neutral says nothing
+        if a.norm() <= LEAST_AREA * LEAST_AREA * size * size {
+            return (of, collapsed, folded);
+        }
+        (of + 1, collapsed + usize::from(b.norm() < LEAST_AREA * a.norm()), folded + usize::from(a.dot(&b) < 0.0))
+    });
+    let share = |count: usize| count as f64 / of.max(1) as f64;
+    if share(collapsed) > COLLAPSED[1] {
+        return Err(Unlike::Collapsed { triangles: collapsed, of });
+    }
+    let rms = |pose: &crate::mesh::Pose, pairs: &[(Vec3, Vec3)]| {
+        (pairs.iter().map(|(p, q)| (pose.apply(*p) - q).norm_squared()).sum::<f64>() / pairs.len() as f64).sqrt()
+    };
+    let (far, mirrored) = (rms(&pose, &pairs), rms(&mirror, &flipped));
+    if far > MIRRORED * size && 2.0 * mirrored < far {
+        return Err(Unlike::Mirrored { rms: far, mirrored });
+    }
+    if far > FAR[1] * size {
+        return Err(Unlike::Far { rms: far, size });
+    }
+    if share(folded) > FOLDED[1] {
+        return Err(Unlike::Folded { triangles: folded, of });
+    }
+    if far > FAR[0] * size {
+        doubts.push(Unlike::Far { rms: far, size });
+    }
+    if share(collapsed) > COLLAPSED[0] {
+        doubts.push(Unlike::Collapsed { triangles: collapsed, of });
+    }
+    if share(folded) > FOLDED[0] {
+        doubts.push(Unlike::Folded { triangles: folded, of });
+    }
+    if !SIZES.contains(&(size / neutral_size)) {
+        doubts.push(Unlike::Size { factor: size / neutral_size });
+    }
+    Ok(doubts)
+}
+
+/// Root mean square distance from the centroid, and the smallest deviation along any axis as a share of it.
+fn spread(points: &[Vec3]) -> [f64; 2] {
+    let count = points.len() as f64;
+    let centre = points.iter().sum::<Vec3>() / count;
+    let covariance = points.iter().fold(Matrix3::zeros(), |m, p| m + (p - centre) * (p - centre).transpose()) / count;
+    let values = SymmetricEigen::new(covariance).eigenvalues;
+    let size = values.sum().max(0.0).sqrt();
+    [size, values.min().max(0.0).sqrt() / size]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::{noise, sheet};
+
+    #[test]
+    fn what_is_no_such_mesh_is_told_and_what_is_one_is_not() {
+        let face = sheet(20, 16, |x, y| {
+            Vec3::new(8.0 * x, 12.0 * y, 40.0 * (0.16 * x).sin() * (0.2 * y).sin() + 5.0 * (0.9 * x).cos())
+        });
+        let (neutral, triangles) = (&face.positions, &face.triangles);
+        let with = |change: &dyn Fn(usize, Vec3) -> Vec3| -> Verdict {
+            let points: Vec<Vec3> = neutral.iter().enumerate().map(|(i, p)| change(i, *p)).collect();
+            compare(neutral, triangles, &points)
+        };
+        assert_eq!(with(&|_, p| p), Ok(vec![]));
+        // another person, turned, larger
+        let turn = crate::mesh::Pose::rigid(Vec3::new(0.4, 2.0, -0.3), Vec3::new(5.0, 100.0, 3.0));
+        let other = |p: Vec3| 1.3 * turn.apply(p + Vec3::new(0.1 * p.y, 6.0 * (0.03 * p.x).sin(), 0.15 * p.z));
+        assert_eq!(with(&|_, p| other(p)), Ok(vec![]));
+        let count = neutral.len();
+        assert!(matches!(with(&|i, _| neutral[i * 7 % count]), Err(Unlike::Far { .. })));
+        assert!(matches!(with(&|i, _| 50.0 * Vec3::new(noise(i), noise(i + count), noise(i + 2 * count))), Err(_)));
+        assert!(matches!(with(&|_, p| Vec3::new(-p.x, p.y, p.z)), Err(Unlike::Mirrored { .. })));
+        assert!(matches!(with(&|_, p| Vec3::new(p.x, p.y, -p.z)), Err(Unlike::Mirrored { .. })));
+        assert!(matches!(with(&|_, p| Vec3::new(p.x, p.y, 1.0)), Err(Unlike::Flat { .. })));
+        assert!(matches!(with(&|i, p| if i < count / 3 { neutral[0] } else { p }), Err(Unlike::Collapsed { .. })));
+        assert!(matches!(with(&|_, p| 25.4 * p).as_deref(), Ok([Unlike::Size { .. }])));
+        assert!(matches!(with(&|i, p| if i == 50 { neutral[51] } else { p }), Ok(doubts) if doubts.len() <= 1));
+        // a part in another order
+        let doubts = with(&|i, p| if i % 40 == 3 { neutral[(i + 97) % count] } else { p });
+        assert!(doubts.is_err() || doubts.is_ok_and(|d| !d.is_empty()));
+    }
+}
