@@ -22,6 +22,7 @@ pub mod solver_case;
 pub mod start_bench;
 pub mod surgery;
 pub mod tables;
+pub mod unseen;
 
 /// Refuses what has the size of a face in another unit than millimetres, in which all data of studies are.
 ///

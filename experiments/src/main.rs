@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
     compare, compare_rigs, faulty_scans, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
-    schedule_search, solver_case, start_bench, this_program,
+    schedule_search, solver_case, start_bench, this_program, unseen,
 };
 use nonrigid::cli::{Failure, Stage, answer, tell};
 use nonrigid::registration::RegistrationError;
@@ -42,6 +42,8 @@ enum Command {
     FaultyScans(faulty_scans::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
+    /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
+    Unseen(unseen::Arguments),
     /// Search the default schedules: the same search for every model
     SearchSchedules(schedule_search::Options),
     /// Solve one hybrid problem with fixed correspondences: the same minimum as other solvers, and the time of an iteration
@@ -72,6 +74,7 @@ fn main() -> ExitCode {
         Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
         Some(Command::FaultyScans(a)) => on_threads(a.threads, || faulty_scans::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
+        Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::Scaling(a)) => scaling::run(a),
