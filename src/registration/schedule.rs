@@ -101,6 +101,11 @@ pub struct GraphOptions {
     pub node: NodeKind,
     /// What the rotation of a rigid node is parametrised by.
     pub rotation: RotationKind,
+    /// Stiffness below which the graph does not fall where the scan shows nothing, in the unit of
+    /// [`lambda_graph`](Level::lambda_graph): an edge of (7) counts `(lambda_unseen / lambda_graph)^u` times where that is more
+    /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
+    /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
+    pub lambda_unseen: f64,
 }
 
 impl Default for GraphOptions {
@@ -111,6 +116,7 @@ impl Default for GraphOptions {
             distance: GraphDistance::Surface,
             node: NodeKind::Rigid,
             rotation: RotationKind::Matrix,
+            lambda_unseen: 0.0,
         }
     }
 }
@@ -242,6 +248,11 @@ pub struct ScanOptions {
     pub normal_smoothing: usize,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
+    /// Rings of the scan's vertices along its open boundary over which correspondences fade in; 0 for none.
+    pub rim: usize,
+    /// Triangles that span a jump in depth are no surface: those this many times longer than a triangle beside them and than their
+    /// own shortest side are left out. 0 for none.
+    pub depth_jump: f64,
     /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
     /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
@@ -253,7 +264,14 @@ pub struct ScanOptions {
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0.0, test_vertices: true }
+        Self {
+            normal_smoothing: 2,
+            reject_boundary: true,
+            rim: 0,
+            depth_jump: 0.0,
+            template_rim: 0.0,
+            test_vertices: true,
+        }
     }
 }
 
@@ -395,7 +413,9 @@ pub struct Level {
     /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it [states](SigmaOptions::landmark) sigma.
     #[serde(default)]
     pub landmarks: f64,
-    /// Weight, per vertex without an accepted correspondence, of staying with the blendshapes' prediction.
+    /// Weight, per vertex without an accepted correspondence, of staying where the blendshapes in one rigid pose predict it. For
+    /// subjects that are rigid as a whole, if at all: a limb that moves is torn off.
+    /// [`lambda_unseen`](GraphOptions::lambda_unseen) holds to the form instead.
     #[serde(default)]
     pub prediction: f64,
     /// Weight, per vertex of a seam that the scan spans, of closing it.
@@ -565,6 +585,7 @@ impl Schedule {
             }
             positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
+            not_negative(format!("{prefix}graph.lambda_unseen"), graph.lambda_unseen)?;
             count(format!("{prefix}graph.nodes"), graph.nodes)?;
             count(format!("{prefix}graph.influences"), graph.influences)?;
             if graph.node == NodeKind::Affine {
@@ -585,6 +606,8 @@ impl Schedule {
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;
         count("scan.normal_smoothing".into(), self.scan.normal_smoothing)?;
+        count("scan.rim".into(), self.scan.rim)?;
+        not_negative("scan.depth_jump".into(), self.scan.depth_jump)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
         not_negative("seam.width".into(), self.seam.width)?;
