@@ -42,13 +42,12 @@ struct Found {
     normal: Vec3,
     nearest: Vec3,
     accepted: bool,
-    trust: f64,
 }
 
 impl Default for Found {
     fn default() -> Self {
         let zero = Vec3::zeros();
-        Self { feature: None, corner: None, point: zero, normal: zero, nearest: zero, accepted: false, trust: 0.0 }
+        Self { feature: None, corner: None, point: zero, normal: zero, nearest: zero, accepted: false }
     }
 }
 
@@ -80,7 +79,7 @@ impl Correspondences {
         self.weights.clear();
         for ((found, data), on_rim) in self.found.iter_mut().zip(&masks.data).zip(&masks.rim) {
             found.accepted &= !on_rim && *data > 0.0;
-            self.weights.push(if found.accepted { *data * found.trust } else { 0.0 });
+            self.weights.push(if found.accepted { *data } else { 0.0 });
         }
         self.prediction_weights.clear();
         self.prediction_weights.extend(masks.bound.iter().zip(&self.weights).map(|(bound, weight)| bound - weight));
@@ -189,7 +188,7 @@ impl Found {
         let cap = level.distance_cap * level.distance_cap;
         let Some(hit) = scan.closest(&position, self.feature, cap) else { return };
         self.feature = Some(hit.feature);
-        (self.point, self.trust) = (hit.point, hit.trust);
+        self.point = hit.point;
         if hit.normal == Vec3::zeros() {
             return;
         }

@@ -24,8 +24,6 @@ enum Surface {
         mesh: TriangleMesh,
         normals: Vec<Vec3>,
         boundary: OpenBoundary,
-        /// How far each vertex is from the boundary, in widths of the doubtful rim, at most 1; empty without one.
-        inward: Vec<f64>,
         tree: ClosestPoint,
         /// Positions of the vertices that triangles use, and their tree.
         corners: Vec<Vec3>,
@@ -46,8 +44,6 @@ pub(super) struct Hit {
     pub normal: Vec3,
     /// Whether the scan ends there.
     pub on_boundary: bool,
-    /// How far it is to be believed, 0 to 1: less near the scan's open boundary.
-    pub trust: f64,
 }
 
 impl ScanSurface {
@@ -64,7 +60,6 @@ impl ScanSurface {
             let points = OrientedPoints::new(&mesh.positions, normals, options.normal_smoothing).map_err(unusable)?;
             return Ok(Self { surface: Surface::Points(points), reject_boundary });
         }
-        let mesh = without_jumps(mesh, options.depth_jump);
         let tree = || ClosestPoint::new(&mesh).map_err(unusable);
         let rest = || {
             let corners: Vec<Vec3> = used(&mesh).map(|v| mesh.positions[v]).collect();
@@ -77,46 +72,33 @@ impl ScanSurface {
             for _ in 0..options.normal_smoothing {
                 normals = smooth_normals(&edges, &normals);
             }
-            let boundary = OpenBoundary::of(&mesh);
-            let inward = inward(&edges, &boundary, options.rim);
-            (corners, vertices, normals, boundary, inward)
+            (corners, vertices, normals, OpenBoundary::of(&mesh))
         };
-        let (tree, (corners, vertices, normals, boundary, inward)) = rayon::join(tree, rest);
+        let (tree, (corners, vertices, normals, boundary)) = rayon::join(tree, rest);
         let (tree, vertices) = (tree?, vertices?);
-        let surface = Surface::Triangles { mesh, normals, boundary, inward, tree, corners, vertices };
-        Ok(Self { surface, reject_boundary })
+        Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree, corners, vertices }, reject_boundary })
     }
 
     /// The closest point within the square root of `squared_reach`. The answer does not depend on the hint, a
     /// [`Hit::feature`].
     pub(super) fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
         match &self.surface {
-            Surface::Triangles { mesh, normals, boundary, inward, tree, .. } => {
+            Surface::Triangles { mesh, normals, boundary, tree, .. } => {
                 let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
                 let corners = mesh.triangles[hit.triangle as usize];
                 let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
-                let trust =
-                    corners.iter().zip(hit.barycentric).map(|(&v, b)| inward.get(v as usize).unwrap_or(&1.0) * b);
                 Some(Hit {
                     feature: hit.triangle,
                     point: hit.point,
                     barycentric: hit.barycentric,
                     normal: normal.try_normalize(0.0).unwrap_or_default(),
                     on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
-                    trust: if inward.is_empty() { 1.0 } else { trust.sum() },
                 })
             }
             Surface::Points(points) => {
                 let hit = points.query(p, hint, squared_reach)?;
                 let (feature, point, normal) = (hit.index, hit.point, hit.normal);
-                Some(Hit {
-                    feature,
-                    point,
-                    barycentric: [1.0, 0.0, 0.0],
-                    normal,
-                    on_boundary: hit.beyond_edge,
-                    trust: 1.0,
-                })
+                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
             }
         }
     }
@@ -211,53 +193,6 @@ fn used(mesh: &TriangleMesh) -> impl Iterator<Item = usize> + use<> {
     let mut used = vec![false; mesh.positions.len()];
     mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
     used.into_iter().enumerate().filter(|u| u.1).map(|u| u.0)
-}
-
-/// How many of `rim` rings each vertex is from the open boundary, as a share; empty for no rings.
-fn inward(edges: &EdgeGraph, boundary: &OpenBoundary, rim: usize) -> Vec<f64> {
-    if rim == 0 {
-        return Vec::new();
-    }
-    let mut inward: Vec<f64> = boundary.vertices().iter().map(|b| if *b { 0.0 } else { 1.0 }).collect();
-    let mut front: Vec<u32> = (0..inward.len() as u32).filter(|&v| inward[v as usize] == 0.0).collect();
-    for ring in 1..=rim {
-        let next = ring as f64 / (rim + 1) as f64;
-        let reached: Vec<u32> = front.iter().flat_map(|&v| edges.neighbours(v as usize)).copied().collect();
-        front.clear();
-        for v in reached {
-            if inward[v as usize] == 1.0 {
-                inward[v as usize] = next;
-                front.push(v);
-            }
-        }
-    }
-    inward
-}
-
-/// The scan without triangles that span a jump in depth: slivers of more than `jump` times the length of triangles beside them.
-/// Zero leaves all.
-fn without_jumps(mut mesh: TriangleMesh, jump: f64) -> TriangleMesh {
-    if jump == 0.0 {
-        return mesh;
-    }
-    let sides = |t: &[u32; 3]| {
-        let p = t.map(|v| mesh.positions[v as usize]);
-        let mut sides = [(p[0] - p[1]).norm(), (p[1] - p[2]).norm(), (p[2] - p[0]).norm()];
-        sides.sort_unstable_by(f64::total_cmp);
-        sides
-    };
-    let all: Vec<[f64; 3]> = mesh.triangles.iter().map(sides).collect();
-    let mut least = vec![f64::INFINITY; mesh.positions.len()];
-    for (t, sides) in mesh.triangles.iter().zip(&all) {
-        t.iter().for_each(|&v| least[v as usize] = least[v as usize].min(sides[2]));
-    }
-    let mut sides = all.iter();
-    mesh.triangles.retain(|t| {
-        let [shortest, _, longest] = *sides.next().expect("proven: one for each triangle");
-        let beside = t.iter().map(|&v| least[v as usize]).fold(f64::INFINITY, f64::min);
-        longest <= jump * shortest || longest <= jump * beside
-    });
-    mesh
 }
 
 /// Each normal averaged with its neighbours'.

@@ -248,11 +248,6 @@ pub struct ScanOptions {
     pub normal_smoothing: usize,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
-    /// Rings of the scan's vertices along its open boundary over which correspondences fade in; 0 for none.
-    pub rim: usize,
-    /// Triangles that span a jump in depth are no surface: those this many times longer than a triangle beside them and than their
-    /// own shortest side are left out. 0 for none.
-    pub depth_jump: f64,
     /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
     /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
@@ -606,8 +601,6 @@ impl Schedule {
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;
         count("scan.normal_smoothing".into(), self.scan.normal_smoothing)?;
-        count("scan.rim".into(), self.scan.rim)?;
-        not_negative("scan.depth_jump".into(), self.scan.depth_jump)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
         not_negative("seam.width".into(), self.seam.width)?;
