@@ -259,14 +259,7 @@ pub struct ScanOptions {
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self {
-            normal_smoothing: 2,
-            reject_boundary: true,
-            rim: 0,
-            depth_jump: 0.0,
-            template_rim: 0.0,
-            test_vertices: true,
-        }
+        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0.0, test_vertices: true }
     }
 }
 
