@@ -180,6 +180,43 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     }
 }
 
+#[test]
+fn the_graph_is_stiffer_where_more_is_unseen_and_its_derivatives_follow() {
+    let zoo = Zoo::small();
+    let count = zoo.vertex_count();
+    let stiffness = Stiffness { graph: 5.0, ..Stiffness::default() };
+    let model = hybrid(zoo.mesh.positions.clone(), zoo.nodes.clone(), zoo.basis.clone(), stiffness);
+    let mut problem: Deformation<_, Box<dyn DataTerm>> = Deformation::new(model, zoo.samples());
+    let rest = problem.model.rest_parameters();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let tangent = random_step(&mut rng, problem.structure().dimension());
+    let mut x = rest.clone();
+    problem.retract(&rest, &tangent, &mut x);
+    let mut energy = |unseen: f64, factor: f64| {
+        problem.model.stiffen_unseen(&vec![unseen; count], factor);
+        problem.energies(&x)[0].1
+    };
+    let plain = energy(0.0, 100.0);
+    assert!(plain > 0.1);
+    for (unseen, factor, times) in [(1.0, 1.0, 1.0), (1.0, 100.0, 100.0), (0.5, 100.0, 10.0), (0.0, 7.0, 1.0)] {
+        approx::assert_relative_eq!(energy(unseen, factor), times * plain, max_relative = 1e-12);
+    }
+    let some: Vec<f64> = (0..count).map(|i| f64::from(u8::from(i % 3 == 0 || 2 * i > count))).collect();
+    problem.model.stiffen_unseen(&some, 30.0);
+    let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+    problem.linearize(&x, &mut equations);
+    for k in 0..tangent.len() {
+        let mut at = |h: f64| {
+            let (mut step, mut moved) = (vec![0.0; tangent.len()], x.clone());
+            step[k] = h;
+            problem.retract(&x, &step, &mut moved);
+            problem.energy(&moved)
+        };
+        let slope = (at(1e-5) - at(-1e-5)) / 4e-5;
+        approx::assert_relative_eq!(equations.gradient[k], slope, max_relative = 1e-6, epsilon = 1e-5);
+    }
+}
+
 /// What Gauss-Newton does from nodes all turned by `start`: energy and vertices after each step.
 fn steps_with<T: NodeTransform<6>>(
     zoo: &Zoo,

@@ -429,6 +429,65 @@ fn named_energies_sum_to_the_energy_and_history_counts_on() {
     }
 }
 
+/// A strip of 300 mm by 60 mm, its columns `spacing` apart up to `length` along it, bent by 70 degrees between 80 and 140 mm
+/// if asked: quads, and one position per vertex, column by column.
+fn strip(length: f64, spacing: f64, bent: bool) -> PolygonMesh {
+    const ROWS: usize = 13;
+    let (from, over, turn) = (80.0, 60.0, 70f64.to_radians());
+    let along = |s: f64| {
+        let inside = ((s - from) / over).clamp(0.0, 1.0);
+        if !bent || inside == 0.0 {
+            return Vec3::new(s, 0.0, 0.0);
+        }
+        let (radius, angle) = (over / turn, turn * inside);
+        let beyond = (s - from - over).max(0.0);
+        Vec3::new(
+            from + radius * angle.sin() + beyond * angle.cos(),
+            0.0,
+            radius * (1.0 - angle.cos()) + beyond * angle.sin(),
+        )
+    };
+    let columns = (length / spacing) as usize + 1;
+    let place = |k: usize| along(spacing * (k / ROWS) as f64) + Vec3::new(0.0, 5.0 * (k % ROWS) as f64, 0.0);
+    let positions: Vec<Vec3> = (0..columns * ROWS).map(place).collect();
+    let quads = (0..(columns - 1) * ROWS).filter(|k| k % ROWS < ROWS - 1);
+    let corners: Vec<u32> = quads.flat_map(|k| [k, k + ROWS, k + ROWS + 1, k + 1]).map(|v| v as u32).collect();
+    let starts = (0..=corners.len() as u32 / 4).map(|f| 4 * f).collect();
+    PolygonMesh { positions, starts, corners, ..PolygonMesh::default() }
+}
+
+#[test]
+fn what_is_not_seen_goes_where_what_is_seen_beside_it_goes() {
+    let (template, truth) = (strip(300.0, 5.0, false), strip(300.0, 5.0, true).positions);
+    // The scan shows the bend, and 60 mm of what lies beyond; 100 mm are out of its sight.
+    let scan = strip(200.0, 2.5, true).triangulate();
+    let seen = truth.iter().zip(&template.positions).map(|(_, rest)| rest.x <= 200.0).collect::<Vec<_>>();
+    let marked = (0..truth.len()).filter(|v| seen[*v] && (v / 13) % 8 == 0 && (v % 13) % 6 == 0);
+    let landmarks: Vec<Landmark> = marked
+        .map(|v| Landmark {
+            name: v.to_string(),
+            template: TemplatePoint::Vertex(v as u32),
+            target: truth[v],
+            sigma: None,
+        })
+        .collect();
+    let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&template, &scan) };
+    let fit = |schedule: &Schedule| {
+        let result = register(&input, &ModelKind::Hybrid, schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let triangles = template.triangulate().triangles;
+        TruthErrors::new(&result.unwrap().positions, &truth, &seen, &triangles).unwrap().0
+    };
+    let default = Schedule::default_for("hybrid").unwrap();
+    let errors = fit(&default);
+    assert!(errors.rmse < 1.0 && errors.unobserved < 4.0 && errors.flipped == 0, "{errors:?}");
+    // Held to one rigid motion of the whole instead, it is torn off.
+    let mut to_one_pose = default;
+    to_one_pose.graph.lambda_unseen = 0.0;
+    to_one_pose.levels.iter_mut().for_each(|level| level.prediction = 0.01);
+    let torn = fit(&to_one_pose);
+    assert!(torn.unobserved > 4.0 * errors.unobserved, "{torn:?} {errors:?}");
+}
+
 /// The sequential method's schedule, its second stage replaced.
 fn sequential(then: Stage) -> Schedule {
     Schedule { then: Some(Box::new(then)), ..Schedule::default_for("sequential").unwrap() }

@@ -4,7 +4,6 @@ use nonrigid::mesh::io::{FaceUnit, LengthUnit, face_extent};
 
 pub mod compare;
 pub mod compare_rigs;
-pub mod faulty_scans;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;
@@ -24,6 +23,7 @@ pub mod solver_case;
 pub mod start_bench;
 pub mod surgery;
 pub mod tables;
+pub mod unseen;
 
 /// Refuses what has the size of a face in another unit than millimetres, in which all data of studies are.
 ///

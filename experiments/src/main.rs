@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare, compare_rigs, faulty_scans, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
-    schedule_search, silence, solver_case, start_bench, this_program,
+    compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
+    schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
 use nonrigid::cli::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
@@ -38,12 +38,12 @@ enum Command {
     ScanBench(scan_bench_command::Arguments),
     /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
     StartBench(start_bench::Arguments),
-    /// Register scans with faults, from outliers to two faces in one: right, refused, or wrong with a warning
-    FaultyScans(faulty_scans::Arguments),
     /// Register scans with all that can be wrong with them: how often a bad result is silent and a good one doubted
     Silence(silence::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
+    /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
+    Unseen(unseen::Arguments),
     /// Search the default schedules: the same search for every model
     SearchSchedules(schedule_search::Options),
     /// Solve one hybrid problem with fixed correspondences: the same minimum as other solvers, and the time of an iteration
@@ -72,9 +72,9 @@ fn main() -> ExitCode {
         }),
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
         Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
-        Some(Command::FaultyScans(a)) => on_threads(a.threads, || faulty_scans::run(a)),
         Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
+        Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
         Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::Scaling(a)) => scaling::run(a),

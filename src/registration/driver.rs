@@ -555,6 +555,8 @@ impl Run {
                     cap: schedule.levels[index].distance_cap,
                 });
             }
+            let unseen = &self.correspondences.prediction_weights;
+            problem.model.set_unseen(unseen, schedule.graph.lambda_unseen);
             problem.model.prediction(x, &rest.mesh.positions, &mut self.correspondences.predictions);
             self.correspondences.pose_predictions(&self.vertices);
             let c = &mut self.correspondences;

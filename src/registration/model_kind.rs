@@ -19,6 +19,10 @@ pub trait RegistrationModel: DeformationModel {
     /// Takes a level's stiffness, lengths already in the model's unit.
     fn set_level(&mut self, level: &Level);
 
+    /// Takes which vertices have no correspondence, 0 to 1 each, and the schedule's
+    /// [`lambda_unseen`](super::GraphOptions::lambda_unseen), for a model that is stiffer there. Called before every step.
+    fn set_unseen(&mut self, _unseen: &[f64], _lambda: f64) {}
+
     /// Chooses how derivatives are taken; `false` if the model has no choice.
     fn set_linearisation(&mut self, _linearisation: Linearisation) -> bool {
         false
@@ -257,6 +261,11 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for NodeAssembly<T, 
     fn set_level(&mut self, level: &Level) {
         self.stiffness =
             Stiffness { graph: level.lambda_graph, rotation: level.lambda_rotation, blend: level.lambda_blend };
+    }
+
+    fn set_unseen(&mut self, unseen: &[f64], lambda: f64) {
+        let graph = self.stiffness.graph;
+        self.stiffen_unseen(unseen, if graph > 0.0 { (lambda / graph).max(1.0) } else { 1.0 });
     }
 
     fn set_linearisation(&mut self, linearisation: Linearisation) -> bool {

@@ -101,6 +101,11 @@ pub struct GraphOptions {
     pub node: NodeKind,
     /// What the rotation of a rigid node is parametrised by.
     pub rotation: RotationKind,
+    /// Stiffness below which the graph does not fall where the scan shows nothing, in the unit of
+    /// [`lambda_graph`](Level::lambda_graph): an edge of (7) counts `(lambda_unseen / lambda_graph)^u` times where that is more
+    /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
+    /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
+    pub lambda_unseen: f64,
 }
 
 impl Default for GraphOptions {
@@ -111,6 +116,7 @@ impl Default for GraphOptions {
             distance: GraphDistance::Surface,
             node: NodeKind::Rigid,
             rotation: RotationKind::Matrix,
+            lambda_unseen: 0.0,
         }
     }
 }
@@ -395,7 +401,9 @@ pub struct Level {
     /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it [states](SigmaOptions::landmark) sigma.
     #[serde(default)]
     pub landmarks: f64,
-    /// Weight, per vertex without an accepted correspondence, of staying with the blendshapes' prediction.
+    /// Weight, per vertex without an accepted correspondence, of staying where the blendshapes in one rigid pose predict it. For
+    /// subjects that are rigid as a whole, if at all: a limb that moves is torn off.
+    /// [`lambda_unseen`](GraphOptions::lambda_unseen) holds to the form instead.
     #[serde(default)]
     pub prediction: f64,
     /// Weight, per vertex of a seam that the scan spans, of closing it.
@@ -565,6 +573,7 @@ impl Schedule {
             }
             positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
             positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
+            not_negative(format!("{prefix}graph.lambda_unseen"), graph.lambda_unseen)?;
             count(format!("{prefix}graph.nodes"), graph.nodes)?;
             count(format!("{prefix}graph.influences"), graph.influences)?;
             if graph.node == NodeKind::Affine {

@@ -71,12 +71,14 @@ impl Variant {
     /// | `default` | its schedule: point-to-plane, and point-to-point where the scan's vertices coincide with the template's |
     /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel; point-to-point, towards the nearest scan vertex, untested at every level |
     /// | `with scan_to_template` | the default, and scan points towards the template at point-to-plane's weight |
-    /// | `without landmarks`, `without prediction`, `without seam` | the default with that weight zero; the start still takes landmarks |
+    /// | `without landmarks`, `without seam` | the default with that weight zero; the start still takes landmarks |
+    /// | `without lambda_unseen` | the default with a graph as stiff where nothing is seen as where something is |
+    /// | `with prediction` | the same, and unseen vertices held to where the blendshapes in one rigid pose predict them |
     ///
     /// # Errors
     /// As [`of_model`](Self::of_model).
     pub fn terms() -> Result<Vec<Self>, ScheduleError> {
-        let changes: [(&str, Change); 8] = [
+        let changes: [(&str, Change); 9] = [
             ("default", |_| ()),
             ("point_to_plane", |s| each_level(s, |l| l.point_to_point = 0.0)),
             ("symmetric", |s| {
@@ -90,7 +92,11 @@ impl Variant {
             }),
             ("with scan_to_template", |s| each_level(s, |l| l.scan_to_template = l.point_to_plane)),
             ("without landmarks", |s| each_level(s, |l| l.landmarks = 0.0)),
-            ("without prediction", |s| each_level(s, |l| l.prediction = 0.0)),
+            ("without lambda_unseen", |s| s.graph.lambda_unseen = 0.0),
+            ("with prediction", |s| {
+                s.graph.lambda_unseen = 0.0;
+                each_level(s, |l| l.prediction = 0.01);
+            }),
             ("without seam", |s| each_level(s, |l| l.seam = 0.0)),
         ];
         changes.into_iter().map(|(name, change)| Self::hybrid("term", name, change)).collect()
@@ -143,18 +149,21 @@ mod tests {
                 [l.point_to_plane, l.symmetric, l.point_to_point, l.scan_to_template]
             };
             let w = d.point_to_plane;
-            assert!(w > 0.0 && d.landmarks > 0.0 && d.prediction > 0.0 && d.seam > 0.0, "{d:?}");
+            assert!(w > 0.0 && d.landmarks > 0.0 && default.graph.lambda_unseen > 0.0 && d.seam > 0.0, "{d:?}");
             assert_eq!(data("default"), [w, 0.0, d.point_to_point, 0.0]);
             assert_eq!(data("point_to_plane"), [w, 0.0, 0.0, 0.0]);
             assert_eq!(data("symmetric"), [0.0, w, 0.0, 0.0]);
             assert_eq!(data("point_to_point"), [0.0, 0.0, w, 0.0]);
             assert_eq!(data("with scan_to_template"), [w, 0.0, d.point_to_point, w]);
             assert_eq!(levels("without landmarks")[i], Level { landmarks: 0.0, ..*d });
-            assert_eq!(levels("without prediction")[i], Level { prediction: 0.0, ..*d });
+            assert_eq!(levels("without lambda_unseen")[i], *d);
+            assert_eq!(levels("with prediction")[i], Level { prediction: 0.01, ..*d });
             assert_eq!(levels("without seam")[i], Level { seam: 0.0, ..*d });
         }
         for v in &terms {
             assert_eq!(v.schedule.scan.test_vertices, v.name != "point_to_point");
+            let stiffer = v.name != "without lambda_unseen" && v.name != "with prediction";
+            assert_eq!(v.schedule.graph.lambda_unseen > 0.0, stiffer, "{}", v.name);
             v.schedule.validate().unwrap();
         }
     }

@@ -4,12 +4,12 @@
 //! ```text
 //!     b_i(w) = n_i + sum_k w_k delta_ik                                       (4)
 //!     v_i    = sum_j omega_ij ( T_j(b_i - x_j) + x_j )                        (6), (8)   T_j(q) = A_j q + t_j
-//!     E_smooth = lambda_graph sum_(i,j) |T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2          (7)
+//!     E_smooth = lambda_graph sum_(i,j) s_ij |T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2     (7)
 //!              + lambda_graph lambda_rotation d^2 sum_j E_rot(A_j)                               affine nodes only
 //!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5)
 //! ```
 //!
-//! (Klimov 2020; `E_rot`: Sumner et al. 2007, [`NodeTransform::rotation_residuals`].) `A_j` is a rotation, a scaled rotation or
+//! `s_ij` is 1 unless a registration [stiffens](NodeAssembly::stiffen_unseen) what it does not see. (Klimov 2020; `E_rot`: Sumner et al. 2007, [`NodeTransform::rotation_residuals`].) `A_j` is a rotation, a scaled rotation or
 //! any 3 x 3. Rigid and similarity have one node and no shapes, blendshape one node, graph no shapes. `d`, the reach of a node,
 //! makes `lambda_rotation` free of units: `d^2` is [`NodeGraph::squared_reach`].
 //!
@@ -164,6 +164,16 @@ impl<T: NodeTransform<W>, const W: usize> NodeAssembly<T, W> {
     #[must_use]
     pub fn weights<'a>(&self, x: &'a [f64]) -> &'a [f64] {
         weights_in::<T, W>(x, &self.graph)
+    }
+
+    /// Stiffens the graph where nothing is seen: each edge of (7) counts `factor^u` times, with `u` the mean over both ends of
+    /// the share, by influence, of a node's vertices that are `unseen` (0 to 1 each, one per vertex).
+    ///
+    /// # Panics
+    /// If there is not one share per vertex.
+    pub fn stiffen_unseen(&mut self, unseen: &[f64], factor: f64) {
+        assert_eq!(unseen.len(), self.rest.len(), "one share per vertex");
+        self.regulariser.stiffen(&self.graph, unseen, factor);
     }
 
     /// `b_i(w)`, eq. (4), at `x`: the shape before the graph moves it.

@@ -15,6 +15,10 @@ pub(super) struct GraphRegulariser<const W: usize> {
     edges: Vec<EdgeJacobian<W>>,
     /// `d^2` of a graph, squared millimetres: see [`NodeGraph::squared_reach`].
     squared_reach: f64,
+    /// Weight of each edge in (7) over `lambda_graph`.
+    edge_weights: Vec<f64>,
+    /// Of each node, the unseen share of what it moves, and the sum of its influences.
+    unseen: Vec<[f64; 2]>,
 }
 
 /// A directed edge at one of its ends; `block` is where the block with the other end starts, if it lies in this row.
@@ -40,7 +44,35 @@ fn edge_residual(source: &AffineMap<f64>, target: &AffineMap<f64>, [xi, xj]: [Ve
 
 impl<const W: usize> GraphRegulariser<W> {
     pub fn new(graph: &NodeGraph, rest: &[Vec3]) -> Self {
-        Self { node_edges: Vec::new(), edges: Vec::new(), squared_reach: graph.squared_reach(rest) }
+        Self {
+            node_edges: Vec::new(),
+            edges: Vec::new(),
+            squared_reach: graph.squared_reach(rest),
+            edge_weights: vec![1.0; graph.edges().len()],
+            unseen: Vec::new(),
+        }
+    }
+
+    /// Weighs each edge by `factor^u`, with `u` the mean over its ends of the share, by influence, of their vertices that are
+    /// `unseen` (0 to 1 each).
+    pub fn stiffen(&mut self, graph: &NodeGraph, unseen: &[f64], factor: f64) {
+        self.unseen.clear();
+        self.unseen.resize(graph.nodes().len(), [0.0; 2]);
+        for (i, unseen) in unseen.iter().enumerate() {
+            for &(j, omega) in graph.influences(i) {
+                let [sum, total] = &mut self.unseen[j as usize];
+                *sum += omega * unseen;
+                *total += omega;
+            }
+        }
+        let share = |j: u32| {
+            let [sum, total] = self.unseen[j as usize];
+            if total > 0.0 { sum / total } else { 1.0 }
+        };
+        let log = factor.ln();
+        for (weight, &(i, j)) in self.edge_weights.iter_mut().zip(graph.edges()) {
+            *weight = (log * 0.5 * (share(i) + share(j))).exp();
+        }
     }
 
     /// `position(j, k)`, `j >= k`, is where block (`j`, `k`) starts in block row `j`.
@@ -65,9 +97,10 @@ impl<const W: usize> GraphRegulariser<W> {
     ) {
         if !graph.edges().is_empty() {
             let mut sum = 0.0;
-            for &(i, j) in graph.edges() {
+            for (&(i, j), weight) in graph.edges().iter().zip(&self.edge_weights) {
                 let [i, j] = [i as usize, j as usize];
-                sum += edge_residual(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]).norm_squared();
+                let residual = edge_residual(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]);
+                sum += weight * residual.norm_squared();
             }
             out.push(("graph smoothness (7)", stiffness.graph * sum));
         }
@@ -98,7 +131,7 @@ impl<const W: usize> GraphRegulariser<W> {
                 }
             },
         );
-        let (edges, node_edges, lambda) = (&self.edges, &self.node_edges, stiffness.graph);
+        let (edges, node_edges, edge_weights) = (&self.edges, &self.node_edges, &self.edge_weights);
         let rotation = self.rotation_weight(stiffness);
         equations.for_each_block_row(&|j, row| {
             vectorized(
@@ -110,6 +143,7 @@ impl<const W: usize> GraphRegulariser<W> {
                     let (mut ends, mut pull) = (0.0, [0.0; 3]);
                     for at in &node_edges[j] {
                         let edge = &edges[at.edge as usize];
+                        let lambda = stiffness.graph * edge_weights[at.edge as usize];
                         let source = edge.source.each_ref();
                         if at.is_source {
                             add_block(&mut row.blocks[diagonal..], source, source, lambda);
@@ -119,8 +153,8 @@ impl<const W: usize> GraphRegulariser<W> {
                                 }
                             }
                         } else {
-                            ends += 1.0;
-                            (0..3).for_each(|a| pull[a] += edge.residual[a]);
+                            ends += lambda;
+                            (0..3).for_each(|a| pull[a] += lambda * edge.residual[a]);
                         }
                         if let Some(block) = at.block {
                             let block = &mut row.blocks[block as usize..][..W * W];
@@ -129,10 +163,10 @@ impl<const W: usize> GraphRegulariser<W> {
                             add_block(block, own, other, -lambda);
                         }
                     }
-                    add_block(&mut row.blocks[diagonal..], own_shift, own_shift, lambda * ends);
+                    add_block(&mut row.blocks[diagonal..], own_shift, own_shift, ends);
                     for (shift, pull) in own_shift.into_iter().zip(pull) {
                         for t in 0..W {
-                            row.gradient[t] -= lambda * shift[t] * pull;
+                            row.gradient[t] -= shift[t] * pull;
                         }
                     }
                     for r in T::rotation_residuals(&seeded[j]).iter().flatten() {
