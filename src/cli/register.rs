@@ -9,7 +9,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::inputs::{MaskArguments, RigArguments, bounds, rig_files};
+use super::inputs::{FlipArgument, MaskArguments, RigArguments, bounds, rig_files, texture_of};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, on_threads, refuse_overwriting, say, warn, write_json};
@@ -17,7 +17,8 @@ use crate::mesh::io::{self, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Report, Schedule, StepRecord, VertexColors, WITHIN_MM, WarmStart, register, scan_colors,
+    RegistrationStop, Report, ScanFlip, Schedule, StepRecord, VertexColors, WITHIN_MM, WarmStart, register,
+    scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -52,6 +53,9 @@ pub struct Arguments {
     masks: MaskArguments,
     #[command(flatten)]
     units: UnitArguments,
+    /// Whether the scan is inside out, its normals facing inwards, and has to be turned over [default: the schedule's, or auto]
+    #[arg(long, value_enum, value_name = "WHEN")]
+    flip: Option<FlipArgument>,
     /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), free, rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
@@ -147,6 +151,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     progress.bar.finish_and_clear();
     let registering = clock.elapsed().as_secs_f64() - reading;
 
+    let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
+    let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
     let mut registered = template.clone();
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
@@ -181,9 +187,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     }
     if let Some(path) = &a.picture {
         let title = format!("{} onto {}", a.model.name(), file_name(&a.target));
-        let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
+        let sheet = registration_sheet(&title, &template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none());
     doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
         let (seen, of) = (colors.observed_count(), colors.colors.len());
@@ -195,6 +202,31 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Interrupted, message));
     }
     Ok(())
+}
+
+/// What was found wrong with scan and landmarks, and what was done about it.
+fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, no_colors: bool) {
+    let facing = result.scan_facing;
+    if facing.turned > 0 {
+        warn(format_args!(
+            "{} of the scan's {triangles} triangles faced against their neighbours and were turned",
+            facing.turned
+        ));
+    }
+    if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
+        warn("the scan is inside out, its normals face inwards: it was turned over; --flip no leaves it as it is");
+    }
+    for suspect in result.start_landmarks.iter().flat_map(|start| &start.suspects) {
+        warn(format_args!(
+            "landmark {:?} is {:.0} mm from where the others put it and took no part; check its name and place",
+            suspect.name, suspect.distance
+        ));
+    }
+    if let Some(texture) = texture_of(&a.target).filter(|_| no_colors) {
+        warn(format_args!(
+            "the scan's texture {texture:?} is not used; for a coloured result give the scan colours at its vertices"
+        ));
+    }
 }
 
 fn read_state(path: &Path) -> Result<WarmStart, Failure> {
@@ -242,6 +274,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
+    schedule.scan.flip = a.flip.map_or(schedule.scan.flip, FlipArgument::flip);
     schedule.bounds.identity = a.identity_bounds.or(schedule.bounds.identity);
     Ok(schedule)
 }

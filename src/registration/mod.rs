@@ -5,6 +5,7 @@ mod correspondence;
 mod doubt;
 mod driver;
 mod error;
+mod facing;
 mod level_term;
 mod masks;
 mod model_kind;
@@ -26,6 +27,7 @@ pub use driver::{
     register, register_with,
 };
 pub use error::RegistrationError;
+pub use facing::{ScanFacing, ScanFlip};
 pub use level_term::LevelTerm;
 pub use masks::VertexMasks;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
@@ -38,7 +40,7 @@ pub use schedule::{
     StepAlgorithm, StopOptions, WarmStartOptions,
 };
 pub use seam::Seams;
-pub use start::{StartFit, StartOptions, StartSearch};
+pub use start::{LandmarkStart, StartFit, StartOptions, StartSearch, SuspectLandmark};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 pub use warm_start::WarmStart;
 

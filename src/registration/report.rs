@@ -9,8 +9,8 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::{
-    Doubt, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Schedule, StartSearch, StepRecord,
-    VertexMasks,
+    Doubt, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, ScanFacing, Schedule,
+    StartSearch, StepRecord, VertexMasks,
 };
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
 use crate::mesh::io::KnownUnit;
@@ -125,6 +125,10 @@ pub struct Report {
     pub start: Pose,
     /// How the start was found, where fewer than three landmarks gave it.
     pub start_search: Option<StartSearch>,
+    /// What the landmarks say of the start, where three or more gave it.
+    pub start_landmarks: Option<LandmarkStart>,
+    /// What was done to the scan so that it faces outwards.
+    pub scan_facing: ScanFacing,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
@@ -163,6 +167,8 @@ impl Report {
             schedule: result.schedule.clone(),
             start: result.start,
             start_search: result.start_search.clone(),
+            start_landmarks: result.start_landmarks.clone(),
+            scan_facing: result.scan_facing,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,
