@@ -10,15 +10,9 @@ use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::Interrupt;
-<<<<<<< HEAD
-use super::{Failure, Stage, check_output_folder, register, say, tell, warn};
+use super::{Failure, Stage, bounded, check_output_folder, register, say, tell, warn};
 use crate::batch::{Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
-=======
-use super::{Failure, Stage, bounded, check_output_folder, register, say, tell, write_json};
-use crate::batch::{Batch, Columns, Job, Manifest, Outcome, Row, Shard, Status, Summary, chains};
-use crate::mesh::io::write_atomically;
 use crate::text;
->>>>>>> part-b
 
 /// Arguments of `nonrigid batch`.
 #[derive(Debug, Args)]
@@ -178,11 +172,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What a row runs: the options of the command line, then its own instead of them.
-<<<<<<< HEAD
-fn job(row: &Row, of_all: &[(String, String)], further: &[(String, String)], columns: &Columns) -> Job {
-=======
-fn job(row: &Row, of_all: &[(String, OsString)], batch: &Batch, columns: &Columns) -> Job {
->>>>>>> part-b
+fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)], columns: &Columns) -> Job {
     let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
     let of_all = of_all.iter().filter(|(long, _)| !of_row(long)).cloned();
     let settings: Vec<(String, OsString)> = of_all.chain(row.options.iter().cloned()).collect();
@@ -204,18 +194,12 @@ fn job(row: &Row, of_all: &[(String, OsString)], batch: &Batch, columns: &Column
         }
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
-<<<<<<< HEAD
-    let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
-    settings.retain(|(long, _)| !columns.paths.contains(long));
-    settings.extend(further.iter().cloned());
-=======
     // what is no path came from text
-    let of_text = settings.into_iter().filter(|(long, _)| !columns.paths.contains(long));
+    let of_text = settings.iter().filter(|(long, _)| !columns.paths.contains(long));
     let mut settings: Vec<(String, String)> =
-        of_text.map(|(long, value)| (long, value.to_string_lossy().into_owned())).collect();
-    settings.extend([("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]);
-    let inputs = inputs.map(|inputs| inputs.into_iter().map(|(role, path)| (role.to_owned(), path)).collect());
->>>>>>> part-b
+        of_text.map(|(long, value)| (long.clone(), value.to_string_lossy().into_owned())).collect();
+    settings.extend(further.iter().cloned());
+    let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
     Job { name: row.name.clone(), arguments, settings, goes_on, inputs }
 }
 

@@ -66,14 +66,9 @@ impl Failure {
     /// Says it on stderr and gives the exit code.
     #[must_use]
     pub fn report(&self) -> ExitCode {
-<<<<<<< HEAD
         let asked = matches!(self.stage, Stage::Interrupted | Stage::Terminated);
         let kind = if asked { "warning" } else { "error" };
-        tell(format_args!("{kind}: {self}"));
-=======
-        let kind = if self.stage == Stage::Interrupted { "warning" } else { "error" };
         tell(format_args!("{kind}: {}", message(&self.message)));
->>>>>>> part-b
         self.exit_code()
     }
 }

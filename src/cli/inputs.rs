@@ -6,13 +6,9 @@ use clap::Args;
 
 use super::units::Units;
 use super::{Failure, warn};
-<<<<<<< HEAD
-use crate::mesh::Vec3;
 use crate::mesh::io::{self, Inputs};
-=======
-use crate::mesh::io;
->>>>>>> part-b
 use crate::mesh::{PolygonMesh, PoseKind};
+use crate::registration::ScanFlip;
 use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
 /// The rig and which of its shapes to use.
@@ -99,6 +95,50 @@ fn combined(a: Option<Vec<f64>>, b: Option<Vec<f64>>, with: impl Fn(f64, f64) ->
         (Some(a), Some(b)) => Some(a.into_iter().zip(b).map(|(a, b)| with(a, b)).collect()),
         (a, b) => a.or(b),
     }
+}
+
+/// Whether a scan is turned over.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+pub enum FlipArgument {
+    /// Where it fits the template better so
+    Auto,
+    /// Always
+    Yes,
+    /// Never
+    No,
+}
+
+impl FlipArgument {
+    /// The same for the library.
+    pub fn flip(self) -> ScanFlip {
+        match self {
+            Self::Auto => ScanFlip::Auto,
+            Self::Yes => ScanFlip::Yes,
+            Self::No => ScanFlip::No,
+        }
+    }
+}
+
+/// The image that a mesh file names for its colours, if it names one: `map_Kd` in the materials of an OBJ file, `TextureFile` in
+/// the comments of a PLY file.
+pub fn texture_of(path: &Path) -> Option<String> {
+    let is = |ending: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
+    // Only what can be read twice.
+    let lines = |path: &Path| -> Option<Vec<String>> {
+        let bytes = path.is_file().then(|| std::fs::read(path).ok()).flatten()?;
+        let head = bytes.split(|b| *b == b'\n').map(|line| String::from_utf8_lossy(line).trim().to_owned());
+        Some(head.take_while(|line| line != "end_header").collect())
+    };
+    let named = |lines: Vec<String>, word: &str| -> Vec<String> {
+        let rest = lines.iter().filter_map(|line| line.strip_prefix(word)?.strip_prefix([' ', '\t']));
+        rest.map(|name| name.trim().to_owned()).collect()
+    };
+    if is("ply") {
+        return named(lines(path)?, "comment TextureFile").into_iter().next();
+    }
+    let libraries = if is("obj") { named(lines(path)?, "mtllib") } else { Vec::new() };
+    let maps = |name: &String| named(lines(&path.with_file_name(name)).unwrap_or_default(), "map_Kd");
+    libraries.iter().flat_map(maps).next()
 }
 
 /// Numbers from 0 to 1, one per vertex.

@@ -26,12 +26,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
-<<<<<<< HEAD
 use crate::mesh::io::{FilePlan, files_of_mesh, write_atomically};
-=======
-use crate::mesh::io::write_atomically;
 use crate::text;
->>>>>>> part-b
 
 pub use failure::{Failure, Stage};
 pub use output::{answer, say, say_to, tell};

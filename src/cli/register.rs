@@ -9,15 +9,16 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::inputs::{MaskArguments, RigArguments, bounds, rig_files};
+use super::inputs::{FlipArgument, MaskArguments, RigArguments, bounds, rig_files, texture_of};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, write_json};
 use crate::mesh::io::{self, FilePlan, Inputs, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
-    Doubt, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Report, Schedule, StepRecord, VertexColors, WITHIN_MM, WarmStart, register, scan_colors,
+    Handedness, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
+    RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, register,
+    scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -52,6 +53,9 @@ pub struct Arguments {
     masks: MaskArguments,
     #[command(flatten)]
     units: UnitArguments,
+    /// Whether the scan is inside out, its normals facing inwards, and has to be turned over [default: the schedule's, or auto]
+    #[arg(long, value_enum, value_name = "WHEN")]
+    flip: Option<FlipArgument>,
     /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), free, rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
@@ -179,6 +183,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     progress.bar.finish_and_clear();
     let registering = clock.elapsed().as_secs_f64() - reading;
 
+    let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
+    let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
     let mut registered = template.clone();
     registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
@@ -214,9 +220,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &a.picture {
         let percent = 100.0 * reliability.probability;
         let title = format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
-        let sheet = registration_sheet(&title, &template, &scan.mesh, &registered, 480);
+        let sheet = registration_sheet(&title, &template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none());
     reliability.doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
         let (seen, of) = (colors.observed_count(), colors.colors.len());
@@ -228,6 +235,31 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(progress.interrupt.failure(message));
     }
     Ok(())
+}
+
+/// What was found wrong with scan and landmarks, and what was done about it.
+fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, no_colors: bool) {
+    let facing = result.scan_facing;
+    if facing.turned > 0 {
+        warn(format_args!(
+            "{} of the scan's {triangles} triangles faced against their neighbours and were turned",
+            facing.turned
+        ));
+    }
+    if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
+        warn("the scan is inside out, its normals face inwards: it was turned over; --flip no leaves it as it is");
+    }
+    for suspect in result.start_landmarks.iter().flat_map(|start| &start.suspects) {
+        warn(format_args!(
+            "landmark {:?} is {:.0} mm from where the others put it and took no part; check its name and place",
+            suspect.name, suspect.distance
+        ));
+    }
+    if let Some(texture) = texture_of(&a.target).filter(|_| no_colors) {
+        warn(format_args!(
+            "the scan's texture {texture:?} is not used; for a coloured result give the scan colours at its vertices"
+        ));
+    }
 }
 
 fn read_state(path: &Path) -> Result<WarmStart, Failure> {
@@ -277,6 +309,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
+    schedule.scan.flip = a.flip.map_or(schedule.scan.flip, FlipArgument::flip);
     schedule.bounds.identity = a.identity_bounds.or(schedule.bounds.identity);
     Ok(schedule)
 }
@@ -319,6 +352,9 @@ fn print_summary(
     ))?;
     say(quality.mesh)?;
     let percent = 100.0 * reliability.probability;
+    if let Handedness::Unknown(_) = reliability.evidence.handedness {
+        say("left and right: nothing tells them apart here, a mirrored scan would give as good a result; four landmarks would tell")?;
+    }
     say(format_args!("probability that the error exceeds {WRONG_MM} mm: {percent:.0} %"))?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {

@@ -5,13 +5,7 @@
 
 use serde::Serialize;
 
-<<<<<<< HEAD
 use super::{Evidence, Quality, RegistrationInput, RegistrationResult, Risk};
-=======
-use super::{Quality, RegistrationInput, RegistrationResult, StartSearch, WITHIN_MM};
-use crate::mesh::io::Landmark;
-use crate::mesh::{Vec3, surface_points};
->>>>>>> part-b
 
 /// A reason to look at a result before it is used. Distances are millimetres, shares from 0 to 1.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -102,6 +96,16 @@ pub enum Doubt {
         /// Correlation of curvature between template and result.
         correlation: f64,
     },
+    /// The last step still moved the result.
+    Unsettled {
+        /// Largest motion of a vertex in it.
+        motion: f64,
+    },
+    /// The result's mirror image is more probable than the result.
+    Mirrored {
+        /// How many times.
+        odds: f64,
+    },
     /// The scan is of another size than the template.
     Scale {
         /// Size over the template's.
@@ -110,7 +114,6 @@ pub enum Doubt {
 }
 
 impl Doubt {
-<<<<<<< HEAD
     /// The doubt that a risk stands for, with its numbers.
     pub(super) fn new(
         risk: Risk,
@@ -131,7 +134,7 @@ impl Doubt {
             Risk::Contradicted | Risk::Turn => Self::Contradicted { share: evidence.coverage.contradicted },
             Risk::ScanMissed => Self::ScanMissed { share: evidence.coverage.scan_missed },
             Risk::Distance | Risk::DistanceSpread => Self::HighResidual { median: evidence.coverage.distance * size },
-            Risk::LandmarkRms | Risk::LandmarkWorst => {
+            Risk::LandmarkRms | Risk::LandmarkWorst | Risk::LandmarkSuspects => {
                 let distance = |l: &&crate::mesh::io::Landmark| (l.template.position(&result.positions) - l.target).norm();
                 let worst = input.landmarks.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)));
                 Self::Landmarks {
@@ -161,36 +164,10 @@ impl Doubt {
                 Self::Stretched { longest: quality.mesh.stretch.p99, shortest: quality.mesh.stretch.p1 }
             }
             Risk::CurvatureLost => Self::FeaturesMoved { correlation: evidence.curvature_kept },
+            Risk::LastMotion => Self::Unsettled { motion: evidence.last_motion * size },
+            Risk::Mirrored => Self::Mirrored { odds: evidence.handedness.against().min(700.0).exp() },
             Risk::Scale => Self::Scale { scale: evidence.scale },
         }
-=======
-    /// All signs that a result shows, most telling first.
-    #[must_use]
-    pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Vec<Self> {
-        let start = result.start_search.as_ref().filter(|search| search.is_doubtful()).map(Self::start);
-        let inliers = result.history.last().map_or(0.0, |h| h.inliers);
-        let size = size(&surface_points(input.rest_positions(), input.template.corners.iter().copied()));
-        let unit = result.start.scale * size / result.schedule.reference_size;
-        let landmarks = landmark_distance(input, &result.positions, result.schedule.sigma.landmark * unit);
-        let triangles = input.template.triangulate().triangles.len();
-        let extreme = extreme_weights(result);
-        let (median, of) = (quality.median_within, result.weights.len());
-        let signs = [
-            start,
-            (inliers < FEW_INLIERS).then_some(Self::FewInliers { share: inliers }),
-            (landmarks > FAR_LANDMARKS * size).then_some(Self::Landmarks { rms: landmarks }),
-            (median > HIGH_RESIDUAL * WITHIN_MM).then_some(Self::HighResidual { median }),
-            (quality.flipped as f64 > MANY_FOLDS * triangles as f64)
-                .then_some(Self::ManyFolds { folded: quality.flipped, of: triangles }),
-            (extreme as f64 > MANY_WEIGHTS * of as f64).then_some(Self::ExtremeWeights { extreme, of }),
-        ];
-        signs.into_iter().flatten().collect()
-    }
-
-    fn start(search: &StartSearch) -> Self {
-        let (tried, rival) = (search.tried, search.rival());
-        Self::Start { tried, share: search.fit.share, residual: search.fit.residual, rival }
->>>>>>> part-b
     }
 
     /// The sign's name, as in the report.
@@ -211,6 +188,8 @@ impl Doubt {
             Self::ManyFolds { .. } => "many_folds",
             Self::Stretched { .. } => "stretched",
             Self::FeaturesMoved { .. } => "features_moved",
+            Self::Unsettled { .. } => "unsettled",
+            Self::Mirrored { .. } => "mirrored",
             Self::Scale { .. } => "scale",
         }
     }
@@ -286,6 +265,14 @@ impl std::fmt::Display for Doubt {
             Self::FeaturesMoved { correlation } => write!(
                 f,
                 "the template's features are not on the scan's: curvature agrees to {correlation:.2} only; look at nose, mouth and eyes"
+            ),
+            Self::Unsettled { motion } => write!(
+                f,
+                "the last step still moved the result by {motion:.1} mm: scan and template do not fit; check the start and the scan"
+            ),
+            Self::Mirrored { odds } => write!(
+                f,
+                "the result's mirror image is {odds:.0} times as probable as the result; check that the scan is not mirrored"
             ),
             Self::Scale { scale } => write!(
                 f,

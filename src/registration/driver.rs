@@ -1,11 +1,13 @@
 //! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one step of the solver (Gauss-Newton
 //! unless the schedule says otherwise), again.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 
 use serde::Serialize;
 
-use super::start::{self, StartInput};
+use super::facing::{self, Faced, ScanFacing, ScanFlip};
+use super::start::{self, LandmarkStart, Start, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
     ScanSurface, Schedule, ScheduleError, Seams, StartSearch, StepAlgorithm, TermFactory, TermInput, TermKind,
@@ -14,6 +16,7 @@ use super::{
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::io::{Landmark, TemplatePoint};
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3, referenced, surface_points};
 use crate::model::Linearisation;
 use crate::nlls::{
@@ -156,8 +159,12 @@ pub struct RegistrationResult {
     pub start: Pose,
     /// Where it ended, for the next frame.
     pub end: WarmStart,
-    /// How the start was found, where fewer than three landmarks gave it.
+    /// How the start was found, where it was searched: fewer than three landmarks gave it, or they left much of it open.
     pub start_search: Option<StartSearch>,
+    /// What the landmarks say of the start, where three or more gave it.
+    pub start_landmarks: Option<LandmarkStart>,
+    /// What was done to the scan so that it faces outwards.
+    pub scan_facing: ScanFacing,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
     pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.
@@ -219,27 +226,46 @@ pub fn register_with(
         bounds.validate(problem.structure().border(), x.len())?;
         bounds.project(&mut x);
     }
-    let (start, start_search) = match input.warm_start {
-        None => start_of(input, &template, schedule)?,
+    let (faced, turned) = agreeing(input);
+    let Start { pose: start, search: start_search, by_landmarks } = match input.warm_start {
+        None => start_of(input, &faced, &template, schedule)?,
         Some(warm) => {
             let vertices = problem.vertices(&x);
             let at = |l: &Landmark| (l.template.position(vertices) + template.centre, l.target, l.weight(1.0));
-            (warm.pose_by(&input.landmarks.iter().map(at).collect::<Vec<_>>()), None)
+            let pose = warm.pose_by(&input.landmarks.iter().map(at).collect::<Vec<_>>());
+            Start { pose, search: None, by_landmarks: None }
         }
     };
     let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
-    let scan_in_rest = TriangleMesh {
-        positions: input.scan.positions.iter().map(|&p| to_rest(p)).collect(),
-        triangles: input.scan.triangles.clone(),
+    let in_rest = |(scan, normals): &Faced<'_>| {
+        let positions = scan.positions.iter().map(|&p| to_rest(p)).collect();
+        let normals: Option<Vec<Vec3>> =
+            normals.as_ref().map(|n| n.iter().map(|&n| start.rotation.tr_mul(&n)).collect());
+        let scan = TriangleMesh { positions, triangles: scan.triangles.clone() };
+        ScanSurface::new(scan, normals.as_deref(), &schedule.scan)
     };
-    let scan_normals: Option<Vec<Vec3>> =
-        input.scan_normals.map(|n| n.iter().map(|&n| start.rotation.tr_mul(&n)).collect());
-    let scan = ScanSurface::new(scan_in_rest, scan_normals.as_deref(), &schedule.scan)?;
+    let searched = start_search.as_ref().map(|search| search.flipped);
+    let (mut scan, mut scan_facing) = (None, ScanFacing { turned, flipped: schedule.scan.flip == ScanFlip::Yes });
+    if schedule.scan.flip == ScanFlip::Auto {
+        scan_facing.flipped = searched.unwrap_or(false);
+        if searched.is_none() {
+            let as_given = in_rest(&faced)?;
+            scan_facing.flipped = template.sees_the_inside(&as_given, problem.vertices(&x));
+            scan = Some(as_given).filter(|_| !scan_facing.flipped);
+        }
+    }
+    let scan = match scan {
+        Some(scan) => scan,
+        None if scan_facing.flipped => in_rest(&facing::flipped(faced))?,
+        None => in_rest(&faced)?,
+    };
     let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
     let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
 
     let sigma = schedule.sigma.landmark * template.unit * start.scale;
-    let targets = input.landmarks.iter().map(|l| (to_rest(l.target), l.weight(sigma)));
+    let suspects = by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
+    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
+    let targets = input.landmarks.iter().map(|l| (to_rest(l.target), weight(l)));
     let landmarks: Vec<(usize, Vec3, f64)> =
         on_template.into_iter().zip(targets).map(|(s, (p, w))| (s, p, w)).collect();
     let frame = Pose { translation: start.apply(template.centre), ..start };
@@ -279,6 +305,8 @@ pub fn register_with(
         start,
         end,
         start_search,
+        start_landmarks: by_landmarks,
+        scan_facing,
         weights,
         accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
         weak_directions: problem.model.weak_directions().unwrap_or_else(|| run.workspace.summary().weak_directions()),
@@ -349,21 +377,34 @@ pub fn find_start(
     schedule.validate()?;
     check_geometry(input)?;
     let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    start_of(input, &template, schedule)
+    let start = start_of(input, &agreeing(input).0, &template, schedule)?;
+    Ok((start.pose, start.search))
+}
+
+/// The scan, its triangles facing as their neighbours do unless it has normals of its own; and how many were turned.
+fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, usize) {
+    match input.scan_normals {
+        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), 0),
+        None => {
+            let (scan, turned) = facing::agreeing(input.scan);
+            ((scan, None), turned)
+        }
+    }
 }
 
 fn start_of(
     input: &RegistrationInput<'_>,
+    (scan, scan_normals): &Faced<'_>,
     rest: &Rest,
     schedule: &Schedule,
-) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+) -> Result<Start, RegistrationError> {
+    let (scan, scan_normals): (&TriangleMesh, Option<&[Vec3]>) = (scan, scan_normals.as_deref());
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
     let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
-    let discs =
-        input.scan.triangles.is_empty().then(|| start::discs(input.scan, input.scan_normals.unwrap_or_default()));
+    let discs = scan.triangles.is_empty().then(|| start::discs(scan, scan_normals.unwrap_or_default()));
     let (scan, scan_normals) = match &discs {
         Some((mesh, normals)) => (mesh, Some(&normals[..])),
-        None => (input.scan, input.scan_normals),
+        None => (scan, scan_normals),
     };
     let search = StartInput {
         template: &rest.mesh,
@@ -375,6 +416,7 @@ fn start_of(
         scan_normals,
         landmarks: &landmarks,
         sigma: schedule.sigma.landmark * rest.unit,
+        flip: schedule.scan.flip,
     };
     start::find_start(&search, schedule.start, &schedule.search)
 }
@@ -410,7 +452,22 @@ impl Rest {
         let density = schedule.reference_vertices / count;
         Ok(Self { mesh, masks, seams, centre, unit, density })
     }
+
+    /// Whether the scan faces inwards, by its normals near vertices of the model.
+    fn sees_the_inside(&self, scan: &ScanSurface, vertices: &[Vec3]) -> bool {
+        let normals = vertex_normals(vertices, &self.mesh.triangles, NormalWeighting::Area);
+        let unseen = self.masks.unseen();
+        let each = vertices.len() / FACING_VERTICES + 1;
+        let chosen = || (0..vertices.len()).step_by(each).filter(|&v| !unseen[v] && normals[v] != Vec3::zeros());
+        let points: Vec<Vec3> = chosen().map(|v| vertices[v]).collect();
+        let normals: Vec<Vec3> = chosen().map(|v| normals[v]).collect();
+        facing::faces_inwards(scan, &points, &normals, FACING_REACH * self.unit)
+    }
 }
+
+/// Vertices of the template that are asked, about, and how far from the scan they may be, millimetres.
+const FACING_VERTICES: usize = 1000;
+const FACING_REACH: f64 = 20.0;
 
 /// The vertices within `rings` rings of the open boundary; the boundary itself is the first.
 fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {

@@ -100,6 +100,17 @@ pub enum RegistrationError {
         /// Scan over template.
         scale: f64,
     },
+    /// The landmarks fit the template's mirror image.
+    #[error(
+        "mirrored: the landmarks are {rms:.1} mm from the template's and {reflected:.1} mm from those of its mirror image; left and \
+         right are swapped in their names, or the scan is mirrored"
+    )]
+    Mirrored {
+        /// Root mean square distance, millimetres.
+        rms: f64,
+        /// The same of the mirror image.
+        reflected: f64,
+    },
     /// Template and scan differ too much in size for a start to be searched.
     #[error(
         "by the areas of their surfaces the scan is {ratio:.4} times the template's size{unit}, so the template cannot lie on it; \

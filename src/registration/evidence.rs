@@ -6,12 +6,12 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks};
+use super::{Handedness, Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::io::Landmark;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
-use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose};
+use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, referenced, surface_points};
 
 /// Signs of right and wrong. Lengths are shares of the result's size (root mean square distance from its centroid), so that they
 /// mean the same for any subject; zero where something does not apply.
@@ -34,8 +34,12 @@ pub struct Evidence {
     pub landmark_rms: f64,
     /// Largest distance of a landmark from its target.
     pub landmark_worst: f64,
-    /// How far the landmarks leave the pose open: rms shift of a vertex over all poses that fit them to one standard deviation.
+    /// How far the landmarks leave the start open: [`LandmarkStart::deviation`](super::LandmarkStart::deviation).
     pub landmark_freedom: f64,
+    /// Share of the landmarks that contradict the others and took no part.
+    pub landmark_suspects: f64,
+    /// What tells the result from its mirror image.
+    pub handedness: Handedness,
     /// Whether the model has shapes.
     pub shapes: usize,
     /// Mean of `(w_k / sigma_k)^2` over the weights; about 1 for a draw from the prior.
@@ -114,8 +118,9 @@ impl Seen {
         let scan = ScanSurface::new(input.scan.clone(), input.scan_normals, &ScanOptions::default())?;
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(positions);
-        let size = size(positions);
-        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+        let size = size(&surface_points(positions, input.template.corners.iter().copied()));
+        let used = referenced(positions.len(), input.template.corners.iter().copied());
+        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]).of_surface(&used);
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
         let hits: Vec<_> = (0..positions.len())
             .into_par_iter()
@@ -168,7 +173,8 @@ impl Evidence {
     /// Gathers what a result shows.
     #[must_use]
     pub fn new(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
-        let size = size(&result.positions).max(f64::MIN_POSITIVE);
+        let corners = || input.template.corners.iter().copied();
+        let size = size(&surface_points(&result.positions, corners())).max(f64::MIN_POSITIVE);
         let triangles = input.template.triangulate().triangles;
         let of_triangles = |count: usize| count as f64 / triangles.len().max(1) as f64;
         let search = result.start_search.as_ref();
@@ -180,7 +186,10 @@ impl Evidence {
         let landmark = |l: &Landmark| {
             (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size)
         };
-        let landmarks: Vec<(f64, f64)> = input.landmarks.iter().map(landmark).collect();
+        let by_landmarks = result.start_landmarks.as_ref();
+        let suspects = by_landmarks.map_or(&[][..], |l| &l.suspects[..]);
+        let trusted = input.landmarks.iter().filter(|l| !suspects.iter().any(|s| s.name == l.name));
+        let landmarks: Vec<(f64, f64)> = trusted.map(landmark).collect();
         let total: f64 = landmarks.iter().map(|l| l.0).sum();
         let squares: f64 = landmarks.iter().map(|(w, d)| w * d * d).sum();
         Self {
@@ -189,10 +198,12 @@ impl Evidence {
             start_loss: search.map_or(0.0, |s| s.fit.loss),
             start_share: search.map_or(1.0, |s| s.fit.share),
             start_rival: search.map_or(0.0, |s| s.rival()),
-            landmarks: landmarks.len(),
+            landmarks: input.landmarks.len(),
             landmark_rms: if total > 0.0 { (squares / total).sqrt() } else { 0.0 },
             landmark_worst: landmarks.iter().map(|l| l.1).fold(0.0, f64::max),
-            landmark_freedom: landmark_freedom(input, sigma, size),
+            landmark_freedom: by_landmarks.map_or(0.0, |l| (l.deviation / size).min(1.0)),
+            landmark_suspects: suspects.len() as f64 / input.landmarks.len().max(1) as f64,
+            handedness: Handedness::of(input, result, size),
             shapes: result.weights.len(),
             weight_energy: ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len().max(1) as f64,
             weight_worst: ratios.iter().copied().fold(0.0, f64::max),
@@ -243,42 +254,6 @@ fn weight_uncertainty(input: &RegistrationInput<'_>, result: &RegistrationResult
     };
     let sums: Vec<f64> = (0..result.positions.len()).into_par_iter().map(vertex).collect();
     (sums.iter().sum::<f64>() / sums.len().max(1) as f64).sqrt()
-}
-
-/// [`Evidence::landmark_freedom`]: the covariance of a rigid pose that landmarks of these deviations determine, at the vertices.
-fn landmark_freedom(input: &RegistrationInput<'_>, sigma: f64, of_result: f64) -> f64 {
-    if input.landmarks.len() < 3 {
-        return 0.0;
-    }
-    let rest = input.rest_positions();
-    let centre = rest.iter().sum::<Vec3>() / rest.len().max(1) as f64;
-    let arm = |p: Vec3| {
-        let p = p - centre;
-        let mut j = nalgebra::SMatrix::<f64, 3, 6>::zeros();
-        j.fixed_view_mut::<3, 3>(0, 0).copy_from(&-p.cross_matrix());
-        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&nalgebra::Matrix3::identity());
-        j
-    };
-    let unit = of_result / size(rest).max(f64::MIN_POSITIVE);
-    let mut information = nalgebra::SMatrix::<f64, 6, 6>::zeros();
-    for l in input.landmarks {
-        let j = arm(l.template.position(rest));
-        information += j.transpose() * j * (l.weight(sigma) / (sigma * sigma).max(f64::MIN_POSITIVE) * unit * unit);
-    }
-    // A direction without any information is as free as the template is large.
-    let floor = 1e-12 * information.trace().max(f64::MIN_POSITIVE);
-    for i in 0..6 {
-        information[(i, i)] += floor;
-    }
-    let Some(covariance) = information.try_inverse() else { return 1.0 };
-    let at = |p: &Vec3| {
-        let j = arm(*p);
-        (j * covariance * j.transpose()).trace()
-    };
-    let step = rest.len() / 500 + 1;
-    let sampled: Vec<f64> = rest.iter().step_by(step).map(at).collect();
-    let variance = sampled.iter().sum::<f64>() / sampled.len().max(1) as f64;
-    (variance.max(0.0).sqrt() * unit / of_result).min(1.0)
 }
 
 /// [`Evidence::curvature_kept`]. Curvature: the height of a vertex over the mean of its neighbours, along its normal.

@@ -6,6 +6,8 @@ mod doubt;
 mod driver;
 mod error;
 mod evidence;
+mod facing;
+mod handedness;
 mod level_term;
 mod masks;
 mod model_kind;
@@ -29,6 +31,8 @@ pub use driver::{
 };
 pub use error::RegistrationError;
 pub use evidence::{Coverage, Evidence};
+pub use facing::{ScanFacing, ScanFlip};
+pub use handedness::Handedness;
 pub use level_term::LevelTerm;
 pub use masks::VertexMasks;
 pub use model_kind::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
@@ -42,7 +46,7 @@ pub use schedule::{
     StepAlgorithm, StopOptions, WarmStartOptions,
 };
 pub use seam::Seams;
-pub use start::{StartFit, StartOptions, StartSearch};
+pub use start::{LandmarkStart, StartFit, StartOptions, StartSearch, SuspectLandmark};
 pub use terms::{RegistrationTerm, TermFactory, TermInput, TermKind};
 pub use warm_start::WarmStart;
 

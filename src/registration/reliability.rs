@@ -78,6 +78,8 @@ pub enum Risk {
     LandmarkWorst,
     /// [`Evidence::landmark_freedom`].
     LandmarkFreedom,
+    /// [`Evidence::landmark_suspects`].
+    LandmarkSuspects,
     /// One over one more than the number of landmarks.
     FewLandmarks,
     /// One without shapes, else zero.
@@ -104,11 +106,15 @@ pub enum Risk {
     CurvatureLost,
     /// How far the logarithm of [`Evidence::scale`] is from 0.
     Scale,
+    /// [`Evidence::last_motion`].
+    LastMotion,
+    /// [`Handedness::against`](super::Handedness::against).
+    Mirrored,
 }
 
 impl Risk {
     /// All of them.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 27] = [
         Self::StartLoss,
         Self::StartRival,
         Self::Unseen,
@@ -120,6 +126,7 @@ impl Risk {
         Self::LandmarkRms,
         Self::LandmarkWorst,
         Self::LandmarkFreedom,
+        Self::LandmarkSuspects,
         Self::FewLandmarks,
         Self::NoShapes,
         Self::BeyondShapes,
@@ -133,6 +140,8 @@ impl Risk {
         Self::Squeeze,
         Self::CurvatureLost,
         Self::Scale,
+        Self::LastMotion,
+        Self::Mirrored,
     ];
 
     /// The number.
@@ -150,6 +159,7 @@ impl Risk {
             Self::LandmarkRms => e.landmark_rms,
             Self::LandmarkWorst => e.landmark_worst,
             Self::LandmarkFreedom => e.landmark_freedom,
+            Self::LandmarkSuspects => e.landmark_suspects,
             Self::FewLandmarks => 1.0 / (1.0 + e.landmarks as f64),
             Self::NoShapes => if e.shapes == 0 { 1.0 } else { 0.0 },
             Self::BeyondShapes => e.beyond_shapes,
@@ -163,6 +173,8 @@ impl Risk {
             Self::Squeeze => e.squeeze,
             Self::CurvatureLost => 1.0 - e.curvature_kept,
             Self::Scale => e.scale.max(f64::MIN_POSITIVE).ln().abs(),
+            Self::LastMotion => e.last_motion,
+            Self::Mirrored => e.handedness.against(),
         }
     }
 }

@@ -8,17 +8,12 @@ use serde::Serialize;
 
 use super::evidence::Seen;
 use super::{
-    Coverage, NamedWeight, RegistrationError, RegistrationInput, RegistrationResult, RegistrationStop, Reliability, Schedule, StartSearch, StepRecord,
+    Coverage, LandmarkStart, NamedWeight, RegistrationError, RegistrationInput, RegistrationResult, RegistrationStop,
+    Reliability, ScanFacing, Schedule, StartSearch, StepRecord,
 };
-<<<<<<< HEAD
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::mesh::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
-=======
-use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, ScanDistance, flipped_triangles};
-use crate::mesh::io::KnownUnit;
-use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose, referenced};
->>>>>>> part-b
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -80,16 +75,6 @@ impl Quality {
                 return Err(EvaluationError::VertexCount { what, expected, found }.into());
             }
         }
-<<<<<<< HEAD
-=======
-        let distances = || -> Result<Vec<f64>, QualityError> {
-            let surface = ScanDistance::new(input.scan, input.scan_normals)?;
-            let used = referenced(positions.len(), input.template.corners.iter().copied());
-            let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]).of_surface(&used);
-            let vertices = positions.par_iter().zip(&masks.data);
-            Ok(vertices.map(|(p, data)| if *data > 0.0 { surface.of(p) } else { f64::NAN }).collect())
-        };
->>>>>>> part-b
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
         let (seen, mesh) = rayon::join(|| Seen::new(input, positions), || MeshQuality::new(&template, positions));
@@ -144,6 +129,10 @@ pub struct Report {
     pub start: Pose,
     /// How the start was found, where fewer than three landmarks gave it.
     pub start_search: Option<StartSearch>,
+    /// What the landmarks say of the start, where three or more gave it.
+    pub start_landmarks: Option<LandmarkStart>,
+    /// What was done to the scan so that it faces outwards.
+    pub scan_facing: ScanFacing,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
@@ -183,6 +172,8 @@ impl Report {
             schedule: result.schedule.clone(),
             start: result.start,
             start_search: result.start_search.clone(),
+            start_landmarks: result.start_landmarks.clone(),
+            scan_facing: result.scan_facing,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             weak_directions: result.weak_directions,

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{ModelKind, StartOptions};
+use super::{ModelKind, ScanFlip, StartOptions};
 use crate::mesh::PoseKind;
 use crate::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use crate::nlls::Kernel;
@@ -246,6 +246,8 @@ pub enum StepAlgorithm {
 pub struct ScanOptions {
     /// Rounds of averaging of the scan's vertex normals with their neighbours'.
     pub normal_smoothing: usize,
+    /// Whether the scan is turned over first: `auto` (default), `yes` or `no`.
+    pub flip: ScanFlip,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
     /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
@@ -259,7 +261,13 @@ pub struct ScanOptions {
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self { normal_smoothing: 2, reject_boundary: true, template_rim: 0.0, test_vertices: true }
+        Self {
+            normal_smoothing: 2,
+            flip: ScanFlip::Auto,
+            reject_boundary: true,
+            template_rim: 0.0,
+            test_vertices: true,
+        }
     }
 }
 
@@ -590,6 +598,7 @@ impl Schedule {
         positive("search.least_share".into(), self.search.least_share)?;
         positive("search.greatest_loss".into(), self.search.greatest_loss)?;
         positive("search.greatest_rival".into(), self.search.greatest_rival)?;
+        not_negative("search.scale_sigma".into(), self.search.scale_sigma)?;
         count("search.rotations".into(), self.search.rotations)?;
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;

@@ -28,13 +28,13 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::RegistrationError;
 use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
+use super::{RegistrationError, ScanFlip};
 use crate::mesh::adjacency::vertex_triangles;
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::io::Landmark;
 use crate::mesh::normals::face_areas;
-use crate::mesh::{MeshError, Pose, PoseKind, TriangleMesh, Vec3, closest_pose, weighted_closest_pose};
+use crate::mesh::{MeshError, Pose, PoseError, PoseKind, TriangleMesh, Vec3, closest_pose, weighted_closest_pose};
 use crate::rig::{Family, ShapeBasis};
 
 /// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
@@ -57,6 +57,9 @@ pub struct StartOptions {
     pub greatest_loss: f64,
     /// [`StartSearch::rival`] above which a pose is no start, except the given one, which then wins.
     pub greatest_rival: f64,
+    /// Prior standard deviation of the logarithm of the size. A rigid start keeps its own size unless the scan's is evidently
+    /// another, as a child's; 0 keeps it always.
+    pub scale_sigma: f64,
 }
 
 impl Default for StartOptions {
@@ -70,6 +73,7 @@ impl Default for StartOptions {
             least_share: 0.3,
             greatest_loss: 0.7,
             greatest_rival: 0.95,
+            scale_sigma: 0.15,
         }
     }
 }
@@ -100,6 +104,31 @@ pub struct StartSearch {
     pub runner_up: Option<StartFit>,
     /// Expressions that made the start fit better, and their weights.
     pub expression: Vec<(String, f64)>,
+    /// Whether the scan fits better turned over: its normals face inwards.
+    pub flipped: bool,
+}
+
+/// A landmark that does not go with the others.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SuspectLandmark {
+    /// Its name.
+    pub name: String,
+    /// How far it is from where the others say, millimetres.
+    pub distance: f64,
+}
+
+/// What a start by three or more landmarks is worth.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LandmarkStart {
+    /// Root mean square distance of the landmarks that took part, each with its weight, millimetres.
+    pub rms: f64,
+    /// Predicted root mean square error at the template's vertices, millimetres: from the covariance of the pose, where each
+    /// landmark is off by its own deviation and by what people differ.
+    pub deviation: f64,
+    /// Landmarks that took no part, as they contradict all their neighbours; the farthest off first.
+    pub suspects: Vec<SuspectLandmark>,
+    /// Whether a search found a better pose than the landmarks alone, which it tries where they say little.
+    pub searched: bool,
 }
 
 impl StartSearch {
@@ -141,29 +170,194 @@ pub(super) struct StartInput<'a> {
     pub landmarks: &'a [(Vec3, &'a Landmark)],
     /// Deviation of a landmark without its own, as long as the template's.
     pub sigma: f64,
+    /// Whether the scan may be, or is, inside out.
+    pub flip: ScanFlip,
 }
 
-/// The start of a registration: by three or more landmarks in closed form, otherwise by search.
+/// Where a registration starts.
+pub(super) struct Start {
+    pub pose: Pose,
+    /// Where it was searched.
+    pub search: Option<StartSearch>,
+    /// Where three or more landmarks gave it.
+    pub by_landmarks: Option<LandmarkStart>,
+}
+
+/// The start of a registration: by three or more landmarks in closed form, otherwise by search. Where the landmarks leave much
+/// of the pose open, it is searched as well, and the better one counts.
 pub(super) fn find_start(
     input: &StartInput<'_>,
     kind: PoseKind,
     options: &StartOptions,
-) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+) -> Result<Start, RegistrationError> {
     if input.landmarks.len() < 3 {
-        let (pose, search) = search_start(input, kind, options)?;
-        return Ok((pose, Some(search)));
+        let (pose, search) = search_start(input, kind, options, None)?;
+        return Ok(Start { pose, search: Some(search), by_landmarks: None });
     }
-    let by_landmarks = |kind: PoseKind, sigma: f64| {
-        weighted_closest_pose(input.landmarks.iter().map(|(p, l)| (*p, l.target, l.weight(sigma))), kind)
+    let (pose, suspects) = match landmark_pose(input, kind, options) {
+        Ok(found) => found,
+        // On a line, they leave a turn open.
+        Err(RegistrationError::Start(PoseError::Collinear(count))) => {
+            let (pose, search) = search_start(input, kind, options, None).map_err(|_| PoseError::Collinear(count))?;
+            return Ok(Start { pose, search: Some(search), by_landmarks: None });
+        }
+        Err(e) => return Err(e),
     };
-    let free = by_landmarks(PoseKind::Similarity, input.sigma)?;
-    if kind == PoseKind::Similarity {
-        return Ok((by_landmarks(kind, free.scale * input.sigma)?, None));
+    let trusted: Vec<(Vec3, &Landmark)> = (0..input.landmarks.len())
+        .filter(|i| !suspects.iter().any(|s| s.0 == *i))
+        .map(|i| input.landmarks[i])
+        .collect();
+    let deviation = deviation(input, &trusted, &pose);
+    let mut start = Start { pose, search: None, by_landmarks: None };
+    if deviation > VAGUE * input.unit * pose.scale {
+        let of_trusted = StartInput { landmarks: &trusted, ..*input };
+        // Where nothing fits, the landmarks still say what they say.
+        if let Ok((pose, search)) = search_start(&of_trusted, kind, options, Some(&pose)) {
+            if !search.given {
+                start.pose = pose;
+            }
+            start.search = Some(search);
+        }
     }
-    if !(0.5..=2.0).contains(&free.scale) {
-        return Err(RegistrationError::Scale { scale: free.scale });
+    let away = |(p, l): &(Vec3, &Landmark)| (start.pose.apply(*p) - l.target).norm();
+    let weight = |l: &Landmark| l.weight(start.pose.scale * input.sigma);
+    let total: f64 = trusted.iter().map(|t| weight(t.1)).sum();
+    let rms = (trusted.iter().map(|t| weight(t.1) * away(t).powi(2)).sum::<f64>() / total).sqrt();
+    let named = |&(i, distance): &(usize, f64)| {
+        let name = input.landmarks[i].1.name.clone();
+        SuspectLandmark { name, distance }
+    };
+    let searched = start.search.as_ref().is_some_and(|search| !search.given);
+    start.by_landmarks =
+        Some(LandmarkStart { rms, deviation, suspects: suspects.iter().map(named).collect(), searched });
+    Ok(start)
+}
+
+/// By how much a template differs from another person at a landmark, millimetres.
+const MISMATCH: f64 = 4.0;
+/// Deviation of a pose by landmarks above which it is searched as well, millimetres at the template's vertices.
+const VAGUE: f64 = 8.0;
+/// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
+const STRAY: f64 = 25.0;
+const STRAY_SLOPE: f64 = 0.5;
+const NEAREST: usize = 3;
+/// More than this share of the landmarks cannot be suspect: then nothing says which are right.
+const MOST_SUSPECTS: f64 = 0.25;
+/// Landmarks are mirrored if their mirror image fits so many times better, and they are off by so many millimetres.
+const MIRRORED: f64 = 2.0;
+const MIRRORED_RMS: f64 = 6.0;
+
+/// The pose by landmarks, and which of them took no part: their numbers and distances, the farthest first.
+fn landmark_pose(
+    input: &StartInput<'_>,
+    kind: PoseKind,
+    options: &StartOptions,
+) -> Result<(Pose, Vec<(usize, f64)>), RegistrationError> {
+    let all = input.landmarks;
+    let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
+        weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
+    };
+    let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
+        let free = fit(kept, PoseKind::Similarity, input.sigma)?;
+        let spread = spread(kept.iter().map(|&i| all[i].0)).max(f64::MIN_POSITIVE);
+        let doubt = MISMATCH * input.unit / (spread * (kept.len() as f64).sqrt());
+        let other_size = options.scale_sigma > 0.0 && free.scale.ln().abs() > OTHER_SIZE.max(3.0 * doubt);
+        if kind == PoseKind::Similarity {
+            return Ok(fit(kept, kind, free.scale * input.sigma)?);
+        }
+        if !(0.5..=2.0).contains(&free.scale) {
+            return Err(RegistrationError::Scale { scale: free.scale });
+        }
+        let kind = if other_size { PoseKind::Similarity } else { kind };
+        Ok(fit(kept, kind, input.sigma)?)
+    };
+    let mut kept: Vec<usize> = (0..all.len()).collect();
+    let mut pose = by_kind(&kept)?;
+    let mut suspects = Vec::new();
+    while let Some((i, _)) = stray(input, &kept, &pose) {
+        kept.retain(|k| *k != i);
+        suspects.push(i);
+        if suspects.len() as f64 > MOST_SUSPECTS * all.len() as f64 || kept.len() < 3 {
+            (kept, suspects) = ((0..all.len()).collect(), Vec::new());
+            pose = by_kind(&kept)?;
+            break;
+        }
+        pose = by_kind(&kept)?;
     }
-    Ok((by_landmarks(kind, input.sigma)?, None))
+    // Of the mirrored template, turned about: whatever the plane.
+    let rms = |pose: &Pose, sign: f64| {
+        let away = |&i: &usize| {
+            let p = Vec3::new(sign * all[i].0.x, all[i].0.y, all[i].0.z);
+            (pose.apply(p) - all[i].1.target).norm_squared()
+        };
+        (kept.iter().map(away).sum::<f64>() / kept.len() as f64).sqrt()
+    };
+    let mirrored = kept.iter().map(|&i| {
+        let p = all[i].0;
+        (Vec3::new(-p.x, p.y, p.z), all[i].1.target, all[i].1.weight(input.sigma))
+    });
+    if let (true, Ok(mirrored)) = (kept.len() > 3, weighted_closest_pose(mirrored, PoseKind::Similarity)) {
+        let (rms, reflected) = (rms(&pose, 1.0), rms(&mirrored, -1.0));
+        if rms > MIRRORED * reflected && rms > MIRRORED_RMS * input.unit * pose.scale {
+            return Err(RegistrationError::Mirrored { rms, reflected });
+        }
+    }
+    let mut found: Vec<(usize, f64)> =
+        suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    Ok((pose, found))
+}
+
+/// Root mean square distance of points from their middle.
+fn spread(points: impl Iterator<Item = Vec3> + Clone) -> f64 {
+    let count = points.clone().count().max(1) as f64;
+    let middle = points.clone().sum::<Vec3>() / count;
+    (points.map(|p| (p - middle).norm_squared()).sum::<f64>() / count).sqrt()
+}
+
+/// The landmark that differs most from its nearest ones, of those that differ too much. A jaw that opens moves all that is near.
+fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> Option<(usize, f64)> {
+    if kept.len() < 5 {
+        return None;
+    }
+    let unit = input.unit * pose.scale;
+    let way: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0)).collect();
+    let excess = |a: usize| {
+        let apart = |b: usize| (input.landmarks[kept[a]].0 - input.landmarks[kept[b]].0).norm();
+        let mut others: Vec<usize> = (0..kept.len()).filter(|&b| b != a).collect();
+        others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
+        let over = |&b: &usize| (way[a] - way[b]).norm() - STRAY_SLOPE * apart(b) * pose.scale;
+        let own = input.landmarks[kept[a]].1.sigma.unwrap_or(0.0);
+        others.iter().take(NEAREST).map(over).fold(f64::INFINITY, f64::min) - (STRAY * unit).max(4.0 * own)
+    };
+    let worst = (0..kept.len()).map(|a| (kept[a], excess(a))).filter(|w| w.1 > 0.0);
+    worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+}
+
+/// Predicted root mean square error of a pose by landmarks at the template's vertices.
+fn deviation(input: &StartInput<'_>, landmarks: &[(Vec3, &Landmark)], pose: &Pose) -> f64 {
+    let jacobian = |p: Vec3| {
+        let arm = pose.rotation * (p - input.centre) * pose.scale;
+        let turn = -arm.cross_matrix();
+        let mut j = SMatrix::<f64, 3, 6>::zeros();
+        j.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+        j
+    };
+    let scale = input.unit * pose.scale;
+    let mut information = SMatrix::<f64, 6, 6>::zeros();
+    for (p, l) in landmarks {
+        let j = jacobian(*p);
+        let own = l.sigma.unwrap_or(input.sigma * pose.scale);
+        information += j.tr_mul(&j) / (own * own + (MISMATCH * scale).powi(2));
+    }
+    let Some(covariance) = information.try_inverse() else { return f64::INFINITY };
+    let vertices = &input.template.positions;
+    let variance = |p: &Vec3| {
+        let j = jacobian(p + input.centre);
+        (j * covariance * j.transpose()).trace()
+    };
+    (vertices.iter().map(variance).sum::<f64>() / vertices.len().max(1) as f64).max(0.0).sqrt()
 }
 
 /// Sizes of the scan's surfels in the first look and in the end, millimetres.
@@ -190,13 +384,22 @@ const WIDEST_TURN: f64 = 0.5;
 /// Scan over template in size (root of the surface's area): a scan smaller than the least does not hold the share of the
 /// template that a start needs, and one larger than the greatest is no person.
 const SIZES: std::ops::RangeInclusive<f64> = 0.35..=9.0;
-/// Prior standard deviation of a similarity's scale.
+/// Prior standard deviation of a similarity's scale where none is stated, and that of a surfel's distance, millimetres.
 const SCALE_SIGMA: f64 = 0.15;
+const SCALE_NOISE: f64 = 1.0;
+/// Scales at which the search looks.
+const LOOK_SCALES: [f64; 2] = [0.87, 1.05];
 
 /// Parts of a scan farther from its middle than this many times the median distance are none of it.
 const FAR: f64 = 20.0;
 /// Weight of a landmark in the search, as a share of the template; less by its variance next to the squared reach of the look.
 const LANDMARK_WEIGHT: f64 = 0.1;
+/// Weight of all of them at most.
+const MOST_LANDMARKS: f64 = 0.5;
+/// Loss below which a scan is not tried inside out.
+const EVIDENT: f64 = 0.5;
+/// Logarithm of the scale below which a rigid start keeps its own size.
+const OTHER_SIZE: f64 = 0.12;
 /// Lever arm that turns radians into millimetres where a step is measured.
 const ARM: f64 = 67.0;
 
@@ -216,6 +419,8 @@ struct Problem<'a> {
     /// Landmarks: on the template, about its centroid; on the scan; and their weight, as a share of the template.
     landmarks: &'a [(Vec3, Vec3, f64)],
     kind: PoseKind,
+    /// Prior standard deviation of the scale's logarithm.
+    scale_sigma: f64,
 }
 
 /// How surfels find each other.
@@ -324,7 +529,7 @@ impl Problem<'_> {
             return None;
         }
         if self.kind == PoseKind::Similarity {
-            let stiffness = 4.0 * count as f64 / (SCALE_SIGMA * SCALE_SIGMA);
+            let stiffness = SCALE_NOISE * SCALE_NOISE * count as f64 / (self.scale_sigma * self.scale_sigma);
             let mut scale = SVector::<f64, 7>::zeros();
             scale[6] = 1.0;
             add(scale, pose.scale.ln(), stiffness);
@@ -369,10 +574,12 @@ struct Candidate {
     given: bool,
 }
 
+/// Searches the start; `given`, the pose that wins where it is as good, is the identity unless landmarks know better.
 fn search_start(
     input: &StartInput<'_>,
     kind: PoseKind,
     options: &StartOptions,
+    given: Option<&Pose>,
 ) -> Result<(Pose, StartSearch), RegistrationError> {
     let near = without_far(input.scan);
     let input = &StartInput { scan: &near, ..*input };
@@ -388,10 +595,33 @@ fn search_start(
     let ratio = scan / template;
     // Powers of ten that bring the scan to the template's size; a rigid start has only the first.
     let powers = if kind == PoseKind::Rigid { 0..=0 } else { -6..=6 };
-    let factors = powers.map(|k| 10f64.powi(k)).filter(|f| SIZES.contains(&(ratio / f)));
-    let found = factors.map(|f| search_at(input, f, kind, options)).collect::<Result<Vec<_>, _>>()?;
-    let best = found.into_iter().min_by(|a, b| a.1.fit.loss.total_cmp(&b.1.fit.loss));
-    let (pose, search) = best.ok_or(RegistrationError::Size { ratio })?;
+    let factors: Vec<f64> = powers.map(|k| 10f64.powi(k)).filter(|f| SIZES.contains(&(ratio / f))).collect();
+    let search = |flipped: bool| -> Result<(Pose, StartSearch), RegistrationError> {
+        let each = factors.iter().map(|&f| search_at(input, f, kind, options, flipped, given));
+        let found = each.collect::<Result<Vec<_>, _>>()?;
+        let best = found.into_iter().min_by(|a, b| a.1.fit.loss.total_cmp(&b.1.fit.loss));
+        best.ok_or(RegistrationError::Size { ratio })
+    };
+    let gain = |found: &(Pose, StartSearch)| 1.0 - found.1.fit.loss;
+    let (pose, search) = match input.flip {
+        ScanFlip::Yes => search(true)?,
+        ScanFlip::No => search(false)?,
+        ScanFlip::Auto => {
+            let (as_given, mut tried) = (search(false)?, 0);
+            let best = if as_given.1.fit.loss > EVIDENT {
+                let over = search(true)?;
+                tried = if gain(&over) > gain(&as_given) / options.greatest_rival {
+                    as_given.1.tried
+                } else {
+                    over.1.tried
+                };
+                if gain(&over) > gain(&as_given) / options.greatest_rival { over } else { as_given }
+            } else {
+                as_given
+            };
+            (best.0, StartSearch { tried: best.1.tried + tried, ..best.1 })
+        }
+    };
     if search.fit.share < options.least_share || search.fit.loss > options.greatest_loss {
         return Err(RegistrationError::NoStart { tried: search.tried, fit: search.fit });
     }
@@ -451,11 +681,19 @@ fn search_at(
     factor: f64,
     kind: PoseKind,
     options: &StartOptions,
+    flipped: bool,
+    given: Option<&Pose>,
 ) -> Result<(Pose, StartSearch), RegistrationError> {
     let frame = Frame::principal(input.scan, input.unit * factor);
     let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
     let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
-    let of_scan = |size: f64| surfels(input.scan, input.scan_normals, &[], frame, size);
+    let of_scan = |size: f64| {
+        let mut surfels = surfels(input.scan, input.scan_normals, &[], frame, size);
+        if flipped {
+            surfels.iter_mut().for_each(|s| s.normal = -s.normal);
+        }
+        surfels
+    };
     let (coarse, fine) = (of_scan(COARSE_SURFEL), of_scan(FINE_SURFEL));
     if even.is_empty() {
         return Err(RegistrationError::Template(NO_NORMALS.into()));
@@ -467,7 +705,8 @@ fn search_at(
     let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
     let local = |(p, l): &(Vec3, &Landmark)| {
         let vagueness = l.sigma.unwrap_or(0.0) / (frame.unit * LOOK_REACH);
-        let weight = LANDMARK_WEIGHT / (1.0 + vagueness * vagueness);
+        let most = LANDMARK_WEIGHT.min(MOST_LANDMARKS / input.landmarks.len() as f64);
+        let weight = most / (1.0 + vagueness * vagueness);
         // Vaguer than the reach of the look, a landmark says nothing about where to look.
         (vagueness <= 1.0).then(|| ((p - input.centre) / input.unit, frame.to_local(l.target), weight))
     };
@@ -478,9 +717,16 @@ fn search_at(
         tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
         fine,
     };
-    let problem = Problem { template, scan: &scan, landmarks: &landmarks, kind };
-    let given =
-        Pose { scale: 1.0 / factor, rotation: frame.axes.transpose(), translation: frame.to_local(input.centre) };
+    let scales = kind == PoseKind::Similarity || options.scale_sigma > 0.0;
+    let freest = if scales { PoseKind::Similarity } else { PoseKind::Rigid };
+    let scale_sigma = if options.scale_sigma > 0.0 { options.scale_sigma } else { SCALE_SIGMA };
+    let mut problem = Problem { template, scan: &scan, landmarks: &landmarks, kind: freest, scale_sigma };
+    let from = given.copied().unwrap_or_else(Pose::identity);
+    let given = Pose {
+        scale: from.scale / factor,
+        rotation: frame.axes.tr_mul(&from.rotation),
+        translation: frame.to_local(from.apply(input.centre)),
+    };
     let (tried, poses) = look(&problem, &given, options);
     let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
     let refined: Vec<Candidate> = poses
@@ -508,6 +754,9 @@ fn search_at(
     let ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
     let winner = ends[0];
     let mut pose = winner.pose;
+    if kind == PoseKind::Rigid && (pose.scale * factor).ln().abs() <= OTHER_SIZE {
+        (problem.kind, pose.scale) = (kind, 1.0 / factor);
+    }
     problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
     let fit = problem.fit(&pose, fine(options.reach));
     let expression = Expressions::new(&problem, input)?.find(&problem, &mut pose, options.reach, input)?;
@@ -518,7 +767,7 @@ fn search_at(
     };
     let found = Pose { translation: found.apply(-input.centre), ..found };
     let runner_up = ends.get(1).map(|e| e.fit);
-    Ok((found, StartSearch { tried, refined, given: winner.given, fit, runner_up, expression }))
+    Ok((found, StartSearch { tried, refined, given: winner.given, fit, runner_up, expression, flipped }))
 }
 
 /// Vertices of the template near its surfels, and the triangles round them: what shapes deform.
@@ -654,13 +903,14 @@ fn look(problem: &Problem<'_>, given: &Pose, options: &StartOptions) -> (usize, 
         fitted
     };
     let poses = |rotation: Matrix3<f64>| -> Vec<Pose> {
-        let onto = |p: Vec3, q: Vec3| Pose { scale: 1.0, rotation, translation: q - rotation * p };
+        let onto = |p: Vec3, q: Vec3, scale: f64| Pose { scale, rotation, translation: q - rotation * p * scale };
+        let scales: &[f64] = if problem.kind == PoseKind::Similarity { &LOOK_SCALES } else { &[1.0] };
         if total > 0.0 {
-            return vec![onto(p / total, q / total)];
+            return scales.iter().map(|&scale| onto(p / total, q / total, scale)).collect();
         }
         let normal = rotation * anchor.normal;
         let facing = places.iter().map(|&i| &problem.scan.coarse[i]).filter(|s| s.normal.dot(&normal) > FACING);
-        facing.map(|s| onto(anchor.point, s.point)).collect()
+        facing.flat_map(|s| scales.iter().map(|&scale| onto(anchor.point, s.point, scale))).collect()
     };
     let best: Vec<(usize, Vec<Candidate>)> = rotations(given, options.rotations)
         .into_par_iter()

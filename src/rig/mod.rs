@@ -21,12 +21,8 @@ mod write;
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
 pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
-<<<<<<< HEAD
-pub use pca::{COMPONENT_FILES, ShapePca};
-=======
 pub use likeness::Unlike;
-pub use pca::ShapePca;
->>>>>>> part-b
+pub use pca::{COMPONENT_FILES, ShapePca};
 pub use population::{Population, PopulationError};
 pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};

@@ -17,13 +17,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
-<<<<<<< HEAD
 use crate::mesh::io::{
-    Noting, NpyArray, Place, ReadError, read_file, read_npy_points, read_polygon_mesh, refuse_unfinished,
+    Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh, refuse_unfinished,
 };
-=======
-use crate::mesh::io::{NpyArray, Place, ReadError, check_side_file, read_npy_points, read_polygon_mesh};
->>>>>>> part-b
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 
 /// What the files of a folder of meshes hold.
@@ -73,11 +69,8 @@ impl Rig {
             return Ok((rig, warnings));
         }
         let folder = path;
-<<<<<<< HEAD
         refuse_unfinished(folder)?;
-=======
         check_members(folder)?;
->>>>>>> part-b
         let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
         let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
             read_arrays(folder, options)?

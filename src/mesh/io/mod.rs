@@ -21,15 +21,10 @@ mod xyz;
 use std::path::{Path, PathBuf};
 
 pub use atomic::write_atomically;
-<<<<<<< HEAD
-pub(crate) use error::read_file;
+pub(crate) use error::{check_side_file, read_file};
 pub use error::{Place, ReadError, WriteError, read_text};
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
-=======
-pub(crate) use error::check_side_file;
-pub use error::{Place, ReadError, WriteError};
->>>>>>> part-b
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use landmarks::{

@@ -1,12 +1,7 @@
 //! NPZ archives of NumPy arrays. They are written uncompressed, the arrays in the order given, with no dates, so that the same
 //! arrays are the same bytes.
 
-<<<<<<< HEAD
-use std::io::{Cursor, Read, Seek, Write};
-=======
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom, Write};
->>>>>>> part-b
+use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::zip::write::{FileOptions, ZipWriter};

@@ -9,11 +9,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::error::excerpt;
-<<<<<<< HEAD
-use super::{Place, ReadError, inputs};
-=======
-use super::{Place, ReadError, check_coordinates};
->>>>>>> part-b
+use super::{Place, ReadError, check_coordinates, inputs};
 use crate::mesh::Vec3;
 use header::{Header, Kind, parse_header, shape_text};
 

@@ -1,0 +1,184 @@
+//! Which side of a scan is its front: triangles that face either way are made to agree with their neighbours, and a scan
+//! whose normals point inwards is turned over.
+
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
+
+use super::ScanSurface;
+use crate::mesh::normals::face_areas;
+use crate::mesh::{TriangleMesh, Vec3};
+
+/// Whether a scan is turned over before it is registered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScanFlip {
+    /// Where it fits the template better so.
+    #[default]
+    Auto,
+    /// Always.
+    Yes,
+    /// Never.
+    No,
+}
+
+/// What was done to a scan so that it faces outwards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct ScanFacing {
+    /// Triangles that were turned to agree with their neighbours.
+    pub turned: usize,
+    /// Whether the whole scan was turned over after that.
+    pub flipped: bool,
+}
+
+/// A scan and its normals, as registered.
+pub(super) type Faced<'a> = (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>);
+
+impl ScanFacing {
+    /// The scan and its own normals, facing outwards.
+    #[must_use]
+    pub fn apply<'a>(
+        &self,
+        scan: &'a TriangleMesh,
+        normals: Option<&'a [Vec3]>,
+    ) -> (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>) {
+        let scan = if self.turned > 0 { agreeing(scan).0 } else { Cow::Borrowed(scan) };
+        if self.flipped { flipped((scan, normals.map(Cow::Borrowed))) } else { (scan, normals.map(Cow::Borrowed)) }
+    }
+}
+
+/// The scan turned over.
+pub(super) fn flipped((scan, normals): Faced<'_>) -> Faced<'_> {
+    let mut scan = scan.into_owned();
+    scan.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    (Cow::Owned(scan), normals.map(|n| Cow::Owned(n.iter().map(|n| -n).collect())))
+}
+
+/// Triangles on both sides of an edge that only they share run along it in opposite directions. Parts where some do not are
+/// made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left alone. The scan, and how many
+/// triangles were turned.
+pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
+    // Edge, whether the triangle runs along it upwards, triangle.
+    let mut sides: Vec<(u32, u32, bool, u32)> = Vec::with_capacity(3 * scan.triangles.len());
+    for (k, &[a, b, c]) in scan.triangles.iter().enumerate() {
+        if a != b && b != c && c != a {
+            let side = |(p, q): (u32, u32)| (p.min(q), p.max(q), p < q, k as u32);
+            sides.extend([(a, b), (b, c), (c, a)].map(side));
+        }
+    }
+    sides.sort_unstable();
+    let shared = || {
+        let edges = sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)).filter(|edge| edge.len() == 2);
+        edges.map(|edge| (edge[0].3 as usize, edge[1].3 as usize, edge[0].2 == edge[1].2))
+    };
+    if !shared().any(|(.., disagree)| disagree) {
+        return (Cow::Borrowed(scan), 0);
+    }
+    let mut neighbours: Vec<[(u32, bool); 3]> = vec![[(u32::MAX, false); 3]; scan.triangles.len()];
+    for (i, j, disagree) in shared() {
+        for (from, to) in [(i, j), (j, i)] {
+            if let Some(free) = neighbours[from].iter_mut().find(|n| n.0 == u32::MAX) {
+                *free = (to as u32, disagree);
+            }
+        }
+    }
+    let areas = face_areas(&scan.positions, &scan.triangles);
+    let mut turn: Vec<Option<bool>> = vec![None; scan.triangles.len()];
+    let mut turned = 0;
+    for seed in 0..turn.len() {
+        if turn[seed].is_some() {
+            continue;
+        }
+        turn[seed] = Some(false);
+        let (mut part, mut next, mut contradiction) = (vec![seed], 0, false);
+        while next < part.len() {
+            let at = part[next];
+            next += 1;
+            for &(other, disagree) in neighbours[at].iter().filter(|n| n.0 != u32::MAX) {
+                let wanted = turn[at] == Some(!disagree);
+                match turn[other as usize] {
+                    None => {
+                        turn[other as usize] = Some(wanted);
+                        part.push(other as usize);
+                    }
+                    Some(is) => contradiction |= is != wanted,
+                }
+            }
+        }
+        let area = |turned: bool| part.iter().filter(|&&k| turn[k] == Some(turned)).map(|&k| areas[k]).sum::<f64>();
+        let keep = area(true) <= area(false);
+        for &k in &part {
+            turn[k] = Some(!contradiction && (turn[k] == Some(keep)));
+            turned += usize::from(turn[k] == Some(true));
+        }
+    }
+    let mut scan = scan.clone();
+    scan.triangles.iter_mut().zip(turn).filter(|t| t.1 == Some(true)).for_each(|t| t.0.swap(1, 2));
+    (Cow::Owned(scan), turned)
+}
+
+/// Cosine between two normals that agree, and minus that between those that do not.
+const ALIKE: f64 = 0.5;
+/// Points that have to say so, and how many times those that say otherwise.
+const LEAST: usize = 20;
+const TIMES: usize = 3;
+
+/// Whether a surface faces inwards, by points of the template near it and their normals.
+pub(super) fn faces_inwards(scan: &ScanSurface, points: &[Vec3], normals: &[Vec3], reach: f64) -> bool {
+    let (mut with, mut against) = (0, 0);
+    for (p, n) in points.iter().zip(normals) {
+        if let Some(hit) = scan.closest(p, None, reach * reach).filter(|hit| !hit.on_boundary) {
+            let cosine = hit.normal.dot(n);
+            with += usize::from(cosine > ALIKE);
+            against += usize::from(cosine < -ALIKE);
+        }
+    }
+    against >= LEAST && against > TIMES * with
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::{noise, sheet, side_by_side};
+
+    fn turned_over(mesh: &TriangleMesh, which: impl Fn(usize) -> bool) -> TriangleMesh {
+        let mut mesh = mesh.clone();
+        mesh.triangles.iter_mut().enumerate().filter(|t| which(t.0)).for_each(|t| t.1.swap(1, 2));
+        mesh
+    }
+
+    #[test]
+    fn triangles_of_either_winding_agree_with_the_larger_part_of_each_piece() {
+        let one = sheet(12, 9, |c, r| Vec3::new(c, r, 0.1 * c * r));
+        let both = side_by_side(&one, &one);
+        let (same, turned) = agreeing(&both);
+        assert!(matches!(same, Cow::Borrowed(_)) && turned == 0);
+        for which in [&(|k| k % 5 == 0) as &dyn Fn(usize) -> bool, &|k| k < 60, &|k| noise(k) > 0.3] {
+            let scan = turned_over(&both, which);
+            let wrong = (0..both.triangles.len()).filter(|&k| which(k)).count();
+            let (found, turned) = agreeing(&scan);
+            assert!(wrong > 20 && turned == wrong, "{turned} of {wrong}");
+            assert_eq!(found.triangles, both.triangles);
+            let facing = ScanFacing { turned, flipped: true };
+            assert_eq!(facing.apply(&scan, None).0.triangles, turned_over(&both, |_| true).triangles);
+        }
+    }
+
+    #[test]
+    fn a_moebius_strip_is_left_alone() {
+        let mut strip = TriangleMesh::default();
+        for k in 0..12u32 {
+            let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 12.0).sin_cos();
+            let (tilt, lift) = (f64::from(k) * std::f64::consts::PI / 12.0).sin_cos();
+            for side in [-1.0, 1.0] {
+                let r = 5.0 + side * lift;
+                strip.positions.push(Vec3::new(r * cos, r * sin, side * tilt));
+            }
+            let [a, b] = [2 * k, 2 * k + 1];
+            let [c, d] = if k == 11 { [1, 0] } else { [2 * k + 2, 2 * k + 3] };
+            strip.triangles.extend([[a, b, c], [b, d, c]]);
+        }
+        let (found, turned) = agreeing(&strip);
+        assert_eq!((found.triangles.clone(), turned), (strip.triangles.clone(), 0));
+    }
+}

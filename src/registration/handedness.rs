@@ -1,0 +1,137 @@
+//! Whether a result could as well be the mirror image of the subject: a scan that was mirrored on its way shows a face, too.
+//!
+//! Landmarks on both sides tell left from right. Without them the shapes may: let `v` be the result and `v'_i = S v_pi(i)` its
+//! mirror image, with `S` a reflection and `pi` the template's own symmetry. Both are fitted by pose and shapes,
+//!
+//! ```text
+//! E(v) = min_w,pose  n/m sum_i |pose(b_i(w)) - v_i|^2 / s^2 + sum_k (w_k / sigma_k)^2
+//! ```
+//!
+//! and `(E(v') - E(v)) / 2` is the logarithm of how much more probable the result is than its mirror image. A known neutral with its
+//! own asymmetry says much; a rig whose people are as often skewed to the left as to the right says nothing, and then nothing can
+//! be known.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+use serde::Serialize;
+
+use super::{RegistrationInput, RegistrationResult};
+use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::{MirrorPlane, PoseKind, Vec3, closest_pose};
+
+/// What tells a result from its mirror image.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "by", content = "log_odds")]
+pub enum Handedness {
+    /// Landmarks.
+    Landmarks,
+    /// The shapes: logarithm of how much more probable the result is than its mirror image, negative if it is less.
+    Shapes(f64),
+    /// Nothing: the scan may be mirrored.
+    Unknown(f64),
+    /// The template is not symmetric: its mirror image is something else.
+    Template,
+}
+
+/// Landmarks from which on they tell left from right.
+const LANDMARKS: usize = 4;
+/// Log-odds from which on the shapes tell.
+const EVIDENT: f64 = 3.0;
+/// Vertices that take part, and how many independent ones they stand for (`n` of the head comment).
+const SAMPLES: usize = 600;
+const INDEPENDENT: f64 = 100.0;
+/// `s` of the head comment, and the distance of a template from its mirror image up to which it is symmetric, shares of the size.
+const MISFIT: f64 = 0.01;
+const SYMMETRIC: f64 = 0.03;
+
+impl Handedness {
+    /// Compares a result with its mirror image.
+    pub(super) fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, size: f64) -> Self {
+        if input.landmarks.len() >= LANDMARKS {
+            return Self::Landmarks;
+        }
+        let Some(pairs) = mirrored_pairs(input, result, size) else { return Self::Template };
+        match log_odds(input, result, &pairs, size) {
+            Some(odds) if odds.abs() > EVIDENT => Self::Shapes(odds),
+            odds => Self::Unknown(odds.unwrap_or(0.0)),
+        }
+    }
+
+    /// How probable it is that the scan is mirrored, as log-odds; 0 where that is not known.
+    #[must_use]
+    pub fn against(self) -> f64 {
+        if let Self::Shapes(odds) = self { -odds } else { 0.0 }
+    }
+}
+
+/// Vertices that the scan shows on both sides, each with its mirror image; `None` if the template has none.
+fn mirrored_pairs(input: &RegistrationInput<'_>, result: &RegistrationResult, size: f64) -> Option<Vec<(usize, usize)>> {
+    let points = &input.template.positions;
+    let tree = ClosestVertices::new(points).ok()?;
+    let centre = points.iter().sum::<Vec3>() / points.len() as f64;
+    let image = |axis: usize, i: usize| {
+        let plane = MirrorPlane { point: centre, normal: Vec3::ith(axis, 1.0) };
+        tree.query(&plane.reflect(points[i])).map(|c| (c.vertex as usize, c.squared_distance))
+    };
+    let few: Vec<usize> = (0..points.len()).step_by(points.len() / 200 + 1).collect();
+    let away = |axis: usize| few.iter().filter_map(|&i| image(axis, i)).map(|c| c.1).sum::<f64>() / few.len() as f64;
+    let axis = (0..3).min_by(|&a, &b| away(a).total_cmp(&away(b)))?;
+    let scale = result.start.scale.max(f64::MIN_POSITIVE);
+    if away(axis).sqrt() > SYMMETRIC * size / scale {
+        return None;
+    }
+    let shown = |i: &usize| result.accepted[*i];
+    let all: Vec<usize> = (0..points.len()).filter(shown).collect();
+    let pairs = all.iter().step_by(all.len() / SAMPLES + 1).filter_map(|&i| Some((i, image(axis, i)?.0)));
+    Some(pairs.filter(|(_, j)| result.accepted[*j]).collect())
+}
+
+/// `(E(v') - E(v)) / 2`; `None` where too little is shown.
+fn log_odds(
+    input: &RegistrationInput<'_>,
+    result: &RegistrationResult,
+    pairs: &[(usize, usize)],
+    size: f64,
+) -> Option<f64> {
+    if pairs.len() < 50 {
+        return None;
+    }
+    let count = input.shapes.len();
+    let precision = INDEPENDENT / (pairs.len() as f64 * (MISFIT * size / result.start.scale).powi(2));
+    let mut rows = DMatrix::<f64>::zeros(3 * pairs.len(), count);
+    for (r, (i, _)) in pairs.iter().enumerate().filter(|_| count > 0) {
+        for (a, row) in input.shapes.vertex(*i).chunks_exact(count).enumerate() {
+            rows.row_mut(3 * r + a).iter_mut().zip(row).for_each(|(to, from)| *to = f64::from(*from));
+        }
+    }
+    let mut normal = rows.tr_mul(&rows) * precision;
+    for (k, shape) in input.shapes.shapes().iter().enumerate() {
+        normal[(k, k)] += result.schedule.sigma.of(shape.family).powi(-2);
+    }
+    let factor = Cholesky::new(normal)?;
+    let rest = input.rest_positions();
+    let energy = |targets: &[Vec3]| -> Option<f64> {
+        let mut weights = DVector::<f64>::zeros(count);
+        let mut energy = 0.0;
+        for _ in 0..4 {
+            let moved = &rows * &weights;
+            let blend = |r: usize, i: usize| rest[i] + Vec3::new(moved[3 * r], moved[3 * r + 1], moved[3 * r + 2]);
+            let at: Vec<(Vec3, Vec3)> =
+                pairs.iter().zip(targets).enumerate().map(|(r, ((i, _), t))| (blend(r, *i), *t)).collect();
+            let pose = closest_pose(&at, PoseKind::Similarity).ok()?;
+            let away = pairs.iter().zip(targets).flat_map(|((i, _), t)| {
+                let d: [f64; 3] = (pose.apply_inverse(*t) - rest[*i]).into();
+                d
+            });
+            let away = DVector::from_iterator(3 * pairs.len(), away);
+            weights = factor.solve(&(rows.tr_mul(&away) * precision));
+            let left = &away - &rows * &weights;
+            let prior = input.shapes.shapes().iter().zip(weights.iter());
+            let prior: f64 = prior.map(|(shape, w)| (w / result.schedule.sigma.of(shape.family)).powi(2)).sum();
+            energy = precision * left.norm_squared() + prior;
+        }
+        Some(energy)
+    };
+    let given: Vec<Vec3> = pairs.iter().map(|(i, _)| result.positions[*i]).collect();
+    let mirrored: Vec<Vec3> = pairs.iter().map(|(_, j)| result.positions[*j].component_mul(&Vec3::new(-1.0, 1.0, 1.0))).collect();
+    Some((energy(&mirrored)? - energy(&given)?) / 2.0)
+}
