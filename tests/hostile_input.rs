@@ -345,7 +345,7 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
         ("rig fit --rig face.npz --meshes shuffled --out o.csv", LOADING, &["shuffled/000.obj", "mm rms"]),
         ("rig fit --rig face.npz --meshes mirrored --out o.csv", LOADING, &["mirrored/000.obj", "mirror image"]),
         ("rig fit --rig face.npz --meshes flat --out o.csv", LOADING, &["flat/000.obj", "flat"]),
-        ("measure --mesh inches/000.obj --landmarks marks.json", LOADING, &["in cm", "in in", "--unit mesh=in"]),
+        ("measure --mesh inches/000.obj --landmarks marks.json", LOADING, &["in inches it would be", "--unit mesh=in"]),
         ("measure --mesh small/000.obj --landmarks marks.json", LOADING, &["in cm", "in in", "--unit mesh=cm"]),
         (
             "measure --mesh large_number/000.obj --landmarks marks.json",
@@ -388,7 +388,9 @@ fn vertices_of_no_polygon_change_nothing() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     let of_loose = read_obj(&bench.path("l.obj")).unwrap().positions;
     bench.done("register --template template.obj --target scan.ply --model rigid --out t.obj");
-    assert_eq!(of_loose[..576], read_obj(&bench.path("t.obj")).unwrap().positions);
+    // a template's loose vertices still count where steps are judged to be small enough
+    let far = support::farthest(&of_loose[..576], &read_obj(&bench.path("t.obj")).unwrap().positions);
+    assert!(far < 0.1, "{far}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Rotation3};
 
-use super::{RigError, ShapeBasis, likeness};
+use super::{RigError, ShapeBasis, Unlike, likeness};
 use crate::mesh::{Pose, PoseError, PoseKind, Vec3, closest_pose};
 use crate::nlls::{BlockStructure, BorderBounds, Minimizer, NormalEquations, Options, Problem, StopReason, Workspace};
 
@@ -96,7 +96,8 @@ impl WeightFitter {
             return Err(RigError::NotFinite { what: "the frame".into(), vertex });
         }
         let unlike = |why| RigError::Unlike { what: "the frame", why };
-        let doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?;
+        let mut doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?;
+        doubts.retain(|doubt| !matches!(doubt, Unlike::Far { .. })); // expressions are: what the fit leaves counts
         problem.frame.clear();
         problem.frame.extend_from_slice(frame);
         let mut x = match self.x.take() {
@@ -114,10 +115,12 @@ impl WeightFitter {
         let squares = blended.iter().zip(frame).map(|(b, y)| (pose.apply(*b) - y).norm_squared());
         let (sum, max) = squares.fold((0.0, 0.0f64), |(sum, max), d| (sum + d, max.max(d)));
         let translation = pose.translation - pose.rotation * problem.centroid * pose.scale;
+        let rms = (sum / frame.len() as f64).sqrt();
+        doubts.extend(likeness::unexplained(frame, rms));
         let fitted = FittedFrame {
             weights: w.to_vec(),
             pose: Pose { translation, ..pose },
-            rms: (sum / frame.len() as f64).sqrt(),
+            rms,
             max: max.sqrt(),
             converged,
             doubts: doubts.iter().map(ToString::to_string).collect(),

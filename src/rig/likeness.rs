@@ -11,7 +11,7 @@ use crate::mesh::normals::face_cross;
 use crate::mesh::{PoseKind, Vec3, closest_pose};
 
 /// Root mean square distance from the posed neutral, as a share of the size, above which a mesh is doubtful, and is refused.
-const FAR: [f64; 2] = [0.15, 0.4];
+const FAR: [f64; 2] = [0.15, 0.6];
 /// The same where the neutral's mirror image comes at least twice as close.
 const MIRRORED: f64 = 0.1;
 /// Thickness, as a share of the neutral's, below which a mesh is flat.
@@ -31,6 +31,13 @@ pub enum Unlike {
     /// Its vertices are elsewhere.
     Far {
         /// Root mean square distance from the posed neutral, millimetres.
+        rms: f64,
+        /// Root mean square distance from the centroid, millimetres.
+        size: f64,
+    },
+    /// What the rig's shapes make of it is elsewhere.
+    Unexplained {
+        /// Root mean square distance, millimetres.
         rms: f64,
         /// Root mean square distance from the centroid, millimetres.
         size: f64,
@@ -77,6 +84,11 @@ impl fmt::Display for Unlike {
                 f,
                 "its vertices are {rms:.1} mm rms from those of the neutral, posed onto it, and it is {size:.1} mm in size: give a mesh \
                  with the rig's vertices in the rig's order, as `nonrigid register` writes it"
+            ),
+            Self::Unexplained { rms, size } => write!(
+                f,
+                "the rig explains its vertices to {rms:.1} mm rms only, and it is {size:.1} mm in size: give meshes with the rig's vertices \
+                 in the rig's order, and the subject's own neutral"
             ),
             Self::Mirrored { rms, mirrored } => write!(
                 f,
@@ -159,6 +171,12 @@ pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3])
         doubts.push(Unlike::Size { factor: size / neutral_size });
     }
     Ok(doubts)
+}
+
+/// What to doubt where a rig's shapes, fitted, are `rms` from a mesh.
+pub(super) fn unexplained(points: &[Vec3], rms: f64) -> Option<Unlike> {
+    let [size, _] = spread(points);
+    (rms > FAR[0] * size).then_some(Unlike::Unexplained { rms, size })
 }
 
 /// Root mean square distance from the centroid, and the smallest deviation along any axis as a share of it.
