@@ -20,6 +20,7 @@ pub mod scan_bench_command;
 pub mod schedule_search;
 pub mod solver_case;
 pub mod start_bench;
+pub mod start_cases;
 pub mod surgery;
 pub mod tables;
 
