@@ -41,7 +41,7 @@ const ROWS: &[Row] = &[
     ("register", "--target scan.xls", LOADING, &["scan.xls", "extension", ".ply"]),
     ("register", "--target lone.ply --unit mm", COMPUTATION, &["no vertex of the template", "25 mm"]),
     ("register", "--target away.ply", COMPUTATION, &["no vertex of the template", "landmarks"]),
-    ("register", "--target inverted.ply", COMPUTATION, &["inside out"]),
+    ("register", "--target inverted.ply --flip no", COMPUTATION, &["inside out"]),
     ("register", "--target -", ARGUMENTS, &["--target"]),
     ("register", "--target huge.ply", LOADING, &["huge.ply", "1000000000000 rows"]),
     ("register", "--target huge_binary.ply", LOADING, &["huge_binary.ply", "1000000000000 rows"]),

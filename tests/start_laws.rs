@@ -2,10 +2,16 @@
 
 mod support;
 
+use std::ops::ControlFlow;
+
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::mesh::io::{Landmark, PlyOptions, TemplatePoint, write_ply};
+use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3};
-use nonrigid::registration::{RegistrationError, RegistrationInput, Schedule, StartSearch, find_start};
+use nonrigid::registration::{
+    ModelKind, RegistrationError, RegistrationInput, RegistrationResult, ScanFacing, ScanFlip, Schedule, StartSearch,
+    StepRecord, find_start, register,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use support::{Bench, farthest};
@@ -216,22 +222,156 @@ fn search_of(
 #[test]
 fn what_is_no_face_is_refused_by_name() {
     let rig = rig();
-    let case = case(&rig, 24);
-    let mut inverted = case.scan.clone();
-    inverted.triangles.iter_mut().for_each(|t| t.swap(1, 2));
-    let mut reflected = case.scan.clone();
-    reflected.positions.iter_mut().for_each(|p| p.x = 500.0 - p.x);
     let wall = sheet(60, |u, v| Vec3::new(300.0 * u, 300.0 * v, 500.0));
     let barrel = sheet(60, |u, v| {
         let (sin, cos) = (std::f64::consts::TAU * u).sin_cos();
         Vec3::new(85.0 * cos + 500.0, -300.0 * v, 85.0 * sin)
     });
-    for (name, scan) in [("inverted", &inverted), ("reflected", &reflected), ("wall", &wall), ("barrel", &barrel)] {
+    for (name, scan) in [("wall", &wall), ("barrel", &barrel)] {
         let error = search(&rig, scan).expect_err(name);
         println!("{name}: {error}");
         let refused = matches!(error, RegistrationError::NoStart { .. } | RegistrationError::AmbiguousStart { .. });
         assert!(refused && !error.is_input(), "{name}: {error}");
     }
+}
+
+fn inverted(scan: &TriangleMesh) -> TriangleMesh {
+    let triangles = scan.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
+    TriangleMesh { positions: scan.positions.clone(), triangles }
+}
+
+#[test]
+fn a_scan_inside_out_starts_as_the_same_scan_outside_out() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    for seed in 30..33 {
+        let (case, place) = (case(&rig, seed), any_pose(&mut rng));
+        let scan = moved(&case.scan, &place);
+        let over = inverted(&scan);
+        let ((right, search), (pose, flipped)) = (found(&rig, &scan), found(&rig, &over));
+        assert!(!search.flipped && flipped.flipped, "seed {seed}: {flipped:?}");
+        assert!(apart(&rig, &pose, &right) < 1e-6, "seed {seed}");
+        // In triangles that face either way, neighbours agree first.
+        let mut mixed = scan.clone();
+        mixed.triangles.iter_mut().for_each(|t| {
+            if rng.random_bool(0.4) {
+                t.swap(1, 2);
+            }
+        });
+        let (pose, search) = found(&rig, &mixed);
+        assert!(!search.flipped && apart(&rig, &pose, &right) < 0.5, "seed {seed}: {search:?}");
+        // A cloud's normals tell as much.
+        let normals = vertex_normals(&over.positions, &over.triangles, NormalWeighting::Area);
+        let cloud = TriangleMesh { triangles: Vec::new(), ..over };
+        let input = RegistrationInput { scan_normals: Some(&normals), ..RegistrationInput::new(&rig.mesh, &cloud) };
+        let (pose, search) = find_start(&input, &schedule(PoseKind::Rigid)).unwrap();
+        assert!(search.unwrap().flipped && apart(&rig, &pose, &right) < 10.0, "seed {seed}");
+    }
+}
+
+#[test]
+fn a_registration_turns_the_scan_over_with_landmarks_and_without_unless_told_not_to() {
+    let rig = rig();
+    let case = case(&rig, 34);
+    let over = inverted(&case.scan);
+    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    for marks in [&landmarks[..], &[]] {
+        let fit = |scan: &TriangleMesh, flip: ScanFlip| {
+            let mut schedule = Schedule::default_for("rigid").unwrap();
+            schedule.scan.flip = flip;
+            let input = RegistrationInput { landmarks: marks, ..RegistrationInput::new(&rig.mesh, scan) };
+            register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+        };
+        let right = fit(&case.scan, ScanFlip::Auto).unwrap();
+        assert_eq!(right.scan_facing, ScanFacing::default());
+        for flip in [ScanFlip::Auto, ScanFlip::Yes] {
+            let turned = fit(&over, flip).unwrap();
+            assert!(turned.scan_facing.flipped, "{flip:?}");
+            let apart = farthest(&turned.positions, &right.positions);
+            assert!(apart < 1e-6, "{flip:?}, {} landmarks: {apart} mm", marks.len());
+        }
+        assert!(fit(&over, ScanFlip::No).map_or(true, |result| result.positions != right.positions));
+    }
+}
+
+#[test]
+fn faces_of_other_sizes_start_at_their_size() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    for (seed, scale) in [(40, 0.78), (41, 0.85), (42, 1.2)] {
+        let case = case(&rig, seed);
+        let place = Pose { scale, ..any_pose(&mut rng) };
+        let (pose, search) = found(&rig, &moved(&case.scan, &place));
+        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        println!("{scale}: {turn:.2} degrees, {distance:.2} mm, scale {:.2}", pose.scale);
+        assert!(turn < 8.0 && distance < 20.0, "{scale}: {turn} degrees, {distance} mm, {search:?}");
+        assert!((pose.scale / scale).ln().abs() < 0.15, "{scale}: {}", pose.scale);
+    }
+}
+
+/// Landmarks of the true vertices nearest to places on the template.
+fn marks(rig: &FaceRig, case: &ScanCase, kept: impl Fn(Vec3) -> bool, each: usize) -> Vec<Landmark> {
+    let chosen = (0..rig.neutral.len()).filter(|&v| kept(rig.neutral[v])).step_by(each);
+    chosen.map(|v| landmark(v as u32, case.truth[v])).collect()
+}
+
+fn register_by(
+    rig: &FaceRig,
+    scan: &TriangleMesh,
+    landmarks: &[Landmark],
+) -> Result<RegistrationResult, RegistrationError> {
+    let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
+    let schedule = Schedule::default_for("rigid").unwrap();
+    register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+}
+
+#[test]
+fn a_landmark_far_off_is_named_and_does_no_harm() {
+    let rig = rig();
+    let case = case(&rig, 50);
+    let good: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let clean = register_by(&rig, &case.scan, &good).unwrap();
+    assert!(clean.start_landmarks.unwrap().suspects.is_empty());
+    for wrong in [0, 20, 40, 67] {
+        let mut marks = good.clone();
+        marks[wrong].target += Vec3::new(30.0, -30.0, 27.0);
+        let start = register_by(&rig, &case.scan, &marks).unwrap();
+        let suspects = &start.start_landmarks.as_ref().unwrap().suspects;
+        assert_eq!(suspects.len(), 1, "{suspects:?}");
+        assert_eq!(suspects[0].name, marks[wrong].name);
+        assert!((30.0..70.0).contains(&suspects[0].distance), "{suspects:?}");
+        assert!(apart(&rig, &start.start, &clean.start) < 3.0, "landmark {wrong}");
+    }
+}
+
+#[test]
+fn mirrored_landmarks_are_refused_by_name() {
+    let rig = rig();
+    let case = case(&rig, 51);
+    let mut marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let mut scan = inverted(&case.scan);
+    scan.positions.iter_mut().for_each(|p| p.x = -p.x);
+    marks.iter_mut().for_each(|l| l.target.x = -l.target.x);
+    let error = register_by(&rig, &scan, &marks).unwrap_err();
+    assert!(matches!(error, RegistrationError::Mirrored { .. }) && error.is_input(), "{error}");
+    assert!(error.to_string().contains("mirrored"), "{error}");
+}
+
+#[test]
+fn landmarks_that_say_little_are_searched_besides() {
+    let rig = rig();
+    let case = case(&rig, 52);
+    let highest = rig.neutral.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max);
+    let brow = marks(&rig, &case, |p| p.y > highest - 15.0, 4);
+    assert!(brow.len() >= 3, "{}", brow.len());
+    let start = register_by(&rig, &case.scan, &brow).unwrap();
+    let said = start.start_landmarks.as_ref().unwrap();
+    assert!(said.deviation > 8.0 && start.start_search.is_some(), "{said:?}");
+    let (turn, distance) = off(&rig, &start.start, &case.pose);
+    assert!(turn < 8.0 && distance < 10.0, "{turn} degrees, {distance} mm, {said:?}");
+    let all: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let start = register_by(&rig, &case.scan, &all).unwrap();
+    assert!(start.start_search.is_none() && start.start_landmarks.unwrap().deviation < 5.0);
 }
 
 #[test]
@@ -256,7 +396,7 @@ fn another_unit_is_named_or_found() {
 }
 
 #[test]
-fn the_program_finds_a_turned_scan_and_refuses_an_inverted_one() {
+fn the_program_finds_a_turned_scan_and_one_inside_out() {
     let bench = Bench::new();
     let place = any_pose(&mut ChaCha8Rng::seed_from_u64(5));
     let mut scan = moved(&bench.case.scan, &place);
@@ -270,7 +410,11 @@ fn the_program_finds_a_turned_scan_and_refuses_an_inverted_one() {
     assert!(search["fit"]["share"].as_f64().unwrap() > 0.5 && search["tried"].as_u64().unwrap() > 1000, "{search}");
     assert!(search["runner_up"]["loss"].as_f64().unwrap() > search["fit"]["loss"].as_f64().unwrap(), "{search}");
     let run = bench.run(&format!("{fit} inverted.ply"));
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("inside out"), "{}", run.stderr);
+    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    assert_eq!(report["scan_facing"]["flipped"], true);
+    let run = bench.run(&format!("{fit} inverted.ply --flip no"));
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("no start found"), "{}", run.stderr);
-    assert!(run.stderr.contains("landmarks"), "{}", run.stderr);
+    assert!(run.stderr.contains("no start found") && run.stderr.contains("landmarks"), "{}", run.stderr);
 }

@@ -21,6 +21,7 @@ pub mod schedule_search;
 pub mod silence;
 pub mod solver_case;
 pub mod start_bench;
+pub mod start_cases;
 pub mod surgery;
 pub mod tables;
 pub mod unseen;

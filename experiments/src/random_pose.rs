@@ -31,3 +31,15 @@ fn direction(rng: &mut ChaCha8Rng) -> Vec3 {
         }
     }
 }
+
+/// Any rotation, all alike, and a shift by `millimetres` in a random direction.
+pub fn any_pose(millimetres: f64, rng: &mut ChaCha8Rng) -> Pose {
+    // Uniform on the unit sphere of quaternions.
+    let q = loop {
+        let q = nalgebra::Vector4::from_fn(|_, _| rng.random_range(-1.0..1.0));
+        if (0.1..1.0).contains(&q.norm()) {
+            break nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::from(q));
+        }
+    };
+    Pose { rotation: q.to_rotation_matrix().into_inner(), ..Pose::rigid(Vec3::zeros(), direction(rng) * millimetres) }
+}

@@ -12,15 +12,18 @@ use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
 use nonrigid::rig::ShapeBasis;
+use rayon::prelude::*;
 
 use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig};
+use crate::start_cases::{StartKind, face_pose};
 use crate::tables::table;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example, on what `data-gen --seed 7 --out out/data` makes:\n  \
-    experiments start-bench out/data/cases --rig out/data/rig --turns 0,90 --shift 100")]
+    experiments start-bench out/data/cases --rig out/data/rig --turns 0,90 --shift 100\n  \
+    experiments start-bench out/data/cases --rig out/data/rig --kinds all --poses 4")]
 pub struct Arguments {
     /// Folders of cases, and scans (.ply or .obj); landmarks.json beside a scan is its reference
     #[arg(value_name = "DIR_OR_SCAN", required = true)]
@@ -28,6 +31,13 @@ pub struct Arguments {
     /// Rig folder; its polygons are the template
     #[arg(long, value_name = "DIR")]
     rig: PathBuf,
+    /// Make the cases' scans worse instead, each way of these in random poses, and count right and wrong starts and refusals;
+    /// 'all' for every way
+    #[arg(long, value_delimiter = ',', value_name = "KIND", value_parser = kinds)]
+    kinds: Vec<Vec<StartKind>>,
+    /// Random poses of each kind and case
+    #[arg(long, default_value_t = 1, requires = "kinds", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    poses: u32,
     /// Turns about random axes, degrees
     #[arg(long, value_delimiter = ',', default_value = "0,30,90,180", value_parser = finite, allow_negative_numbers = true)]
     turns: Vec<f64>,
@@ -43,6 +53,53 @@ pub struct Arguments {
     /// Threads [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+}
+
+fn kinds(text: &str) -> Result<Vec<StartKind>, String> {
+    if text == "all" { Ok(StartKind::ALL.to_vec()) } else { Ok(vec![text.parse()?]) }
+}
+
+/// A start is right up to this root mean square distance of the template's vertices, in the template's size, from where the best
+/// similarity onto the true vertices puts them, millimetres.
+const RIGHT: f64 = 15.0;
+
+/// Right starts, wrong ones and refusals, by kind.
+fn run_kinds(a: &Arguments, cases: &[BenchCase]) -> Result<()> {
+    let schedule = ModelKind::Hybrid.schedule()?;
+    let header = ["kind", "right", "wrong", "refused", "of", "s", "wrong or refused"];
+    let (mut rows, mut total) = (Vec::new(), [0; 3]);
+    for kind in a.kinds.concat() {
+        let mut jobs = Vec::new();
+        for (c, case) in cases.iter().enumerate() {
+            jobs.extend((0..u64::from(a.poses)).map(|p| (case, a.seed * 1000 + 50 * c as u64 + p)));
+        }
+        let one = |&(case, seed): &(&BenchCase, u64)| {
+            let posed = kind.make(case, seed);
+            let clock = Instant::now();
+            let found = find_start(&RegistrationInput { landmarks: &[], ..posed.input() }, &schedule);
+            let seconds = clock.elapsed().as_secs_f64();
+            let truth = face_pose(&posed);
+            let (verdict, what) = match found {
+                Err(_) => (2, "refused".to_owned()),
+                Ok((pose, _)) => {
+                    let away = posed.rest().iter().map(|&p| (pose.apply(p) - truth.apply(p)).norm_squared());
+                    let rms = (away.sum::<f64>() / posed.rest().len() as f64).sqrt() / truth.scale;
+                    (usize::from(rms > RIGHT), format!("{rms:.0} mm"))
+                }
+            };
+            (verdict, seconds, format!("{} {what}", case.name))
+        };
+        let ends: Vec<(usize, f64, String)> = jobs.par_iter().map(one).collect();
+        let count = |v: usize| ends.iter().filter(|e| e.0 == v).count();
+        (0..3).for_each(|v| total[v] += count(v));
+        let seconds = ends.iter().map(|e| e.1).sum::<f64>() / ends.len() as f64;
+        let bad: Vec<&str> = ends.iter().filter(|e| e.0 > 0).map(|e| &*e.2).collect();
+        let numbers = [count(0), count(1), count(2), ends.len()].map(|n| n.to_string());
+        rows.push([&[kind.name().to_owned()], &numbers[..], &[format!("{seconds:.2}"), bad.join(", ")]].concat());
+    }
+    say(table(&header, rows))?;
+    say(format_args!("right: {}, wrong: {}, refused: {}", total[0], total[1], total[2]))?;
+    Ok(())
 }
 
 /// A start nearer than this to that by landmarks is found, degrees.
@@ -137,6 +194,13 @@ pub fn start_case(case: &StartCase, moved: &Pose, schedule: &Schedule) -> Result
 pub fn run(a: &Arguments) -> Result<()> {
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
+    if !a.kinds.is_empty() {
+        let mut cases = Vec::new();
+        for path in &a.scans {
+            cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?);
+        }
+        return run_kinds(a, &cases);
+    }
     let mut cases: Vec<StartCase> = Vec::new();
     for path in &a.scans {
         if path.is_dir() {

@@ -247,7 +247,10 @@ fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, 
         ));
     }
     if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
-        warn("the scan is inside out, its normals face inwards: it was turned over; --flip no leaves it as it is");
+        warn(
+            "the scan is inside out, its normals face inwards: it was turned over; if a program has mirrored it instead, left is \
+             right in the result; --flip no leaves it as it is",
+        );
     }
     for suspect in result.start_landmarks.iter().flat_map(|start| &start.suspects) {
         warn(format_args!(

@@ -381,12 +381,16 @@ pub fn find_start(
     Ok((start.pose, start.search))
 }
 
-/// The scan, its triangles facing as their neighbours do unless it has normals of its own; and how many were turned.
+/// The scan, its triangles facing as their neighbours do unless it has normals of its own, or the template's do not either;
+/// and how many were turned.
 fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, usize) {
     match input.scan_normals {
         Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), 0),
         None => {
-            let (scan, turned) = facing::agreeing(input.scan);
+            let (scan, turned) = match facing::agreeing(&input.template.triangulate()) {
+                (_, 0) => facing::agreeing(input.scan),
+                _ => (Cow::Borrowed(input.scan), 0),
+            };
             ((scan, None), turned)
         }
     }

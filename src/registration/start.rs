@@ -239,7 +239,7 @@ const MISMATCH: f64 = 4.0;
 const VAGUE: f64 = 8.0;
 /// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
 const STRAY: f64 = 25.0;
-const STRAY_SLOPE: f64 = 0.5;
+const STRAY_SLOPE: f64 = 0.25;
 const NEAREST: usize = 3;
 /// More than this share of the landmarks cannot be suspect: then nothing says which are right.
 const MOST_SUSPECTS: f64 = 0.25;
