@@ -15,8 +15,8 @@ use nonrigid::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
     BoundsOptions, GraphDistance, GraphOptions, Level, ModelKind, NodeKind, RegistrationError, RegistrationInput,
-    RegistrationResult, RigidityOptions, RotationKind, ScanOptions, Schedule, SeamOptions, SigmaOptions, SmoothOptions,
-    SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions, register,
+    RegistrationResult, RigidityOptions, RotationKind, ScanFlip, ScanOptions, Schedule, SeamOptions, SigmaOptions,
+    SmoothOptions, SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use proptest::prelude::*;
@@ -94,6 +94,7 @@ fn graph() -> impl Strategy<Value = GraphOptions> {
         nodes,
         influences,
         distance: [GraphDistance::Surface, GraphDistance::Euclidean][distance],
+        lambda_unseen: [0.0, 2.0][distance],
         node: if kind == 3 { NodeKind::Affine } else { NodeKind::Rigid },
         rotation: [RotationKind::Matrix, RotationKind::Quaternion, RotationKind::AngleAxis, RotationKind::Matrix][kind],
     })
@@ -124,6 +125,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 reject_boundary: reject_boundary == 0,
                 template_rim: n.1,
                 test_vertices: kind == 0,
+                flip: [ScanFlip::Auto, ScanFlip::No][weights],
             },
             solver: SolverOptions {
                 algorithm: [StepAlgorithm::GaussNewton, StepAlgorithm::LevenbergMarquardt, StepAlgorithm::Dogleg]

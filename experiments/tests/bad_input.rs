@@ -69,11 +69,11 @@ const ROWS: &[Row] = &[
     ("real-scans --rig nowhere --scans empty", LOADING, &["--rig", "nowhere"]),
     ("real-scans --rig rig --scans empty --models magic", ARGUMENTS, &["magic", "hybrid"]),
     ("real-scans --rig rig --scans empty --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
-    // faulty-scans
-    ("faulty-scans --models magic", ARGUMENTS, &["magic", "hybrid"]),
-    ("faulty-scans --people 0", ARGUMENTS, &["--people", "0"]),
-    ("faulty-scans --vertices 999", ARGUMENTS, &["--vertices", "999"]),
-    ("faulty-scans --out file/below", WRITING, &["file/below"]),
+    // silence
+    ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
+    ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),
+    ("silence --vertices 999", ARGUMENTS, &["--vertices", "999"]),
+    ("silence --out file/below", WRITING, &["file/below"]),
     // search-schedules
     ("search-schedules --models magic", ARGUMENTS, &["magic", "hybrid"]),
     ("search-schedules --vertices 999", ARGUMENTS, &["--vertices", "999"]),

@@ -17,6 +17,8 @@ pub struct SummaryRow {
     pub status: &'static str,
     /// `cold`, `warm` or `cold again`.
     pub start: &'static str,
+    /// Probability that the error exceeds 3 mm.
+    pub probability: Option<f64>,
     /// Share of the template's vertices with a correspondence.
     pub inliers: Option<f64>,
     /// Share of the vertices near the scan.
@@ -36,7 +38,8 @@ pub struct Summary {
     pub rows: Vec<SummaryRow>,
 }
 
-const HEADER: [&str; 8] = ["name", "status", "start", "inliers", "near", "median_mm", "flipped", "note"];
+const HEADER: [&str; 9] =
+    ["name", "status", "start", "error_probability", "inliers", "near", "median_mm", "flipped", "note"];
 
 impl Summary {
     /// What is known of jobs by what has just come of them, or else by their records, and by their reports in a folder.
@@ -68,8 +71,7 @@ impl Summary {
     #[must_use]
     pub fn to_html(&self, folder: &Path) -> String {
         let mut body = "<h1>Registered scans</h1>\n".to_owned();
-        let caption =
-            "inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
+        let caption = "error_probability: that the error exceeds 3 mm; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
         body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
         for row in self.rows.iter().filter(|row| folder.join(format!("{}.png", row.name)).exists()) {
             let name = page::escaped(&row.name);
@@ -132,6 +134,7 @@ impl SummaryRow {
         Self {
             status: if doubts.is_empty() { "done" } else { "doubtful" },
             start,
+            probability: report["error_probability"].as_f64(),
             inliers: report["inliers"].as_f64(),
             near: quality["to_scan"]["share_within"].as_f64(),
             median: quality["median_within"].as_f64(),
@@ -147,6 +150,7 @@ impl SummaryRow {
             self.name.clone(),
             self.status.to_owned(),
             self.start.to_owned(),
+            number(self.probability),
             number(self.inliers),
             number(self.near),
             number(self.median),

@@ -16,9 +16,9 @@ use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, w
 use crate::mesh::io::{self, FilePlan, Inputs, Landmark};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
-    Handedness, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, register,
-    scan_colors,
+    Handedness, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver,
+    RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, VertexColors, WITHIN_MM,
+    WRONG_MM, WarmStart, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 
@@ -219,7 +219,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     }
     if let Some(path) = &a.picture {
         let percent = 100.0 * reliability.probability;
-        let title = format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
+        let title =
+            format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
         let sheet = registration_sheet(&title, &template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
@@ -356,7 +357,9 @@ fn print_summary(
     say(quality.mesh)?;
     let percent = 100.0 * reliability.probability;
     if let Handedness::Unknown(_) = reliability.evidence.handedness {
-        say("left and right: nothing tells them apart here, a mirrored scan would give as good a result; four landmarks would tell")?;
+        say(
+            "left and right: nothing tells them apart here, a mirrored scan would give as good a result; four landmarks would tell",
+        )?;
     }
     say(format_args!("probability that the error exceeds {WRONG_MM} mm: {percent:.0} %"))?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();

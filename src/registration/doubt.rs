@@ -135,7 +135,8 @@ impl Doubt {
             Risk::ScanMissed => Self::ScanMissed { share: evidence.coverage.scan_missed },
             Risk::Distance | Risk::DistanceSpread => Self::HighResidual { median: evidence.coverage.distance * size },
             Risk::LandmarkRms | Risk::LandmarkWorst | Risk::LandmarkSuspects => {
-                let distance = |l: &&crate::mesh::io::Landmark| (l.template.position(&result.positions) - l.target).norm();
+                let distance =
+                    |l: &&crate::mesh::io::Landmark| (l.template.position(&result.positions) - l.target).norm();
                 let worst = input.landmarks.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)));
                 Self::Landmarks {
                     rms: evidence.landmark_rms * size,

@@ -6,7 +6,9 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Handedness, Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks};
+use super::{
+    Handedness, Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks,
+};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::io::Landmark;
@@ -32,7 +34,7 @@ pub struct Evidence {
     pub landmarks: usize,
     /// Root mean square distance of the landmarks from their targets.
     pub landmark_rms: f64,
-    /// Largest distance of a landmark from its target.
+    /// Largest distance of a landmark from its target; that of a landmark of standard deviation sigma counts `1 / sigma`.
     pub landmark_worst: f64,
     /// How far the landmarks leave the start open: [`LandmarkStart::deviation`](super::LandmarkStart::deviation).
     pub landmark_freedom: f64,
@@ -183,9 +185,8 @@ impl Evidence {
         let ratios: Vec<f64> = result.weights.iter().enumerate().map(|(k, w)| w.value.abs() / prior(k)).collect();
         let beyond = beyond_shapes(input, result);
         let grown = quality.mesh.self_intersections.saturating_sub(quality.mesh.self_intersections_at_rest);
-        let landmark = |l: &Landmark| {
-            (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size)
-        };
+        let landmark =
+            |l: &Landmark| (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size);
         let by_landmarks = result.start_landmarks.as_ref();
         let suspects = by_landmarks.map_or(&[][..], |l| &l.suspects[..]);
         let trusted = input.landmarks.iter().filter(|l| !suspects.iter().any(|s| s.name == l.name));
@@ -200,7 +201,7 @@ impl Evidence {
             start_rival: search.map_or(0.0, |s| s.rival()),
             landmarks: input.landmarks.len(),
             landmark_rms: if total > 0.0 { (squares / total).sqrt() } else { 0.0 },
-            landmark_worst: landmarks.iter().map(|l| l.1).fold(0.0, f64::max),
+            landmark_worst: landmarks.iter().map(|(w, d)| w.sqrt() * d).fold(0.0, f64::max),
             landmark_freedom: by_landmarks.map_or(0.0, |l| (l.deviation / size).min(1.0)),
             landmark_suspects: suspects.len() as f64 / input.landmarks.len().max(1) as f64,
             handedness: Handedness::of(input, result, size),
@@ -230,8 +231,10 @@ fn beyond_shapes(input: &RegistrationInput<'_>, result: &RegistrationResult) -> 
         true => input.shapes.blend(i, input.rest_positions()[i], &weights),
         false => input.rest_positions()[i],
     };
-    let shown: Vec<(Vec3, Vec3)> =
-        (0..result.positions.len()).filter(|&i| result.accepted[i]).map(|i| (blended(i), result.positions[i])).collect();
+    let shown: Vec<(Vec3, Vec3)> = (0..result.positions.len())
+        .filter(|&i| result.accepted[i])
+        .map(|i| (blended(i), result.positions[i]))
+        .collect();
     // A start that scales is part of the pose.
     let kind = if result.start.scale == 1.0 { PoseKind::Rigid } else { PoseKind::Similarity };
     let Ok(pose) = closest_pose(&shown, kind) else { return (0.0, 0.0) };

@@ -64,7 +64,11 @@ impl Handedness {
 }
 
 /// Vertices that the scan shows on both sides, each with its mirror image; `None` if the template has none.
-fn mirrored_pairs(input: &RegistrationInput<'_>, result: &RegistrationResult, size: f64) -> Option<Vec<(usize, usize)>> {
+fn mirrored_pairs(
+    input: &RegistrationInput<'_>,
+    result: &RegistrationResult,
+    size: f64,
+) -> Option<Vec<(usize, usize)>> {
     let points = &input.template.positions;
     let tree = ClosestVertices::new(points).ok()?;
     let centre = points.iter().sum::<Vec3>() / points.len() as f64;
@@ -132,6 +136,7 @@ fn log_odds(
         Some(energy)
     };
     let given: Vec<Vec3> = pairs.iter().map(|(i, _)| result.positions[*i]).collect();
-    let mirrored: Vec<Vec3> = pairs.iter().map(|(_, j)| result.positions[*j].component_mul(&Vec3::new(-1.0, 1.0, 1.0))).collect();
+    let mirrored: Vec<Vec3> =
+        pairs.iter().map(|(_, j)| result.positions[*j].component_mul(&Vec3::new(-1.0, 1.0, 1.0))).collect();
     Some((energy(&mirrored)? - energy(&given)?) / 2.0)
 }

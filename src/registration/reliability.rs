@@ -30,13 +30,14 @@ impl Reliability {
     /// Judges a result.
     #[must_use]
     pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
-        static CALIBRATION: LazyLock<Calibration> = LazyLock::new(|| {
-            toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it")
-        });
+        static CALIBRATION: LazyLock<Calibration> =
+            LazyLock::new(|| toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it"));
         let evidence = Evidence::new(input, result, quality);
         let probability = CALIBRATION.probability(&evidence);
         let doubts = match probability > CALIBRATION.threshold {
-            true => CALIBRATION.signs(&evidence).map(|risk| Doubt::new(risk, &evidence, input, result, quality)).collect(),
+            true => {
+                CALIBRATION.signs(&evidence).map(|risk| Doubt::new(risk, &evidence, input, result, quality)).collect()
+            }
             false => Vec::new(),
         };
         // Two risks may be one doubt.
@@ -161,7 +162,13 @@ impl Risk {
             Self::LandmarkFreedom => e.landmark_freedom,
             Self::LandmarkSuspects => e.landmark_suspects,
             Self::FewLandmarks => 1.0 / (1.0 + e.landmarks as f64),
-            Self::NoShapes => if e.shapes == 0 { 1.0 } else { 0.0 },
+            Self::NoShapes => {
+                if e.shapes == 0 {
+                    1.0
+                } else {
+                    0.0
+                }
+            }
             Self::BeyondShapes => e.beyond_shapes,
             Self::BeyondShapesSpread => e.beyond_shapes_p95,
             Self::WeightEnergy => e.weight_energy,

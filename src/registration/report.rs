@@ -51,7 +51,8 @@ pub struct Quality {
     pub to_scan: DistanceSummary,
     /// Median distance of the vertices within 3 mm.
     pub median_within: f64,
-    /// How template and scan cover each other.
+    /// How template and scan cover each other; in the report it is part of the evidence.
+    #[serde(skip)]
     pub coverage: Coverage,
     /// Triangles whose normal turned by more than 90 degrees against the rest shape, after the best rigid motion.
     pub flipped: usize,

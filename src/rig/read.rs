@@ -18,7 +18,8 @@ use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
 use crate::mesh::io::{
-    Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh, refuse_unfinished,
+    Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh,
+    refuse_unfinished,
 };
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 

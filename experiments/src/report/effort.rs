@@ -44,6 +44,8 @@ pub struct Effort {
     pub resolutions: Vec<usize>,
     /// Resolution: how many of the standard cases, from the first.
     pub resolution_cases: usize,
+    /// Silence: registrations.
+    pub silence_runs: usize,
     /// Solver: vertices of the template, about.
     pub solver_sizes: Vec<usize>,
     /// Solver: blendshapes.
@@ -77,6 +79,7 @@ impl Effort {
             sweep_triangles: 10_000,
             resolutions: vec![1250, 5000],
             resolution_cases: 1,
+            silence_runs: 14,
             solver_sizes: vec![5000, 20_000],
             solver_shapes: vec![10, 100],
             solver_nodes: vec![100, 400],
@@ -106,6 +109,7 @@ impl Effort {
             sweep_triangles: 15_000,
             resolutions: vec![1250, 2500, 5000, 10_000],
             resolution_cases: 2,
+            silence_runs: 60,
             solver_sizes: vec![5000, 10_000, 20_000, 50_000],
             solver_shapes: vec![5, 25, 50, 100, 150],
             solver_nodes: vec![100, 200, 400, 800, 1600],
@@ -131,6 +135,7 @@ impl Effort {
             sweep_triangles: 60_000,
             resolutions: vec![1250, 2500, 5000, 10_000, 20_000, 40_000],
             resolution_cases: 3,
+            silence_runs: 560,
             solver_sizes: vec![5000, 20_000, 100_000, 500_000],
             solver_shapes: vec![5, 10, 25, 50, 75, 100, 125, 150],
             solver_nodes: vec![100, 200, 400, 800, 1600, 3200],

@@ -141,8 +141,7 @@ impl Trial<'_> {
 
     /// Size of the true face, and its frame: from the template's axes (Y up, Z forward) to the scan.
     fn frame(&self) -> (f64, Pose) {
-        let pairs: Vec<(Vec3, Vec3)> =
-            self.case.rest().iter().copied().zip(self.case.truth.iter().copied()).collect();
+        let pairs: Vec<(Vec3, Vec3)> = self.case.rest().iter().copied().zip(self.case.truth.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).unwrap_or_else(|_| Pose::identity());
         let count = pairs.len() as f64;
         let rest = pairs.iter().map(|p| p.0).sum::<Vec3>() / count;
@@ -267,7 +266,8 @@ impl Trial<'_> {
         let mesh = &self.case.scan.mesh;
         let (size, pose) = self.frame();
         let height = |t: &[u32; 3]| -> f64 {
-            t.iter().map(|&v| direction.dot(&(pose.apply_inverse(mesh.positions[v as usize]) / size))).sum::<f64>() / 3.0
+            t.iter().map(|&v| direction.dot(&(pose.apply_inverse(mesh.positions[v as usize]) / size))).sum::<f64>()
+                / 3.0
         };
         let mut heights: Vec<f64> = mesh.triangles.iter().map(height).collect();
         heights.sort_unstable_by(f64::total_cmp);

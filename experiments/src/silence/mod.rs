@@ -15,9 +15,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use nonrigid::cli::{Failure, say};
-use nonrigid::registration::{
-    ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, StepRecord, register,
-};
+use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, StepRecord, register};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -131,6 +129,14 @@ const VERDICTS: [(Verdict, &str); 5] = [
     (Verdict::Refused, "refused"),
 ];
 
+impl Verdict {
+    /// In words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        VERDICTS.iter().find(|v| v.0 == self).map_or("", |v| v.1)
+    }
+}
+
 impl SilenceRow {
     /// What came of it.
     #[must_use]
@@ -243,6 +249,17 @@ pub fn jobs(set: Set, runs: u64, cases: usize, case_runs: u64) -> Vec<Job> {
     jobs
 }
 
+/// So many registrations of the test set on generated faces: all kinds in turn, or some of them spread over all.
+#[must_use]
+pub fn some_jobs(count: usize) -> Vec<Job> {
+    let rounds = count.div_ceil(KINDS.len());
+    let all = jobs(Set::Test, rounds as u64, 0, 0);
+    // Round by round: the first run of every kind, then the second.
+    let by_round: Vec<Job> = (0..rounds).flat_map(|round| all.iter().skip(round).step_by(rounds).copied()).collect();
+    let step = (by_round.len() as f64 / count as f64).max(1.0);
+    (0..count).map(|k| by_round[(k as f64 * step) as usize]).collect()
+}
+
 /// Does one.
 ///
 /// # Errors
@@ -309,12 +326,15 @@ pub fn run(a: &Arguments) -> Result<()> {
     let mut jobs = jobs(a.set, u64::from(a.runs), cases.len(), u64::from(a.case_runs));
     jobs.retain(|job| a.kinds.is_empty() || a.kinds.iter().any(|name| name == job.kind.name));
     let sources = Sources::new(a.vertices as usize, cases)?;
-    let rows: Result<Vec<SilenceRow>> =
-        jobs.par_iter().with_max_len(1).map(|job| run_job(&sources, job)).collect();
+    let rows: Result<Vec<SilenceRow>> = jobs.par_iter().with_max_len(1).map(|job| run_job(&sources, job)).collect();
     let rows = rows?;
     write(a, &rows)?;
     say(summary(&rows))?;
     say(totals(&rows))?;
+    say(table(
+        &["mean probability", "share of bad results", "results"],
+        diagram(&rows).into_iter().map(|(p, bad, n)| vec![format!("{p:.3}"), format!("{bad:.3}"), n.to_string()]),
+    ))?;
     say(format_args!("bad: more than {BAD} mm; silence.csv and silence.json are in {}", a.out.display()))?;
     if let Some(path) = &a.calibrate {
         calibrate::write(path, &rows)?;
@@ -327,7 +347,6 @@ fn write(a: &Arguments, rows: &[SilenceRow]) -> Result<()> {
     let header = "kind,design_kind,solvable,case,seed,model,landmarks,verdict,rmse,probability,doubts,error";
     let number = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.6}"));
     let lines = rows.iter().map(|r| {
-        let verdict = VERDICTS.iter().find(|v| v.0 == r.verdict()).map_or("", |v| v.1);
         let doubts: Vec<&str> = r.reliability.iter().flat_map(|r| r.doubts.iter().map(|d| d.name())).collect();
         let cells = [
             csv_text(r.kind),
@@ -337,7 +356,7 @@ fn write(a: &Arguments, rows: &[SilenceRow]) -> Result<()> {
             r.seed.to_string(),
             r.model.clone(),
             r.landmarks.to_string(),
-            csv_text(verdict),
+            csv_text(r.verdict().name()),
             number(r.rmse),
             number(r.reliability.as_ref().map(|r| r.probability)),
             doubts.join(" "),
@@ -347,6 +366,22 @@ fn write(a: &Arguments, rows: &[SilenceRow]) -> Result<()> {
     });
     write_csv(&a.out.join("silence.csv"), header, lines)?;
     write_json(&a.out.join("silence.json"), &serde_json::json!({ "set": a.set, "rows": rows }))
+}
+
+/// Mean probability and share of bad results in each band of the probability, with how many results it holds: what a calibrated
+/// probability makes equal.
+#[must_use]
+pub fn diagram(rows: &[SilenceRow]) -> Vec<(f64, f64, usize)> {
+    let results: Vec<(f64, bool)> =
+        rows.iter().filter_map(|r| Some((r.reliability.as_ref()?.probability, r.rmse? > BAD))).collect();
+    let band = |ends: [f64; 2]| {
+        let of: Vec<_> = results.iter().filter(|r| (ends[0]..ends[1]).contains(&r.0)).collect();
+        let count = of.len() as f64;
+        let bad = of.iter().filter(|r| r.1).count() as f64;
+        (of.iter().map(|r| r.0).sum::<f64>() / count, bad / count, of.len())
+    };
+    let bands = [[0.0, 0.02], [0.02, 0.1], [0.1, 0.3], [0.3, 0.6], [0.6, 0.9], [0.9, 1.01]];
+    bands.map(band).into_iter().filter(|b| b.2 > 0).collect()
 }
 
 /// A row for each kind: how many came to what.
@@ -381,9 +416,8 @@ fn totals(rows: &[SilenceRow]) -> comfy_table::Table {
         groups.into_iter().map(|(name, of)| {
             let rows: Vec<&SilenceRow> = rows.iter().filter(of).collect();
             let counts = Counts::of(rows.iter().copied());
-            let share = |[all, some]: [usize; 2]| {
-                format!("{some} of {all} ({:.1} %)", 100.0 * some as f64 / all.max(1) as f64)
-            };
+            let share =
+                |[all, some]: [usize; 2]| format!("{some} of {all} ({:.1} %)", 100.0 * some as f64 / all.max(1) as f64);
             let shares = [counts.bad, counts.good, counts.solvable].map(share);
             [name.to_owned(), rows.len().to_string()].into_iter().chain(shares).collect()
         }),

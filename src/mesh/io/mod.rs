@@ -21,8 +21,8 @@ mod xyz;
 use std::path::{Path, PathBuf};
 
 pub use atomic::write_atomically;
-pub(crate) use error::{check_side_file, read_file};
 pub use error::{Place, ReadError, WriteError, read_text};
+pub(crate) use error::{check_side_file, read_file};
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};

@@ -11,6 +11,7 @@ mod presets;
 mod real;
 mod resolution;
 mod shapes;
+mod silence;
 mod solver;
 mod sweeps;
 
@@ -26,6 +27,7 @@ pub const STUDIES: &[Study] = &[
     sweeps::STUDY,
     resolution::STUDY,
     ablations::STUDY,
+    silence::STUDY,
     real::STUDY,
     solver::STUDY,
     masks::STUDY,
