@@ -501,7 +501,7 @@ const ROWS: &[Row] = &[
     ("register", "--report OUT/x.json --state OUT/x.timing.json", ARGUMENTS, &["x.timing.json", "--report writes the same file"]),
     ("register", "--report OUT/r.json --state here/OUT/r.json", ARGUMENTS, &["--state", "--report writes the same file"]),
     ("register", "--report has_timing.json", WRITING, &["has_timing.timing.json", "is a folder"]),
-    ("eval", "--heatmap linked.png", ARGUMENTS, &["--heatmap linked.png", "would overwrite", "truth, as case/truth.npy"]),
+    ("eval", "--heatmap linked.png", ARGUMENTS, &["--heatmap linked.png", "would overwrite", "as case/truth.npy"]),
     ("measure", "--json linked.json", ARGUMENTS, &["--json linked.json", "would overwrite", "regions"]),
     ("measure", "--json page/measurements.json --report page", ARGUMENTS, &["--report", "--json writes the same file"]),
     ("measure", "--landmarks page/measurements.json --report page", ARGUMENTS, &["page/measurements.json", "would overwrite", "landmarks"]),

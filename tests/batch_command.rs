@@ -367,7 +367,7 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
 #[test]
 fn what_is_no_result_is_not_replaced() {
     let bench = bench();
-    list(&bench, &FRAMES[..1]);
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
     let command = format!("batch scans.csv --out out {OPTIONS}");
     for name in [
         "f0_scan.obj",
@@ -386,8 +386,6 @@ fn what_is_no_result_is_not_replaced() {
         fs::remove_dir_all(bench.path("out")).unwrap();
     }
     // beside the scans, which have other names
-    list(&bench, &["f0/scan.ply,f0/landmarks.json,,wrapped,"]);
-    fs::copy(bench.path("scans.csv"), bench.path("f0/scans.csv")).unwrap();
     bench.write("f0/scans.csv", "target,landmarks,name\nscan.ply,landmarks.json,wrapped\n");
     let before = bench.read("f0/scan.ply");
     bench.done(&format!("batch f0/scans.csv --out f0 {OPTIONS}"));
@@ -418,7 +416,7 @@ fn children(pid: u32) -> Vec<String> {
 #[test]
 fn a_folder_has_one_batch_and_survives_its_end() {
     let bench = bench();
-    list(&bench, &["f0/scan.ply,f0/landmarks.json,,,"]);
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
     let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[graph]\nnodes = 60\n\
                  [[level]]\nsteps = 1000000\nlambda_graph = 1.0\nlandmarks = 1.0\nkernel = \"none\"\n\
                  distance_cap = 25.0\nnormal_angle = 60.0\n";
@@ -498,7 +496,7 @@ fn buffers_of_gltf_belong_to_what_is_read() {
     bench.write("scan.gltf", json.to_string());
     bench.write("points of.bin", &buffer);
     list(&bench, &["scan.gltf,f0/landmarks.json,,,rigid"]);
-    let command = format!("batch scans.csv --out out {OPTIONS}");
+    let command = format!("batch scans.csv --out out {OPTIONS} --unit landmarks=mm");
     let done_before = |is: bool| {
         let run = bench.run(&command);
         assert_eq!(said(&run.stderr)["scan"].starts_with("done before"), is, "{}", run.stderr);

@@ -55,11 +55,11 @@ enum Format {
 impl RigOutput {
     /// Refuses what could not be written in the end, or would be mixed with the rig that was read, or overwrite an input.
     pub fn check(&self, input: &Path, others: &[(&str, PathBuf)]) -> Result<(), Failure> {
-        check_plan(&self.plan(input, others, &[]))?;
         if same_place(input, &self.out) {
             let message = format!("--out: {} is the rig that is read", self.out.display());
             return Err(Failure::new(Stage::Arguments, message));
         }
+        check_plan(&self.plan(input, others, &[]))?;
         if !self.is_file() {
             return check_output_folder(&self.out);
         }
