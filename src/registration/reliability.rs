@@ -228,8 +228,13 @@ impl Calibration {
     /// Probability that the error exceeds [`WRONG_MM`].
     #[must_use]
     pub fn probability(&self, evidence: &Evidence) -> f64 {
-        let z = self.intercept + self.risks.iter().map(|curve| curve.at(curve.risk.of(evidence))).sum::<f64>();
-        1.0 / (1.0 + (-z).exp())
+        1.0 / (1.0 + (-self.log_odds(evidence)).exp())
+    }
+
+    /// `z` of the head comment.
+    #[must_use]
+    pub fn log_odds(&self, evidence: &Evidence) -> f64 {
+        self.intercept + self.risks.iter().map(|curve| curve.at(curve.risk.of(evidence))).sum::<f64>()
     }
 
     /// The risks that add most, one at least: those that add half as much as the greatest.

@@ -1,14 +1,15 @@
-//! The calibration: a logistic regression of "the error exceeds [`BAD`]" on monotone curves of the evidence.
+//! The calibration: how large the error is, as far as the evidence tells, and from that how probably it exceeds [`BAD`].
 //!
 //! Each [`Risk`] gets a curve that is piecewise linear between quantiles of the design set and never falls: more of a bad sign
-//! never makes a result more trustworthy. Weights minimise
+//! never makes a result more trustworthy. Together they predict the logarithm of the error,
 //!
 //! ```text
-//! sum_i log(1 + exp(-y_i z_i)) + ridge/2 sum_j w_j^2,   z = intercept + sum_j w_j ramp_j,   w_j >= 0
+//! min_{b, w >= 0}  sum_i (ln error_i - b - sum_j w_j ramp_j)^2 + ridge sum_j w_j^2
 //! ```
 //!
-//! by Newton steps along one coordinate at a time. The ridge and the threshold are chosen with whole kinds left out, since what a
-//! user has will be of a kind that nobody thought of.
+//! one coordinate at a time; every result says something about that, not the few bad ones alone. A logistic curve makes a probability
+//! of the prediction. It, the ridge and the threshold are fitted to predictions with whole kinds left out, since what a user has
+//! will be of a kind that nobody thought of.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -18,22 +19,25 @@ use nonrigid::cli::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
 
-use super::{BAD, SilenceRow};
+use super::{BAD, SilenceRow, Verdict};
 
 /// Quantiles between which curves are linear.
-const KNOTS: [f64; 4] = [0.3, 0.6, 0.85, 0.97];
+const KNOTS: [f64; 6] = [0.2, 0.4, 0.6, 0.8, 0.9, 0.97];
+/// Errors beyond these are as good, or as bad, as these, millimetres.
+const ERRORS: [f64; 2] = [0.4, 20.0];
 /// Ridges tried.
-const RIDGES: [f64; 4] = [0.1, 0.3, 1.0, 3.0];
-/// Share of bad results that the threshold may leave silent, with their kind left out.
+const RIDGES: [f64; 4] = [0.3, 1.0, 3.0, 10.0];
+/// Shares of bad results that may be silent, and of good ones that may be doubted: the threshold misses both by the same factor.
 const SILENT: f64 = 0.02;
+const DOUBTED: f64 = 0.08;
 /// Sweeps over all coordinates.
 const SWEEPS: usize = 300;
 
-/// A result and whether it is bad.
+/// A result and its error.
 struct Example<'a> {
     kind: &'a str,
     evidence: &'a Evidence,
-    bad: bool,
+    error: f64,
 }
 
 /// Fits the calibration on rows and writes it.
@@ -41,11 +45,11 @@ struct Example<'a> {
 /// # Errors
 /// When there are too few results, or the file cannot be written.
 pub fn write(path: &Path, rows: &[SilenceRow]) -> Result<()> {
-    let examples: Vec<Example<'_>> = rows
-        .iter()
-        .filter_map(|r| Some(Example { kind: r.kind, evidence: &r.reliability.as_ref()?.evidence, bad: r.rmse? > BAD }))
+    let known = rows.iter().filter(|r| r.verdict() != Verdict::Undetermined);
+    let examples: Vec<Example<'_>> = known
+        .filter_map(|r| Some(Example { kind: r.kind, evidence: &r.reliability.as_ref()?.evidence, error: r.rmse? }))
         .collect();
-    let bad = examples.iter().filter(|e| e.bad).count();
+    let bad = examples.iter().filter(|e| e.error > BAD).count();
     if bad < 20 || examples.len() < bad + 20 {
         bail!("--calibrate: {bad} bad of {} results; give more runs (20 of each at least)", examples.len());
     }
@@ -63,77 +67,98 @@ fn calibrate(examples: &[Example<'_>]) -> Calibration {
     let mut kinds: Vec<&str> = examples.iter().map(|e| e.kind).collect();
     kinds.sort_unstable();
     kinds.dedup();
-    // Probabilities of each example from a fit without its kind.
-    let apart = |ridge: f64| -> Vec<(f64, bool)> {
+    // Predictions for each example from a fit without its kind.
+    let apart = |ridge: f64| -> Vec<(f64, f64)> {
         let of_kind = |kind: &&str| {
             let (out, rest): (Vec<&Example<'_>>, Vec<&Example<'_>>) = all.iter().partition(|e| e.kind == *kind);
             let fitted = fit(&rest, ridge);
-            out.into_iter().map(|e| (fitted.probability(e.evidence), e.bad)).collect::<Vec<_>>()
+            out.into_iter().map(|e| (fitted.log_odds(e.evidence), e.error)).collect::<Vec<_>>()
         };
         kinds.iter().flat_map(of_kind).collect()
     };
-    let loss = |of: &[(f64, bool)]| -> f64 {
-        of.iter().map(|&(p, bad)| -(if bad { p } else { 1.0 - p }).max(1e-9).ln()).sum()
-    };
+    let misfit = |of: &[(f64, f64)]| -> f64 { of.iter().map(|(p, e)| (p - log_error(*e)).powi(2)).sum() };
     let trials = RIDGES.map(|ridge| (ridge, apart(ridge)));
-    let best = trials.iter().min_by(|a, b| loss(&a.1).total_cmp(&loss(&b.1))).unwrap_or(&trials[0]);
-    let mut of_bad: Vec<f64> = best.1.iter().filter(|p| p.1).map(|p| p.0).collect();
-    of_bad.sort_unstable_by(f64::total_cmp);
-    // Rounded down: what is written is what is meant.
-    let threshold = of_bad[(SILENT * of_bad.len() as f64) as usize];
-    Calibration { threshold: ((threshold * 1000.0).floor() / 1000.0).clamp(0.001, 0.5), ..fit(&all, best.0) }
+    let best = trials.iter().min_by(|a, b| misfit(&a.1).total_cmp(&misfit(&b.1))).unwrap_or(&trials[0]);
+    let [offset, slope] = logistic(&best.1);
+    let probability = |prediction: f64| 1.0 / (1.0 + (-(offset + slope * prediction)).exp());
+    let mut fitted = fit(&all, best.0);
+    fitted.intercept = short(offset + slope * fitted.intercept);
+    for weight in fitted.risks.iter_mut().flat_map(|curve| &mut curve.weights) {
+        *weight = short(slope * *weight);
+    }
+    fitted.risks.retain(|curve| curve.weights.iter().any(|w| *w > 0.0));
+    let judged: Vec<(f64, bool)> = best.1.iter().map(|(p, e)| (probability(*p), *e > BAD)).collect();
+    let share = |bad: bool, above: bool, threshold: f64| {
+        let of = judged.iter().filter(|j| j.1 == bad);
+        let (count, some) = of.fold((0, 0), |(n, k), j| (n + 1, k + usize::from((j.0 > threshold) == above)));
+        some as f64 / f64::from(count.max(1))
+    };
+    let missed = |t: f64| (share(true, false, t) / SILENT).max(share(false, true, t) / DOUBTED);
+    let thresholds = (1..=50).map(|k| 0.01 * f64::from(k));
+    let threshold = thresholds.min_by(|a, b| missed(*a).total_cmp(&missed(*b))).unwrap_or(0.5);
+    Calibration { threshold: short(threshold), ..fitted }
 }
 
-/// The calibration with the least loss, its threshold not yet chosen.
+fn log_error(error: f64) -> f64 {
+    error.clamp(ERRORS[0], ERRORS[1]).ln()
+}
+
+fn short(x: f64) -> f64 {
+    (x * 1e4).round() / 1e4
+}
+
+/// The curves with the least misfit of the logarithm of the error, which is what the result's "log-odds" are until they are scaled.
 fn fit(examples: &[&Example<'_>], ridge: f64) -> Calibration {
-    let mut risks: Vec<RiskCurve> = Risk::ALL
-        .iter()
-        .map(|risk| {
-            let mut values: Vec<f64> = examples.iter().map(|e| risk.of(e.evidence)).collect();
-            values.sort_unstable_by(f64::total_cmp);
-            let mut knots: Vec<f64> = KNOTS.iter().map(|q| values[(q * (values.len() - 1) as f64) as usize]).collect();
-            knots.dedup();
-            let weights = vec![0.0; knots.len().saturating_sub(1)];
-            RiskCurve { risk: *risk, knots, weights }
-        })
-        .filter(|curve| !curve.weights.is_empty())
-        .collect();
+    let curve = |risk: &Risk| {
+        let mut values: Vec<f64> = examples.iter().map(|e| risk.of(e.evidence)).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        let mut knots: Vec<f64> = KNOTS.iter().map(|q| values[(q * (values.len() - 1) as f64) as usize]).collect();
+        knots.dedup();
+        let weights = vec![0.0; knots.len() - 1];
+        RiskCurve { risk: *risk, knots, weights }
+    };
+    let mut risks: Vec<RiskCurve> = Risk::ALL.iter().map(curve).collect();
     // Column by column: the ramps of all curves.
-    let columns: Vec<(usize, usize, Vec<f64>)> = risks
-        .iter()
-        .enumerate()
-        .flat_map(|(r, curve)| (0..curve.weights.len()).map(move |j| (r, j, curve)))
-        .map(|(r, j, curve)| (r, j, examples.iter().map(|e| curve.ramp(j, curve.risk.of(e.evidence))).collect()))
-        .collect();
-    let bad: Vec<f64> = examples.iter().map(|e| f64::from(u8::from(e.bad))).collect();
+    let mut columns: Vec<(usize, usize, Vec<f64>)> = Vec::new();
+    for (r, curve) in risks.iter().enumerate() {
+        for j in 0..curve.weights.len() {
+            columns.push((r, j, examples.iter().map(|e| curve.ramp(j, curve.risk.of(e.evidence))).collect()));
+        }
+    }
+    let mut left: Vec<f64> = examples.iter().map(|e| log_error(e.error)).collect();
     let mut intercept = 0.0;
-    let mut z = vec![0.0; examples.len()];
-    let probability = |z: f64| 1.0 / (1.0 + (-z).exp());
     for _ in 0..SWEEPS {
-        let slope = |z: &[f64], x: &dyn Fn(usize) -> f64| -> [f64; 2] {
-            z.iter().enumerate().fold([0.0; 2], |[g, h], (i, &z)| {
-                let p = probability(z);
-                [g + (p - bad[i]) * x(i), h + p * (1.0 - p) * x(i) * x(i)]
-            })
-        };
-        let [g, h] = slope(&z, &|_| 1.0);
-        let step = -g / (h + 1e-6);
-        intercept += step;
-        z.iter_mut().for_each(|z| *z += step);
+        let mean = left.iter().sum::<f64>() / left.len() as f64;
+        intercept += mean;
+        left.iter_mut().for_each(|l| *l -= mean);
         for (r, j, x) in &columns {
-            let w = risks[*r].weights[*j];
-            let [g, h] = slope(&z, &|i| x[i]);
-            let step = (w - (g + ridge * w) / (h + ridge)).max(0.0) - w;
+            let weight = &mut risks[*r].weights[*j];
+            let slope: f64 = x.iter().zip(&left).map(|(x, l)| x * l).sum::<f64>() - ridge * *weight;
+            let curvature = x.iter().map(|x| x * x).sum::<f64>() + ridge;
+            let step = (*weight + slope / curvature).max(0.0) - *weight;
             if step != 0.0 {
-                risks[*r].weights[*j] += step;
-                z.iter_mut().zip(x).for_each(|(z, x)| *z += step * x);
+                *weight += step;
+                left.iter_mut().zip(x).for_each(|(l, x)| *l -= step * x);
             }
         }
     }
-    risks.retain(|curve| curve.weights.iter().any(|w| *w > 1e-3));
-    let short = |x: f64| (x * 1e5).round() / 1e5;
-    for curve in &mut risks {
-        curve.weights.iter_mut().for_each(|w| *w = short(*w));
+    Calibration { threshold: 0.5, intercept, risks }
+}
+
+/// Offset and slope of the logistic curve of "bad" over predictions, most likely with a weak prior of slope 3.
+fn logistic(of: &[(f64, f64)]) -> [f64; 2] {
+    let (mut offset, mut slope) = (-3.0 * BAD.ln(), 3.0);
+    for _ in 0..100 {
+        let (mut g, mut h) = ([0.0, (slope - 3.0) * 0.1], [1e-9, 0.0, 0.1]);
+        for (x, error) in of {
+            let p = 1.0 / (1.0 + (-(offset + slope * x)).exp());
+            let (d, w) = (p - f64::from(u8::from(*error > BAD)), p * (1.0 - p));
+            g = [g[0] + d, g[1] + d * x];
+            h = [h[0] + w, h[1] + w * x, h[2] + w * x * x];
+        }
+        let det = h[0] * h[2] - h[1] * h[1];
+        offset -= (h[2] * g[0] - h[1] * g[1]) / det;
+        slope -= (h[0] * g[1] - h[1] * g[0]) / det;
     }
-    Calibration { threshold: 0.5, intercept: short(intercept), risks }
+    [offset, slope]
 }

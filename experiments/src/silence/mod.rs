@@ -15,7 +15,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use nonrigid::cli::{Failure, say};
-use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, StepRecord, register};
+use nonrigid::registration::{
+    Handedness, ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, StepRecord, register,
+};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -117,15 +119,18 @@ pub enum Verdict {
     BadDoubted,
     /// Wrong, and nothing tells.
     BadSilent,
+    /// A mirrored scan, and the result says that nothing tells it from its mirror image.
+    Undetermined,
     /// An error that says why.
     Refused,
 }
 
-const VERDICTS: [(Verdict, &str); 5] = [
+const VERDICTS: [(Verdict, &str); 6] = [
     (Verdict::Good, "good"),
     (Verdict::GoodDoubted, "good, doubted"),
     (Verdict::BadDoubted, "bad, doubted"),
     (Verdict::BadSilent, "bad, silent"),
+    (Verdict::Undetermined, "mirrored, said unknown"),
     (Verdict::Refused, "refused"),
 ];
 
@@ -142,7 +147,9 @@ impl SilenceRow {
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         let Some((rmse, reliability)) = self.rmse.zip(self.reliability.as_ref()) else { return Verdict::Refused };
+        let unknown = matches!(reliability.evidence.handedness, Handedness::Unknown(_));
         match (rmse > BAD, reliability.is_doubtful()) {
+            (true, false) if unknown && self.kind.starts_with("mirrored") => Verdict::Undetermined,
             (false, false) => Verdict::Good,
             (false, true) => Verdict::GoodDoubted,
             (true, true) => Verdict::BadDoubted,
