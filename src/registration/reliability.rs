@@ -246,3 +246,36 @@ impl Calibration {
         added.into_iter().take_while(move |a| a.0 >= 0.5 * greatest).map(|a| a.1)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_calibration_can_be_read_and_more_of_a_bad_sign_never_helps() {
+        let calibration: Calibration = toml::from_str(include_str!("reliability.toml")).unwrap();
+        assert!(calibration.threshold > 0.0 && calibration.threshold < 1.0 && !calibration.risks.is_empty());
+        for curve in &calibration.risks {
+            assert!(curve.knots.is_sorted_by(|a, b| a < b), "{curve:?}");
+            assert_eq!(curve.weights.len() + 1, curve.knots.len());
+            assert!(curve.weights.iter().all(|w| *w >= 0.0), "{curve:?}");
+            let (first, last) = (curve.knots[0], curve.knots[curve.knots.len() - 1]);
+            let values = [first - 1.0, first, 0.5 * (first + last), last, last + 1.0].map(|x| curve.at(x));
+            assert!(values.is_sorted() && values[0] == 0.0, "{curve:?}");
+            assert!((values[4] - curve.weights.iter().sum::<f64>()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_ramp_rises_from_knot_to_knot() {
+        let curve = RiskCurve { risk: Risk::Turn, knots: vec![1.0, 2.0, 4.0], weights: vec![3.0, 5.0] };
+        assert_eq!([0.0, 1.5, 2.0, 3.0, 9.0].map(|x| curve.at(x)), [0.0, 1.5, 3.0, 5.5, 8.0]);
+    }
+
+    #[test]
+    fn every_risk_is_listed_once() {
+        for (i, risk) in Risk::ALL.iter().enumerate() {
+            assert!(!Risk::ALL[..i].contains(risk), "{risk:?}");
+        }
+    }
+}

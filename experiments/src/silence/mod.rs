@@ -228,7 +228,8 @@ impl Sources {
 /// One registration to be run.
 #[derive(Debug, Clone, Copy)]
 pub struct Job {
-    kind: &'static Kind,
+    /// What is wrong.
+    pub kind: &'static Kind,
     case: Option<usize>,
     seed: u64,
 }
