@@ -153,7 +153,7 @@ mod tests {
         let both = side_by_side(&one, &one);
         let (same, turned) = agreeing(&both);
         assert!(matches!(same, Cow::Borrowed(_)) && turned == 0);
-        for which in [&(|k: usize| k % 5 == 0) as &dyn Fn(usize) -> bool, &|k| k < 60, &|k| noise(k) > 0.3] {
+        for which in [&(|k: usize| k.is_multiple_of(5)) as &dyn Fn(usize) -> bool, &|k| k < 60, &|k| noise(k) > 0.3] {
             let scan = turned_over(&both, which);
             let wrong = (0..both.triangles.len()).filter(|&k| which(k)).count();
             let (found, turned) = agreeing(&scan);
