@@ -40,7 +40,7 @@ impl<'a> Report<'a> {
     }
 }
 
-/// What [`write`] writes.
+/// What [`write()`] writes.
 pub const FILES: [&str; 5] = ["measurements.json", "measurements.csv", "pictures.png", "symmetry.png", "index.html"];
 
 const VIEWS: [View; 3] = [View::Front, View::Side, View::ThreeQuarter];
@@ -55,10 +55,10 @@ pub fn write(folder: &Path, report: &Report<'_>) -> Result<Measurements, Measure
     write_with(folder, report, |_| Ok(()))
 }
 
-/// [`write`], with further files in the same folder: `besides` writes them into the one that it is given.
+/// [`write()`], with further files in the same folder: `besides` writes them into the one that it is given.
 ///
 /// # Errors
-/// As [`write`], or the one of `besides`.
+/// As [`write()`], or the one of `besides`.
 pub fn write_with(
     folder: &Path,
     report: &Report<'_>,

@@ -3,8 +3,8 @@
 //! Varied: what is wrong with scan, landmarks or rig ([`KINDS`]), person and expression. Held: each model's default schedule.
 //! Measured: the error against the true vertices that the scan shows, and what the result says of itself.
 //!
-//! Two sets, apart in seeds, in people and in kinds. *Design*: the kinds marked so, seeds from [`DESIGN_SEED`], the cases of a
-//! folder at even places; the calibration is fitted on it and nothing else. *Test*: all kinds, seeds from [`TEST_SEED`], the cases
+//! Two sets, apart in seeds, in people and in kinds. *Design*: the kinds marked so, seeds from `DESIGN_SEED`, the cases of a
+//! folder at even places; the calibration is fitted on it and nothing else. *Test*: all kinds, seeds from `TEST_SEED`, the cases
 //! at odd places; it is run to see what holds, never searched.
 
 mod calibrate;
