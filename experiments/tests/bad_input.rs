@@ -26,8 +26,8 @@ const ROWS: &[Row] = &[
     ("--seed 1 scan-bench cases --rig rig", ARGUMENTS, &["--seed"]),
     ("--quick --only inputs --out file/below", WRITING, &["file/below"]),
     ("--only inputs --rig nowhere --scans nowhere", LOADING, &["nowhere"]),
-    ("--only inputs --rig rig --scans empty --out old", LOADING, &["empty", "case.json"]),
-    ("--only inputs --rig empty --scans cases --out old", LOADING, &["empty", "neutral"]),
+    ("--only inputs --rig rig --scans empty --out old", WRITING, &["old/index.html", "move it away"]),
+    ("--only inputs --rig empty --scans cases --out fresh", LOADING, &["empty", "neutral"]),
     ("regsiter", ARGUMENTS, &["regsiter"]),
     // scan-bench
     ("scan-bench", ARGUMENTS, &["--rig"]),

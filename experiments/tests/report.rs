@@ -222,6 +222,6 @@ fn a_list_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let listed = experiments(&["--list"], folder.path());
     let text = String::from_utf8(listed.stdout).unwrap();
-    assert!(listed.status.success() && text.lines().count() == 13 && text.contains("Fig. 4"), "{text}");
+    assert!(listed.status.success() && text.lines().count() == 14 && text.contains("Fig. 4"), "{text}");
     assert!(!folder.path().join("out").exists(), "a list leaves nothing");
 }

@@ -22,6 +22,8 @@ fn wrong_results_are_doubted_refused_or_said_to_be_unknowable() {
         let row = run_job(&sources, &of_kind[0]).unwrap();
         // A mirrored scan whose landmarks are too few to tell is one without.
         let few = row.landmarks < 4 && row.verdict() == Verdict::Undetermined;
+        // Without landmarks none has a wrong name.
+        let few = few || (row.landmarks == 0 && kind == "landmarks misnamed");
         assert!(allowed.contains(&row.verdict()) || few, "{kind}: {:?}, {row:?}", row.verdict());
         rows.push(row);
     }

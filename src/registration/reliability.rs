@@ -14,6 +14,10 @@ use super::{Doubt, Evidence, Quality, RegistrationInput, RegistrationResult};
 /// (of 67 mm root mean square size); on other subjects the same share of the size.
 pub const WRONG_MM: f64 = 3.0;
 
+/// Median distance from the scan, as a share of the size (0.6 mm on a face), above which nothing was calibrated: such a result is
+/// as probably wrong as right at least. What lies off the scan is off the truth, as that of a rigid template.
+const OFF_THE_SCAN: f64 = 0.009;
+
 /// What a result says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reliability {
@@ -33,16 +37,19 @@ impl Reliability {
         static CALIBRATION: LazyLock<Calibration> =
             LazyLock::new(|| toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it"));
         let evidence = Evidence::new(input, result, quality);
-        let probability = CALIBRATION.probability(&evidence);
-        let doubts = match probability > CALIBRATION.threshold {
-            true => {
-                CALIBRATION.signs(&evidence).map(|risk| Doubt::new(risk, &evidence, input, result, quality)).collect()
+        let off = evidence.coverage.distance > OFF_THE_SCAN;
+        let probability = CALIBRATION.probability(&evidence).max(if off { 0.5 } else { 0.0 });
+        let mut signs: Vec<Risk> = if off { vec![Risk::Distance] } else { Vec::new() };
+        if probability > CALIBRATION.threshold {
+            signs.extend(CALIBRATION.signs(&evidence));
+        }
+        let mut doubts: Vec<Doubt> = Vec::new();
+        for doubt in signs.into_iter().map(|risk| Doubt::new(risk, &evidence, input, result, quality)) {
+            // Two risks may be one doubt.
+            if !doubts.iter().any(|known| known.name() == doubt.name()) {
+                doubts.push(doubt);
             }
-            false => Vec::new(),
-        };
-        // Two risks may be one doubt.
-        let mut doubts: Vec<Doubt> = doubts;
-        doubts.dedup_by_key(|doubt| doubt.name());
+        }
         Self { probability, doubts, evidence }
     }
 

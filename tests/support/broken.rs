@@ -162,7 +162,7 @@ pub fn broken() -> Bench {
     bench.write("past.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n");
     bench.write("nan.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n");
     bench.write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
-    bench.write("triangle.obj", "v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n");
+    bench.write("triangle.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n");
     bench.write("one_point.obj", "v 5 5 5\nv 5 5 5\nv 5 5 5\nf 1 2 3\n");
 
     // A scan of one triangle far from everything, and the whole scan moved away from its landmarks.
