@@ -23,7 +23,7 @@ pub fn finite(text: &str) -> Result<f64, String> {
 }
 
 /// Uniform on the unit sphere.
-fn direction(rng: &mut ChaCha8Rng) -> Vec3 {
+pub fn direction(rng: &mut ChaCha8Rng) -> Vec3 {
     loop {
         let v = Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
         if (0.1..1.0).contains(&v.norm()) {

@@ -138,18 +138,7 @@ impl StartSearch {
     pub fn rival(&self) -> f64 {
         self.runner_up.map_or(0.0, |other| (1.0 - other.loss) / (1.0 - self.fit.loss).max(f64::MIN_POSITIVE))
     }
-
-    /// Whether the start deserves a look: another pose comes close, or much of the template sees no scan.
-    #[must_use]
-    pub fn is_doubtful(&self) -> bool {
-        self.rival() > DOUBTFUL_RIVAL || self.fit.share < DOUBTFUL_SHARE
-    }
 }
-
-/// [`StartSearch::rival`] above which a start is doubtful.
-const DOUBTFUL_RIVAL: f64 = 0.88;
-/// Share of the template below which a start is doubtful.
-const DOUBTFUL_SHARE: f64 = 0.4;
 
 /// The template and scan that a start is searched for.
 pub(super) struct StartInput<'a> {

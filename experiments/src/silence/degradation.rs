@@ -16,7 +16,7 @@ use rand::seq::SliceRandom as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-use crate::random_pose::random_pose;
+use crate::random_pose::{direction, random_pose};
 use crate::scan_bench::BenchCase;
 
 /// A case that is about to be registered.
@@ -131,12 +131,7 @@ impl Trial<'_> {
     }
 
     fn direction(&mut self) -> Vec3 {
-        loop {
-            let v = Vec3::from_fn(|_, _| self.rng.random_range(-1.0..1.0));
-            if (0.1..1.0).contains(&v.norm()) {
-                return v.normalize();
-            }
-        }
+        direction(&mut self.rng)
     }
 
     /// Size of the true face, and its frame: from the template's axes (Y up, Z forward) to the scan.
