@@ -72,8 +72,8 @@ fn nodes_and_labels_on_the_face() {
 
 #[test]
 fn the_benchmark_scans() {
-    for case in ["same_open", "same_smile", "same_blink", "new_open", "new_asym", "new_neutral"] {
-        let Some(folder) = data(&format!("scan-bench/{case}")) else { return };
+    for case in ["same_open", "same_smile", "same_pucker", "new_open", "new_asym", "new_frame"] {
+        let Some(folder) = data(&format!("scanner-bench/{case}")) else { return };
         let scan = read_scan(&folder.join("scan.ply")).unwrap();
         assert!(scan.mesh.triangles.len() > 50_000);
         let truth = read_npy_points(&folder.join("truth.npy")).unwrap();

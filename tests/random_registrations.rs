@@ -64,29 +64,31 @@ fn weight() -> impl Strategy<Value = f64> {
 fn level() -> impl Strategy<Value = Level> {
     let stiffness = [weight(), weight(), weight(), weight()];
     let data = [weight(), weight(), weight(), weight(), weight(), weight(), weight()];
-    let rest = (1..4usize, kernel(), proptest::option::of(kernel()), 1.0..100.0, 10.0..180.0);
-    (stiffness, data, rest).prop_map(|(stiffness, data, (steps, kernel, point_kernel, distance_cap, normal_angle))| {
-        let [lambda_graph, lambda_blend, lambda_smooth, lambda_rotation] = stiffness;
-        let [point_to_plane, symmetric, scan_to_template, point_to_point, landmarks, prediction, seam] = data;
-        Level {
-            steps,
-            lambda_graph,
-            lambda_blend,
-            lambda_smooth,
-            lambda_rotation,
-            point_to_plane,
-            symmetric,
-            scan_to_template,
-            point_to_point,
-            point_kernel,
-            landmarks,
-            prediction,
-            seam,
-            kernel,
-            distance_cap,
-            normal_angle,
-        }
-    })
+    let rest = (1..4usize, kernel(), kernel(), 1.0..100.0, 10.0..180.0);
+    (stiffness, data, rest).prop_map(
+        |(stiffness, data, (steps, kernel, landmark_kernel, distance_cap, normal_angle))| {
+            let [lambda_graph, lambda_blend, lambda_smooth, lambda_rotation] = stiffness;
+            let [point_to_plane, symmetric, scan_to_template, point_to_point, landmarks, prediction, seam] = data;
+            Level {
+                steps,
+                lambda_graph,
+                lambda_blend,
+                lambda_smooth,
+                lambda_rotation,
+                point_to_plane,
+                symmetric,
+                scan_to_template,
+                point_to_point,
+                landmarks,
+                landmark_kernel,
+                prediction,
+                seam,
+                kernel,
+                distance_cap,
+                normal_angle,
+            }
+        },
+    )
 }
 
 fn graph() -> impl Strategy<Value = GraphOptions> {
@@ -124,7 +126,6 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 normal_smoothing,
                 reject_boundary: reject_boundary == 0,
                 template_rim: n.1,
-                test_vertices: kind == 0,
                 flip: [ScanFlip::Auto, ScanFlip::No][weights],
             },
             solver: SolverOptions {

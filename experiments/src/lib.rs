@@ -11,7 +11,6 @@ pub mod output;
 pub mod plots;
 pub mod random_pose;
 pub mod real_scans;
-pub mod remesh;
 pub mod report;
 pub mod rig_statistics;
 pub mod scaling;

@@ -143,13 +143,6 @@ impl BenchCase {
         Ok((errors, MeshQuality::new(&self.template.with_positions(rest.clone()), positions)?))
     }
 
-    /// The same case on the [`dual`](crate::remesh::dual) of the scan, whose normals follow from its triangles.
-    #[must_use]
-    pub fn remeshed(mut self) -> Self {
-        self.scan = Scan { mesh: crate::remesh::dual(&self.scan.mesh), normals: None, colors: None };
-        self
-    }
-
     /// The same case with scan, truth and landmarks moved by `pose`, which must not scale: what a fit has to undo.
     #[must_use]
     pub fn moved(mut self, pose: &Pose) -> Self {
@@ -270,9 +263,6 @@ pub struct BenchRow {
     pub mesh: MeshQuality,
     /// Steps taken.
     pub iterations: usize,
-    /// Significance of the scan's vertices coinciding with the template's, at the first level that tested it: above 5, the
-    /// scan gives true vertex positions away.
-    pub vertex_coincidence: Option<f64>,
     /// Wall time of the registration; not part of what is compared.
     #[serde(skip)]
     pub seconds: f64,
@@ -293,12 +283,6 @@ pub fn fit_case(
     Ok((result, clock.elapsed().as_secs_f64()))
 }
 
-/// Significance of the scan's vertices coinciding with the template's, at the first level that tested it.
-#[must_use]
-pub fn vertex_coincidence(result: &RegistrationResult) -> Option<f64> {
-    result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance())
-}
-
 /// Runs one model with its schedule on one case.
 pub fn run_case(
     model: &dyn ModelFactory,
@@ -316,7 +300,6 @@ pub fn run_case(
         errors,
         mesh,
         iterations: result.history.len(),
-        vertex_coincidence: vertex_coincidence(&result),
         seconds,
     };
     Ok((row, result))

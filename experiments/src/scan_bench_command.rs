@@ -1,7 +1,7 @@
 //! `scan-bench` on the command line: what it reads, writes and prints.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::cli::{Failure, say, tell};
@@ -43,15 +43,22 @@ pub struct Arguments {
     /// Move every scan by this many millimetres in a random direction
     #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = finite, allow_negative_numbers = true)]
     shift: f64,
-    /// Use each scan's dual mesh: the same surface without its vertices, which may be the template's own, displaced
-    #[arg(long)]
-    remesh: bool,
     /// Seed of the random poses
     #[arg(long, default_value_t = 7)]
     seed: u64,
     /// Threads [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+}
+
+/// Reads a schedule.
+///
+/// # Errors
+/// A [`Failure`] of loading.
+pub fn read_schedule(path: &Path) -> Result<Schedule> {
+    let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
+    let text = fs::read_to_string(path).map_err(|e| unread(&e))?;
+    Ok(Schedule::from_toml(&text).map_err(|e| unread(&e))?)
 }
 
 /// Runs the command.
@@ -64,9 +71,6 @@ pub fn run(a: &Arguments) -> Result<()> {
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let mut cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
-    if a.remesh {
-        cases = cases.into_iter().map(BenchCase::remeshed).collect();
-    }
     if a.turn != 0.0 || a.shift != 0.0 {
         say(format_args!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed))?;
         let moved = |(i, case): (usize, BenchCase)| case.moved(&random_pose(a.turn, a.shift, a.seed, i as u64));
@@ -76,11 +80,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let scheduled = a.models.iter().map(|model| {
         let schedule = match &a.config {
             None => model.schedule()?,
-            Some(path) => {
-                let unread = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
-                let text = fs::read_to_string(path).map_err(|e| unread(&e))?;
-                Schedule::from_toml(&text).map_err(|e| unread(&e))?
-            }
+            Some(path) => read_schedule(path)?,
         };
         Ok(Scheduled { model, schedule })
     });

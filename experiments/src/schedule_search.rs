@@ -25,39 +25,31 @@ use crate::output::make_output_folder;
 use crate::scan_bench::{BenchCase, LandmarkUse, run_case};
 
 /// What all models share, level by level.
-pub const LADDER: [Rung; 8] = [
-    Rung { huber: 3.0, distance_cap: 25.0, pull: None },
-    Rung { huber: 2.0, distance_cap: 12.0, pull: None },
-    Rung { huber: 1.0, distance_cap: 12.0, pull: None },
-    Rung { huber: 0.5, distance_cap: 5.0, pull: Some((0.5, 1.0)) },
-    Rung { huber: 0.4, distance_cap: 5.0, pull: Some((1.0, 0.6)) },
-    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((1.0, 0.4)) },
-    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((2.0, 0.3)) },
-    Rung { huber: 0.3, distance_cap: 5.0, pull: Some((2.0, 0.3)) },
+pub const LADDER: [Rung; 6] = [
+    Rung { steps: 5, huber: 3.0, distance_cap: 25.0 },
+    Rung { steps: 5, huber: 2.0, distance_cap: 12.0 },
+    Rung { steps: 5, huber: 1.0, distance_cap: 12.0 },
+    Rung { steps: 5, huber: 0.5, distance_cap: 5.0 },
+    Rung { steps: 5, huber: 0.4, distance_cap: 5.0 },
+    Rung { steps: 15, huber: 0.3, distance_cap: 5.0 },
 ];
 
 /// The shared part of a level, millimetres.
 #[derive(Debug, Clone, Copy)]
 pub struct Rung {
+    /// Steps at most; `stop` ends most levels after two or three, and models without shapes converge slowly.
+    pub steps: usize,
     /// Scale of the Huber kernel on the data.
     pub huber: f64,
     /// Longest correspondence, unless the axis `cap` allows longer ones.
     pub distance_cap: f64,
-    /// Weight and Geman-McClure scale of point-to-point, where the scan's vertices coincide with the template's.
-    pub pull: Option<(f64, f64)>,
 }
-
-/// Stiffness and landmark weights fall until so many levels are left, and stay for these.
-const STAY: usize = 2;
 
 /// The rung on which the second stage of a sequence starts.
 const SECOND_STAGE: usize = 2;
 
 /// Triangles of each scan, about.
 const TRIANGLES: usize = 60_000;
-
-/// Steps of each level.
-const STEPS: usize = 5;
 
 /// Below this share of the best so far an objective counts as a gain.
 const GAIN: f64 = 0.99;
@@ -112,8 +104,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
 pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> String {
     let mut text = format!(
         "# Default schedule of the model '{model}', as `experiments search-schedules` found it: the same ladder, cases and\n\
-         # budget for every model (experiments/src/schedule_search.rs). The point-to-point pull towards scan vertices takes part\n\
-         # only where a test finds that they coincide with the template's (`VertexCoincidence`).\n\
+         # budget for every model (experiments/src/schedule_search.rs).\n\
          #\n\
          # Lengths are millimetres on a template of `reference_size` and scale with the template; weights are per vertex on a\n\
          # template of `reference_vertices` and scale with theirs. Every key is described at `registration::Schedule`.\n\n\
@@ -152,14 +143,14 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
 fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static str, f64>) -> String {
     let mut text = String::new();
     for (level, rung) in rungs.iter().enumerate() {
-        let _ = write!(text, "\n[[{table}]]\nsteps = {STEPS}\n");
+        let _ = write!(text, "\n[[{table}]]\nsteps = {}\n", rung.steps);
         let mut line = |key: &str, value: f64| {
             let _ = writeln!(text, "{key} = {value:?}");
         };
         for key in keys.iter().chain(&["landmarks"]) {
             let ends = ["first", "last"].map(|end| at.get(&*format!("{key} {end}")).copied());
             if let [Some(first), Some(last)] = ends {
-                line(key, ramp(first, last, level, rungs.len() - STAY));
+                line(key, ramp(first, last, level, rungs.len()));
             }
         }
         if let Some(&ratio) = at.get("lambda_rotation") {
@@ -170,13 +161,8 @@ fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static
         }
         line("distance_cap", rung.distance_cap.max(at["cap"]));
         line("normal_angle", 60.0);
+        text += "landmark_kernel = { huber = { delta = 3.0 } }\n";
         let _ = writeln!(text, "kernel = {{ huber = {{ delta = {:?} }} }}", rung.huber);
-        if let Some((weight, scale)) = rung.pull {
-            let _ = writeln!(
-                text,
-                "point_to_point = {weight:?}\npoint_kernel = {{ geman_mcclure = {{ delta = {scale:?} }} }}"
-            );
-        }
     }
     text
 }

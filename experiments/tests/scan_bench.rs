@@ -280,7 +280,7 @@ fn landmarks_for_alignment_only_leave_the_energy() {
 fn a_real_case_is_as_accurate_as_promised() {
     let data = std::env::var_os("NONRIGID_DATA")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
-    let (rig, case) = (data.join("ict-facekit/narrow"), data.join("scan-bench/same_smile"));
+    let (rig, case) = (data.join("ict-facekit/narrow"), data.join("scanner-bench/same_smile"));
     if !rig.exists() || !case.exists() {
         eprintln!("skipped: {} or {} is absent (set NONRIGID_DATA)", rig.display(), case.display());
         return;

@@ -218,11 +218,11 @@ mod tests {
             triangles.extend((1..q.len() - 1).map(|i| [q[0], q[i], q[i + 1]]));
         }
         let reference = [
-            ("same_open", [0.714, 0.4934, 0.6519, 5.0714, 0.4225, 0.5755, 0.6987], 348),
-            ("new_asym", [0.7142, 0.4936, 0.6519, 5.0714, 0.4304, 0.57, 0.6947], 446),
+            ("same_open", [0.7106, 0.4926, 0.6514, 5.0714, 0.4274, 0.5677, 0.7289], 425),
+            ("new_asym", [0.7066, 0.4922, 0.6508, 5.0714, 0.4171, 0.5703, 0.751], 410),
         ];
         for (case, expected, flipped) in reference {
-            let folder = data.join("scan-bench").join(case);
+            let folder = data.join("scanner-bench").join(case);
             let truth: Vec<Vec3> = npy::<f32>(&folder.join("truth.npy"))
                 .chunks_exact(3)
                 .map(|c| Vec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2])))

@@ -14,8 +14,6 @@ pub struct Correspondences {
     pub points: Vec<Vec3>,
     /// Unit normal of the scan there, interpolated between its vertices.
     pub normals: Vec<Vec3>,
-    /// Scan vertex nearest to the template's vertex.
-    pub nearest_vertices: Vec<Vec3>,
     /// One for an accepted correspondence, zero for a rejected one, less where a mask says so.
     pub weights: Vec<f64>,
     /// Weight of each prediction: one where nothing was accepted, less where a mask says so.
@@ -37,17 +35,15 @@ pub struct Correspondences {
 #[derive(Debug, Clone, Copy)]
 struct Found {
     feature: Option<u32>,
-    corner: Option<u32>,
     point: Vec3,
     normal: Vec3,
-    nearest: Vec3,
     accepted: bool,
 }
 
 impl Default for Found {
     fn default() -> Self {
         let zero = Vec3::zeros();
-        Self { feature: None, corner: None, point: zero, normal: zero, nearest: zero, accepted: false }
+        Self { feature: None, point: zero, normal: zero, accepted: false }
     }
 }
 
@@ -74,8 +70,6 @@ impl Correspondences {
         self.points.extend(self.found.iter().map(|f| f.point));
         self.normals.clear();
         self.normals.extend(self.found.iter().map(|f| f.normal));
-        self.nearest_vertices.clear();
-        self.nearest_vertices.extend(self.found.iter().map(|f| f.nearest));
         self.weights.clear();
         for ((found, data), on_rim) in self.found.iter_mut().zip(&masks.data).zip(&masks.rim) {
             found.accepted &= !on_rim && *data > 0.0;
@@ -112,28 +106,6 @@ impl Correspondences {
         }
     }
 
-    /// Tests whether the scan's vertices lie nearer to the template's than chance would have it, see
-    /// [`VertexCoincidence`].
-    #[must_use]
-    pub fn vertex_coincidence(&self, scan: &ScanSurface) -> VertexCoincidence {
-        let accepted: Vec<usize> = (0..self.found.len()).filter(|&i| self.found[i].accepted).collect();
-        let to_nearest = |p: &Vec3| scan.nearest_vertex(p, f64::INFINITY).map_or(f64::INFINITY, |c| c.1.sqrt());
-        let mut spacing: Vec<f64> = accepted.iter().map(|&i| to_nearest(&self.found[i].point)).collect();
-        let observed = spacing.clone();
-        spacing.sort_unstable_by(f64::total_cmp);
-        let offset = CONTROL_OFFSET * spacing.get(spacing.len() / 2).copied().unwrap_or(0.0);
-        let nearer = accepted.par_iter().zip(&observed).filter_map(|(&i, &observed)| {
-            let found = &self.found[i];
-            let u = found.normal.cross(&Vec3::ith(found.normal.iamin(), 1.0)).normalize();
-            let (sin, cos) = (GOLDEN_ANGLE * i as f64).sin_cos();
-            let aside = found.point + (u * cos + found.normal.cross(&u) * sin) * offset;
-            let hit = scan.closest(&aside, found.feature, f64::INFINITY)?;
-            (!hit.on_boundary).then(|| observed < to_nearest(&hit.point))
-        });
-        let outcomes: Vec<bool> = nearer.collect();
-        VertexCoincidence { nearer: outcomes.iter().filter(|&&n| n).count(), of: outcomes.len() }
-    }
-
     /// Whether any correspondence was accepted.
     #[must_use]
     pub fn any(&self) -> bool {
@@ -144,41 +116,6 @@ impl Correspondences {
     #[must_use]
     pub fn inlier_share(&self) -> f64 {
         self.weights.iter().filter(|&&w| w > 0.0).count() as f64 / self.counted.max(1) as f64
-    }
-}
-
-/// How far aside the control points of [`VertexCoincidence`] lie, in median distances to the nearest scan vertex.
-const CONTROL_OFFSET: f64 = 3.0;
-
-/// Directions that spread evenly, radians.
-const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
-
-/// A paired sign test: is the scan vertex nearest to a template vertex' place on the scan nearer than the one nearest to a
-/// control point beside it?
-///
-/// The vertices of a real scan lie anywhere on its surface, so pulling the template to the nearest one only holds it where it
-/// is: measured, that doubles the sliding. A scan whose vertices *are* displaced template vertices (made from a registered
-/// mesh, or retopologised to the template) says where they belong, and the pull is worth following. The test tells the two
-/// apart before the pull is believed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-pub struct VertexCoincidence {
-    /// Pairs in which the template's place wins.
-    pub nearer: usize,
-    /// All pairs.
-    pub of: usize,
-}
-
-impl VertexCoincidence {
-    /// Standard deviations by which the share of wins exceeds one half.
-    #[must_use]
-    pub fn significance(&self) -> f64 {
-        (2.0 * self.nearer as f64 - self.of as f64) / (self.of as f64).sqrt().max(1.0)
-    }
-
-    /// Whether scan vertices say where template vertices belong: beyond five standard deviations.
-    #[must_use]
-    pub fn is_evident(&self) -> bool {
-        self.significance() > 5.0
     }
 }
 
@@ -195,14 +132,6 @@ impl Found {
         self.normal = hit.normal;
         let on_rim = scan.rejects_boundary() && hit.on_boundary;
         self.accepted = !on_rim && hit.normal.dot(&normal) > cosine;
-        if self.accepted && level.point_to_point > 0.0 {
-            // The last one bounds the search.
-            let limit = self.corner.map_or(f64::INFINITY, |c| (scan.vertex(c) - position).norm_squared());
-            if let Some((vertex, _)) = scan.nearest_vertex(&position, limit) {
-                self.corner = Some(vertex);
-                self.nearest = scan.vertex(vertex);
-            }
-        }
     }
 }
 
@@ -215,7 +144,7 @@ mod tests {
     use nalgebra::Rotation3;
 
     fn level() -> Level {
-        Level { point_to_point: 1.0, distance_cap: 2.0, normal_angle: 40.0, ..Level::default() }
+        Level { distance_cap: 2.0, normal_angle: 40.0, ..Level::default() }
     }
 
     fn scan_of(mesh: TriangleMesh, reject_boundary: bool) -> ScanSurface {
@@ -232,54 +161,6 @@ mod tests {
         found
     }
 
-    /// Irregular points of a wavy surface, from the numbers that start at `seed`.
-    fn wavy(seed: usize) -> TriangleMesh {
-        sheet(60, 60, |c, r| {
-            let i = seed + 2 * (60 * r as usize + c as usize);
-            let (x, y) = (c + 0.4 * noise(i), r + 0.4 * noise(i + 1));
-            Vec3::new(x, y, 2.0 * (0.1 * x).sin() + (0.13 * y).cos())
-        })
-    }
-
-    #[test]
-    fn coincidence_is_evident_where_the_template_lies_on_scan_vertices() {
-        let scan = wavy(0);
-        let mut template = scan.clone();
-        for (i, p) in template.positions.iter_mut().enumerate() {
-            *p += Vec3::new(noise(9 * i), noise(9 * i + 1), noise(9 * i + 2)) * 0.15;
-        }
-        let scan = scan_of(scan, true);
-        let test = find(&scan, &template, &level()).vertex_coincidence(&scan);
-        assert!(test.of > 3000, "{test:?}");
-        assert!(test.is_evident() && test.nearer > test.of * 7 / 10, "{test:?}");
-    }
-
-    #[test]
-    fn coincidence_is_not_evident_where_scan_vertices_lie_anywhere() {
-        for seed in [10_000, 20_000, 30_000, 40_000] {
-            let scan = scan_of(wavy(0), true);
-            // Neither in step with the scan's rows nor with its noise.
-            let mut template = wavy(seed);
-            let turn = Rotation3::from_axis_angle(&Vec3::z_axis(), 0.5);
-            for p in &mut template.positions {
-                let q = turn * (*p - Vec3::new(29.5, 29.5, 0.0)) * 0.6 + Vec3::new(29.5, 29.5, 0.0);
-                *p = Vec3::new(q.x, q.y, 2.0 * (0.1 * q.x).sin() + (0.13 * q.y).cos());
-            }
-            let test = find(&scan, &template, &level()).vertex_coincidence(&scan);
-            assert!(test.of > 3000, "{test:?}");
-            assert!(!test.is_evident(), "{test:?}");
-            assert!(test.nearer * 20 > test.of * 9 && test.nearer * 20 < test.of * 11, "{test:?}");
-        }
-    }
-
-    #[test]
-    fn nothing_is_evident_without_correspondences() {
-        let scan = scan_of(flat(4, 4), true);
-        let test = Correspondences::default().vertex_coincidence(&scan);
-        assert_eq!(test, VertexCoincidence { nearer: 0, of: 0 });
-        assert!(!test.is_evident());
-    }
-
     #[test]
     fn far_correspondences_are_rejected() {
         let scan = scan_of(flat(9, 9), true);
@@ -293,7 +174,6 @@ mod tests {
         let p = template.positions[2];
         approx::assert_abs_diff_eq!(found.points[2], Vec3::new(p.x, p.y, 0.0), epsilon = 1e-12);
         approx::assert_abs_diff_eq!(found.normals[2], Vec3::z(), epsilon = 1e-12);
-        assert_eq!(found.nearest_vertices[2], Vec3::new(4.0, 2.0, 0.0));
     }
 
     #[test]

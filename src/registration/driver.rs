@@ -11,7 +11,7 @@ use super::start::{self, LandmarkStart, Start, StartInput};
 use super::{
     Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
     ScanSurface, Schedule, ScheduleError, Seams, StartSearch, StepAlgorithm, TermFactory, TermInput, TermKind,
-    VertexCoincidence, VertexMasks, WarmStart, masks, scan,
+    VertexMasks, WarmStart, masks, scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -94,8 +94,6 @@ pub struct StepRecord {
     pub inliers: f64,
     /// Largest motion of a vertex in this step, millimetres.
     pub motion: f64,
-    /// Whether the scan's vertices were found to coincide with the template's, where the level asks for it.
-    pub vertex_coincidence: Option<VertexCoincidence>,
 }
 
 /// Sees every step and may stop the run; the result is then what was reached.
@@ -272,7 +270,6 @@ pub fn register_with(
     problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
     let mut run = Run {
         start,
-        vertices_coincide: false,
         scan_points,
         correspondences: Correspondences::default(),
         workspace: Workspace::new(),
@@ -539,7 +536,6 @@ fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError>
 struct Run {
     start: Pose,
     /// Whether a level has found the scan's vertices to coincide with the template's; it is not asked again.
-    vertices_coincide: bool,
     /// Points of the scan that look for the template, where a level asks for them.
     scan_points: Option<ScanPoints>,
     correspondences: Correspondences,
@@ -594,18 +590,8 @@ impl Run {
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
         let number = self.first_level + index;
-        let mut level = schedule.levels[index].scaled(rest.unit);
+        let level = schedule.levels[index].scaled(rest.unit);
         problem.model.set_level(&level);
-        let mut coincidence = None;
-        if level.point_to_point > 0.0 && schedule.scan.test_vertices && !self.vertices_coincide {
-            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.masks, &level);
-            let test = self.correspondences.vertex_coincidence(scan);
-            self.vertices_coincide = test.is_evident();
-            if !self.vertices_coincide {
-                level.point_to_point = 0.0;
-            }
-            coincidence = Some(test);
-        }
         problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps.min(most_steps) {
@@ -661,7 +647,6 @@ impl Run {
                 energies: problem.energies(x),
                 inliers: self.correspondences.inlier_share(),
                 motion,
-                vertex_coincidence: coincidence,
             };
             let flow = observer.on_step(&record);
             if observer.wants_positions() {

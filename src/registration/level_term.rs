@@ -76,6 +76,10 @@ impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> DataTe
     fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
         self.term.linearize(positions, field)
     }
+
+    fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
+        self.term.residual_variance(positions)
+    }
 }
 
 impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> RegistrationTerm for LevelTerm<T, K, R> {

@@ -23,7 +23,7 @@ mod terms;
 mod warm_start;
 
 pub use colour::{UNSEEN_COLOR, VertexColors, scan_colors};
-pub use correspondence::{Correspondences, VertexCoincidence};
+pub use correspondence::Correspondences;
 pub use doubt::Doubt;
 pub use driver::{
     NamedWeight, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord, find_start,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{RegistrationError, ScanOptions};
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
-use crate::mesh::closest_point::{ClosestPoint, ClosestVertices};
+use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
 use crate::mesh::{MeshError, OrientedPoints, TriangleMesh, Vec3};
 
@@ -20,15 +20,7 @@ pub struct ScanSurface {
 
 #[derive(Debug)]
 enum Surface {
-    Triangles {
-        mesh: TriangleMesh,
-        normals: Vec<Vec3>,
-        boundary: OpenBoundary,
-        tree: ClosestPoint,
-        /// Positions of the vertices that triangles use, and their tree.
-        corners: Vec<Vec3>,
-        vertices: ClosestVertices,
-    },
+    Triangles { mesh: TriangleMesh, normals: Vec<Vec3>, boundary: OpenBoundary, tree: ClosestPoint },
     Points(OrientedPoints),
 }
 
@@ -62,8 +54,6 @@ impl ScanSurface {
         }
         let tree = || ClosestPoint::new(&mesh).map_err(unusable);
         let rest = || {
-            let corners: Vec<Vec3> = used(&mesh).map(|v| mesh.positions[v]).collect();
-            let vertices = ClosestVertices::new(&corners).map_err(unusable);
             let mut normals = match normals {
                 Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
                 None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
@@ -72,11 +62,10 @@ impl ScanSurface {
             for _ in 0..options.normal_smoothing {
                 normals = smooth_normals(&edges, &normals);
             }
-            (corners, vertices, normals, OpenBoundary::of(&mesh))
+            (normals, OpenBoundary::of(&mesh))
         };
-        let (tree, (corners, vertices, normals, boundary)) = rayon::join(tree, rest);
-        let (tree, vertices) = (tree?, vertices?);
-        Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree, corners, vertices }, reject_boundary })
+        let (tree, (normals, boundary)) = rayon::join(tree, rest);
+        Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree: tree? }, reject_boundary })
     }
 
     /// The closest point within the square root of `squared_reach`. The answer does not depend on the hint, a
@@ -115,23 +104,6 @@ impl ScanSurface {
         let search = if matches!(self.surface, Surface::Points(_)) { f64::INFINITY } else { reach * reach };
         let hit = self.closest(&p, None, search)?;
         (!hit.on_boundary && (hit.point - p).norm_squared() <= reach * reach).then_some(hit)
-    }
-
-    /// Index of the nearest scan vertex within the square root of `squared_reach`, and its squared distance.
-    pub(super) fn nearest_vertex(&self, p: &Vec3, squared_reach: f64) -> Option<(u32, f64)> {
-        let found = match &self.surface {
-            Surface::Triangles { vertices, .. } => vertices.query_within(p, squared_reach),
-            Surface::Points(points) => points.nearest(p, squared_reach),
-        };
-        found.map(|f| (f.vertex, f.squared_distance))
-    }
-
-    /// The vertex that [`nearest_vertex`](Self::nearest_vertex) means.
-    pub(super) fn vertex(&self, index: u32) -> Vec3 {
-        match &self.surface {
-            Surface::Triangles { corners, .. } => corners[index as usize],
-            Surface::Points(points) => points.points()[index as usize],
-        }
     }
 
     /// Whether correspondences on the open boundary are to be rejected.
@@ -233,8 +205,6 @@ mod tests {
                 let [a, b] = [&on_mesh, &on_cloud].map(|s| s.closest_within(p, 1.2));
                 assert!((a.unwrap() - b.unwrap()).norm() < 0.02, "{p}");
             }
-            let [a, b] = [&on_mesh, &on_cloud].map(|s| s.nearest_vertex(&p, f64::INFINITY).unwrap());
-            assert_eq!((on_mesh.vertex(a.0), a.1), (on_cloud.vertex(b.0), b.1));
             assert!(on_cloud.closest_within(p + Vec3::z() * 3.0, 1.0).is_none());
         }
     }

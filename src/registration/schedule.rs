@@ -254,20 +254,11 @@ pub struct ScanOptions {
     /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
     pub template_rim: f64,
-    /// Follow point-to-point only from the first level at whose start the scan's vertices coincide with the template's more
-    /// than chance explains ([`VertexCoincidence`](super::VertexCoincidence)).
-    pub test_vertices: bool,
 }
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self {
-            normal_smoothing: 2,
-            flip: ScanFlip::Auto,
-            reject_boundary: true,
-            template_rim: 0.0,
-            test_vertices: true,
-        }
+        Self { normal_smoothing: 2, flip: ScanFlip::Auto, reject_boundary: true, template_rim: 0.0 }
     }
 }
 
@@ -300,7 +291,7 @@ pub struct StopOptions {
 
 impl Default for StopOptions {
     fn default() -> Self {
-        Self { energy: 1e-4, motion: 0.02 }
+        Self { energy: 0.01, motion: 0.25 }
     }
 }
 
@@ -400,15 +391,15 @@ pub struct Level {
     /// Weight of scan points towards the template, for as many of them as the template has vertices.
     #[serde(default)]
     pub scan_to_template: f64,
-    /// Weight of point-to-point (2), towards the nearest scan vertex, per accepted vertex.
+    /// Weight of point-to-point (2), towards the closest point of the scan's surface, per accepted vertex.
     #[serde(default)]
     pub point_to_point: f64,
-    /// Robust kernel of point-to-point, scale in millimetres; without one, `kernel`.
-    #[serde(default)]
-    pub point_kernel: Option<Kernel>,
     /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it [states](SigmaOptions::landmark) sigma.
     #[serde(default)]
     pub landmarks: f64,
+    /// Robust kernel of landmarks, scale in millimetres: one that is wrong by much pulls no more than one at the scale.
+    #[serde(default)]
+    pub landmark_kernel: Kernel,
     /// Weight, per vertex without an accepted correspondence, of staying where the blendshapes in one rigid pose predict it. For
     /// subjects that are rigid as a whole, if at all: a limb that moves is torn off.
     /// [`lambda_unseen`](GraphOptions::lambda_unseen) holds to the form instead.
@@ -438,11 +429,11 @@ impl Default for Level {
             symmetric: 0.0,
             scan_to_template: 0.0,
             point_to_point: 0.0,
-            point_kernel: None,
             landmarks: 0.0,
             prediction: 0.0,
             seam: 0.0,
             kernel: Kernel::None,
+            landmark_kernel: Kernel::None,
             distance_cap: 5.0,
             normal_angle: 60.0,
         }
@@ -457,7 +448,7 @@ impl Level {
         Self {
             lambda_blend: self.lambda_blend * unit * unit,
             kernel: scaled(self.kernel),
-            point_kernel: self.point_kernel.map(scaled),
+            landmark_kernel: scaled(self.landmark_kernel),
             distance_cap: self.distance_cap * unit,
             ..*self
         }
@@ -629,7 +620,7 @@ impl Schedule {
             not_negative(name("landmarks"), level.landmarks)?;
             not_negative(name("prediction"), level.prediction)?;
             not_negative(name("seam"), level.seam)?;
-            for kernel in [Some(level.kernel), level.point_kernel].into_iter().flatten() {
+            for kernel in [level.kernel, level.landmark_kernel] {
                 kernel.validate().map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
             }
             positive(name("distance_cap"), level.distance_cap)?;

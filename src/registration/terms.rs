@@ -41,7 +41,7 @@ pub enum TermKind {
     Symmetric,
     /// Distance of the template to planes through points of the scan.
     ScanToTemplate,
-    /// Distance to the nearest scan vertex.
+    /// Distance to the closest point of the scan's surface.
     PointToPoint,
     /// Distance to landmarks.
     Landmarks,
@@ -76,7 +76,7 @@ impl TermFactory for TermKind {
             Self::ScanToTemplate => {
                 Box::new(Pointwise::new("scan to template", ScanToTemplate::default(), Kernel::None))
             }
-            Self::PointToPoint => pull("point to point (2)", Towards::NearestVertex),
+            Self::PointToPoint => pull("point to point (2)", Towards::ClosestPoint),
             Self::Prediction => pull("prediction", Towards::Prediction),
             Self::Seam => pull("seams", Towards::Seam),
             Self::Landmarks => {
@@ -133,6 +133,7 @@ impl RegistrationTerm for Pointwise<ScanToTemplate, Kernel, 1> {
 impl RegistrationTerm for Pointwise<Landmarks, Kernel, 3> {
     fn set_level(&mut self, level: &Level, _density: f64) {
         self.residuals.scale = level.landmarks;
+        self.kernel = level.landmark_kernel;
     }
 
     fn update(&mut self, _correspondences: &Correspondences) {}
@@ -145,7 +146,7 @@ struct Pull {
 }
 
 enum Towards {
-    NearestVertex,
+    ClosestPoint,
     Prediction,
     Seam,
 }
@@ -165,7 +166,7 @@ impl DataTerm for Pull {
 
     fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
         match self.towards {
-            Towards::NearestVertex => self.term.residual_variance(positions),
+            Towards::ClosestPoint => self.term.residual_variance(positions),
             // Guesses, not measurements.
             Towards::Prediction | Towards::Seam => None,
         }
@@ -175,7 +176,7 @@ impl DataTerm for Pull {
 impl RegistrationTerm for Pull {
     fn set_level(&mut self, level: &Level, density: f64) {
         let (weight, kernel) = match self.towards {
-            Towards::NearestVertex => (level.point_to_point, level.point_kernel.unwrap_or(level.kernel)),
+            Towards::ClosestPoint => (level.point_to_point, level.kernel),
             Towards::Prediction => (level.prediction, Kernel::None),
             Towards::Seam => (level.seam, Kernel::None),
         };
@@ -186,8 +187,8 @@ impl RegistrationTerm for Pull {
     fn update(&mut self, correspondences: &Correspondences) {
         let PointToPoint { targets, weights, .. } = &mut self.term.residuals;
         match self.towards {
-            Towards::NearestVertex => {
-                targets.clone_from(&correspondences.nearest_vertices);
+            Towards::ClosestPoint => {
+                targets.clone_from(&correspondences.points);
                 weights.clone_from(&correspondences.weights);
             }
             Towards::Prediction => {

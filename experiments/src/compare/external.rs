@@ -95,5 +95,5 @@ fn score(file: &Path, case: &BenchCase) -> Result<Score, String> {
     // The readers' errors name the file, and refuse numbers that are not finite.
     let positions = positions.map_err(|e| e.to_string())?;
     let (errors, mesh) = case.score(&positions).map_err(|e| format!("{}: {e}", file.display()))?;
-    Ok(Score { errors, mesh, iterations: None, vertex_coincidence: None })
+    Ok(Score { errors, mesh, iterations: None })
 }

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::row::{CompareRow, Score};
 use super::variant::Variant;
 use crate::scaling::{peak_bytes, reset_peak};
-use crate::scan_bench::{BenchCase, BenchRig, case_folders, fit_case, vertex_coincidence};
+use crate::scan_bench::{BenchCase, BenchRig, case_folders, fit_case};
 
 /// Runs every variant on every case below `cases`, each variant in a process of its own, one after the other, on so many threads.
 /// `program` is the `experiments` whose processes they are. `on_row` sees each row as it arrives and ends everything with an error.
@@ -114,8 +114,7 @@ impl Variant {
             if !errors.finite {
                 bail!("the result is not finite");
             }
-            let coincidence = vertex_coincidence(&result);
-            Ok(Score { errors, mesh, iterations: Some(result.history.len()), vertex_coincidence: coincidence })
+            Ok(Score { errors, mesh, iterations: Some(result.history.len()) })
         };
         let (score, error) = fit().map_or_else(|e| (None, Some(format!("{e:#}"))), |score| (Some(score), None));
         Line { row: self.row(&case.name, score, error), seconds, peak_bytes: peak }

@@ -43,9 +43,6 @@ pub struct Score {
     pub mesh: MeshQuality,
     /// Steps taken; another program's are unknown.
     pub iterations: Option<usize>,
-    /// Significance of the scan's vertices coinciding with the template's, where it was tested: above 5, the scan gives true
-    /// vertex positions away.
-    pub vertex_coincidence: Option<f64>,
 }
 
 /// One variant over its cases. Means and worst are over the cases with a result, zero without any: look at `failed` first.
@@ -169,7 +166,7 @@ pub fn summary_table(summaries: &[CompareSummary]) -> Table {
 /// When a file cannot be written.
 pub fn write_rows(out: &Path, rows: &[CompareRow], threads: usize) -> Result<()> {
     let header = "group,name,case,rmse,off,slide,median,p95,max,unobserved,flips,self_intersections,\
-                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations,vertex_coincidence,error";
+                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations,error";
     let key = |r: &CompareRow| [&r.group, &r.name, &r.case].map(|text| csv_text(text)).join(",");
     let lines = rows.iter().map(|r| {
         let error = r.error.as_deref().map_or(String::new(), csv_text);
@@ -193,7 +190,6 @@ fn numbers(s: &Score) -> Vec<String> {
     cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
     cells.extend([m.stretch.p1, m.stretch.p99].map(|x| format!("{x:.6}")));
     cells.push(s.iterations.map_or(String::new(), |n| n.to_string()));
-    cells.push(s.vertex_coincidence.map_or(String::new(), |x| format!("{x:.6}")));
     cells
 }
 

@@ -39,8 +39,7 @@ impl Variant {
         models.iter().copied().map(Self::of_model).collect()
     }
 
-    /// The hybrid with each robust [`Kernel`] in place of its schedule's at every level, at that one's scale. The point-to-point
-    /// term keeps its own (`point_kernel`), so that `huber` is the default.
+    /// The hybrid with each robust [`Kernel`] in place of its schedule's at every level, at that one's scale; `huber` is the default.
     ///
     /// # Errors
     /// As [`of_model`](Self::of_model).
@@ -68,8 +67,8 @@ impl Variant {
     ///
     /// | name | what |
     /// |---|---|
-    /// | `default` | its schedule: point-to-plane, and point-to-point where the scan's vertices coincide with the template's |
-    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel; point-to-point, towards the nearest scan vertex, untested at every level |
+    /// | `default` | its schedule: point-to-plane |
+    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel |
     /// | `with scan_to_template` | the default, and scan points towards the template at point-to-plane's weight |
     /// | `without landmarks`, `without seam` | the default with that weight zero; the start still takes landmarks |
     /// | `without lambda_unseen` | the default with a graph as stiff where nothing is seen as where something is |
@@ -85,9 +84,8 @@ impl Variant {
                 each_level(s, |l| (l.symmetric, l.point_to_plane, l.point_to_point) = (l.point_to_plane, 0.0, 0.0));
             }),
             ("point_to_point", |s| {
-                s.scan.test_vertices = false;
                 each_level(s, |l| {
-                    (l.point_to_point, l.point_to_plane, l.point_kernel) = (l.point_to_plane, 0.0, None);
+                    (l.point_to_point, l.point_to_plane) = (l.point_to_plane, 0.0);
                 });
             }),
             ("with scan_to_template", |s| each_level(s, |l| l.scan_to_template = l.point_to_plane)),
@@ -161,7 +159,6 @@ mod tests {
             assert_eq!(levels("without seam")[i], Level { seam: 0.0, ..*d });
         }
         for v in &terms {
-            assert_eq!(v.schedule.scan.test_vertices, v.name != "point_to_point");
             let stiffer = v.name != "without lambda_unseen" && v.name != "with prediction";
             assert_eq!(v.schedule.graph.lambda_unseen > 0.0, stiffer, "{}", v.name);
             v.schedule.validate().unwrap();

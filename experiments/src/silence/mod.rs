@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use nonrigid::cli::{Failure, say};
 use nonrigid::registration::{
-    Handedness, ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, StepRecord, register,
+    Handedness, ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, Schedule, StepRecord, register,
 };
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -25,6 +25,7 @@ use serde::Serialize;
 
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders};
+use crate::scan_bench_command::read_schedule;
 use crate::tables::{csv_text, table, write_csv, write_json};
 pub use degradation::{KINDS, Kind, Trial};
 
@@ -55,6 +56,9 @@ pub struct Arguments {
     /// Vertices of the generated template, about
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1000..=100_000))]
     vertices: u32,
+    /// Schedule (.toml) of the hybrid instead of its default
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// Fit the calibration on these runs and write it here
     #[arg(long, value_name = "FILE")]
     calibrate: Option<PathBuf>,
@@ -199,6 +203,8 @@ impl Counts {
 pub struct Sources {
     studio: Studio,
     cases: Vec<BenchCase>,
+    /// Of the hybrid; other models have their defaults.
+    schedule: Schedule,
 }
 
 impl Sources {
@@ -207,7 +213,7 @@ impl Sources {
     /// # Errors
     /// When the rig cannot be made.
     pub fn new(vertices: usize, cases: Vec<BenchCase>) -> Result<Self> {
-        Ok(Self { studio: Studio::new(vertices)?, cases })
+        Ok(Self { studio: Studio::new(vertices)?, cases, schedule: ModelKind::Hybrid.schedule()? })
     }
 
     fn person(&self, seed: u64) -> Result<BenchCase> {
@@ -298,7 +304,11 @@ pub fn run_job(sources: &Sources, job: &Job) -> Result<SilenceRow> {
         reliability: None,
         error: None,
     };
-    match register(&input, &trial.model, &trial.model.schedule()?, &mut |_: &StepRecord| ControlFlow::Continue(())) {
+    let schedule = match trial.model {
+        ModelKind::Hybrid => sources.schedule.clone(),
+        other => other.schedule()?,
+    };
+    match register(&input, &trial.model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())) {
         Ok(result) => {
             let quality = Quality::measure(&input, &result.positions)?;
             row.reliability = Some(Reliability::of(&input, &result, &quality));
@@ -333,7 +343,10 @@ pub fn run(a: &Arguments) -> Result<()> {
     std::fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let mut jobs = jobs(a.set, u64::from(a.runs), cases.len(), u64::from(a.case_runs));
     jobs.retain(|job| a.kinds.is_empty() || a.kinds.iter().any(|name| name == job.kind.name));
-    let sources = Sources::new(a.vertices as usize, cases)?;
+    let mut sources = Sources::new(a.vertices as usize, cases)?;
+    if let Some(path) = &a.config {
+        sources.schedule = read_schedule(path)?;
+    }
     let rows: Result<Vec<SilenceRow>> = jobs.par_iter().with_max_len(1).map(|job| run_job(&sources, job)).collect();
     let rows = rows?;
     write(a, &rows)?;

@@ -109,7 +109,6 @@ fn bench_row(row: &CompareRow) -> Result<BenchRow> {
         errors: score.errors,
         mesh: score.mesh,
         iterations: score.iterations.unwrap_or(0),
-        vertex_coincidence: score.vertex_coincidence,
         seconds: row.seconds.unwrap_or(f64::NAN),
     })
 }
