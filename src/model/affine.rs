@@ -212,8 +212,7 @@ impl DeformationModel for Affine {
             }
         }
         BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0)
-            .and_then(BlockStructure::split_by_coordinate)
-            .expect("proven: all pairs are blocks of the model, and each block has three rows")
+            .expect("proven: all pairs are blocks of the model")
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
