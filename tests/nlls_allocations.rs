@@ -101,12 +101,8 @@ fn check_models(zoo: &Zoo, kinds: &[LinearSolverKind], threads: usize) {
 
 #[test]
 fn no_model_allocates_after_its_first_step() {
-    let kinds = [
-        LinearSolverKind::Auto,
-        LinearSolverKind::Dense,
-        LinearSolverKind::Bordered,
-        LinearSolverKind::BlockJacobi,
-    ];
+    let kinds =
+        [LinearSolverKind::Auto, LinearSolverKind::Dense, LinearSolverKind::Bordered, LinearSolverKind::BlockJacobi];
     check_models(&Zoo::small(), &kinds, 1);
 }
 

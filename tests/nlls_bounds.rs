@@ -135,12 +135,8 @@ fn algorithms() -> [Options; 3] {
         .map(|o| o.with_max_iterations(200).with_energy_tolerance(0.0))
 }
 
-const KINDS: [LinearSolverKind; 4] = [
-    LinearSolverKind::Auto,
-    LinearSolverKind::Dense,
-    LinearSolverKind::Bordered,
-    LinearSolverKind::BlockJacobi,
-];
+const KINDS: [LinearSolverKind; 4] =
+    [LinearSolverKind::Auto, LinearSolverKind::Dense, LinearSolverKind::Bordered, LinearSolverKind::BlockJacobi];
 
 fn minimize(options: Options, problem: &mut impl Problem, x: &mut [f64]) -> Workspace {
     let mut workspace = Workspace::new();

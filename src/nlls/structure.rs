@@ -74,13 +74,7 @@ impl BlockStructure {
     /// A purely dense problem: no sparse blocks, `dimension` border parameters.
     #[must_use]
     pub fn dense(dimension: usize) -> Self {
-        Self {
-            offsets: vec![0],
-            border: dimension,
-            row_starts: vec![0],
-            cols: Vec::new(),
-            value_starts: vec![0],
-        }
+        Self { offsets: vec![0], border: dimension, row_starts: vec![0], cols: Vec::new(), value_starts: vec![0] }
     }
 
     /// Number of sparse blocks.
