@@ -30,7 +30,7 @@
 mod bounds;
 mod check;
 mod covariance;
-pub mod dense_kernels;
+pub(crate) mod dense_kernels;
 mod error;
 mod kernel;
 pub mod linear;
