@@ -48,8 +48,10 @@ pub const PIVOT_TOLERANCE: f64 = 1e-14;
 /// Below this many tangent coordinates [`choose`] prefers one dense factorisation to any sparse one.
 pub const DENSE_DIMENSION: usize = 48;
 
-/// Above so many numbers in the factor of the sparse blocks, half a gigabyte, [`choose`] prefers [`BlockJacobi`].
-pub const FACTOR_NUMBERS: usize = 1 << 26;
+/// Above so many numbers in the factor of the sparse blocks, a quarter of a gigabyte, [`choose`] prefers [`BlockJacobi`]: on faces at some
+/// 9,000 nodes, or 6,500 vertices with an affine map each. Where the two take equal time differs by a factor of ten (less for large
+/// blocks and for graphs in space, more for stiff graphs with blendshapes); where it matters, try both.
+pub const FACTOR_NUMBERS: usize = 1 << 25;
 
 /// One tangent coordinate, named by the block it belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -122,6 +124,14 @@ pub enum LinearError {
     NoCurvature {
         /// Iteration, from 1.
         iteration: usize,
+    },
+    /// The step between the bounds was not found: rounding leads from one set of coordinates at their bounds to the next.
+    #[error(
+        "no step between the bounds was found in {rounds} rounds; the normal equations are too ill-conditioned: regularise them, or set a damping floor"
+    )]
+    NoActiveSet {
+        /// Rounds made.
+        rounds: usize,
     },
     /// The residual did not fall below the tolerance.
     #[error(
