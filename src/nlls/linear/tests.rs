@@ -127,6 +127,27 @@ fn every_solver_solves_the_damped_equations() {
 }
 
 #[test]
+fn another_librarys_solver_takes_the_same_step_from_the_sparse_matrix() {
+    for (k, structure) in structures().iter().enumerate() {
+        let equations = random_equations(structure, 300 + k as u64);
+        let sparse = equations.to_csc();
+        assert_eq!(DMatrix::from(&sparse), equations.to_dense());
+        let n = structure.dimension();
+        let dense = structure.border() * (n + structure.sparse_dimension());
+        let stored: usize = (0..structure.block_count())
+            .flat_map(|i| structure.row(i).iter().map(move |&j| (i, j)))
+            .map(|(i, j)| structure.size(i) * structure.size(j) * if i == j { 1 } else { 2 })
+            .sum();
+        assert_eq!(sparse.nnz(), stored + dense);
+        let cholesky = nalgebra_sparse::factorization::CscCholesky::factor(&sparse).unwrap();
+        let theirs = cholesky.solve(&-DVector::from_column_slice(&equations.gradient));
+        let mut ours = vec![0.0; n];
+        BorderedCholesky::new(structure).solve(&equations, &[], &mut ours).unwrap();
+        assert!((theirs.column(0) - DVector::from_vec(ours)).amax() < 1e-10 * theirs.amax(), "structure {k}");
+    }
+}
+
+#[test]
 fn reusing_a_factor_gives_the_bits_of_a_fresh_one() {
     for (k, structure) in structures().iter().enumerate() {
         let (first, second) =
