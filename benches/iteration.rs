@@ -1,4 +1,4 @@
-//! One Gauss-Newton iteration of the hybrid, over its size and next to the kernels that it cannot do without.
+//! One Gauss-Newton iteration of the hybrid, over its size and next to the factorisation that it cannot do without.
 //!
 //! `cargo bench --bench iteration`
 #![allow(missing_docs)] // of what `criterion_group` makes
@@ -10,11 +10,8 @@ use std::hint::black_box;
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, BenchmarkId, Criterion, criterion_group, criterion_main};
 use nonrigid::model::Hybrid;
-use nonrigid::nlls::dense_kernels::{add_gram, add_outer_products, padded};
 use nonrigid::nlls::linear::BorderedCholesky;
 use nonrigid::nlls::{Minimizer, NormalEquations, Options, Problem, Silent, Workspace};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use support::{Data, Face, NODES, Step, short};
 
@@ -62,9 +59,7 @@ fn iteration(c: &mut Criterion) {
     group.finish();
 }
 
-/// An iteration, and bare what it cannot do without: the border's rank update, the products of nodes and shapes, factorisation with
-/// the forward solve of the border. The iteration over the sum of these three is the price of everything else: data terms,
-/// derivatives, the energy of the step. All on one thread.
+/// An iteration, and bare what it cannot do without: factorisation with the forward solve of the border. All on one thread.
 fn floor(c: &mut Criterion) {
     let pool = threads(1);
     let face = Face::of_size(5000);
@@ -74,31 +69,6 @@ fn floor(c: &mut Criterion) {
             let mut step = face.problem(face.hybrid(NODES, shapes), data);
             let id = |what: &str| BenchmarkId::new(what, format!("{shapes} shapes"));
             one_iteration(&mut group, id("iteration"), &pool, &mut step);
-
-            let mut rng = ChaCha8Rng::seed_from_u64(9);
-            let rows = face.mesh.positions.len() * data.rows();
-            let width = padded(shapes);
-            let u: Vec<f64> = (0..rows * width).map(|_| rng.random_range(-1.0..1.0)).collect();
-            let mut border = vec![0.0; width * width];
-            group.bench_function(id("border rank update"), |b| {
-                b.iter(|| add_gram([black_box(&u), &u], [width; 2], rows, true, &mut border));
-            });
-
-            let gathered = rows_of_nodes(&step, data);
-            let longest = gathered.iter().map(Vec::len).max().unwrap_or(0);
-            let y: Vec<f64> = (0..longest * padded(6)).map(|_| rng.random_range(-1.0..1.0)).collect();
-            let y: Vec<&[f64]> = y.chunks_exact(padded(6)).collect();
-            let mut gathered_u: Vec<&[f64]> = Vec::with_capacity(longest);
-            let mut cross = vec![0.0; gathered.len() * 6 * shapes];
-            group.bench_function(id("gathered cross products"), |b| {
-                b.iter(|| {
-                    for (rows, out) in black_box(&gathered).iter().zip(cross.chunks_exact_mut(6 * shapes)) {
-                        gathered_u.clear();
-                        gathered_u.extend(rows.iter().map(|&at| &u[at as usize * width..][..width]));
-                        add_outer_products::<6>(&y[..rows.len()], &gathered_u, shapes, out);
-                    }
-                });
-            });
 
             let mut equations = NormalEquations::new(step.problem.structure().clone());
             let (problem, x) = step.next();
@@ -114,18 +84,6 @@ fn floor(c: &mut Criterion) {
         }
         group.finish();
     }
-}
-
-/// The rows of residuals that each node moves.
-fn rows_of_nodes(step: &Step<Hybrid>, data: Data) -> Vec<Vec<u32>> {
-    let graph = step.problem.model.graph();
-    let mut rows = vec![Vec::new(); graph.nodes().len()];
-    for i in 0..graph.vertex_count() {
-        for &(j, _) in graph.influences(i) {
-            rows[j as usize].extend((0..data.rows()).map(|r| (i * data.rows() + r) as u32));
-        }
-    }
-    rows
 }
 
 criterion_group!(name = benches; config = short(); targets = iteration, floor);

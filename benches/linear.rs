@@ -29,12 +29,12 @@ fn factorisation(c: &mut Criterion) {
         let structure = equations.structure().clone();
         let damping = vec![1e-6; structure.dimension()];
         let mut solution = vec![0.0; structure.dimension()];
-        let mut solver = LinearSolverKind::Sparse.build(&structure);
+        let mut solver = LinearSolverKind::Bordered.build(&structure);
         group.bench_function(BenchmarkId::new("factorise and solve", nodes), |b| {
             b.iter(|| solver.solve(black_box(&equations), &damping, &mut solution).expect("damped"));
         });
         group.bench_function(BenchmarkId::new("analyse", nodes), |b| {
-            b.iter(|| LinearSolverKind::Sparse.build(black_box(&structure)));
+            b.iter(|| LinearSolverKind::Bordered.build(black_box(&structure)));
         });
     }
     group.finish();

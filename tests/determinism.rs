@@ -31,16 +31,14 @@ fn equations_at(problem: &mut TestProblem, x: &[f64]) -> Vec<u64> {
     bits(&[&equations.blocks, &equations.cross, &equations.border, &equations.gradient])
 }
 
-/// Terms near the rest shape; `some` of them.
-fn problem(zoo: &Zoo, model: Box<dyn TestModel>, some: std::ops::Range<usize>) -> (TestProblem, Vec<f64>) {
+/// Terms near the rest shape.
+fn problem(zoo: &Zoo, model: Box<dyn TestModel>) -> (TestProblem, Vec<f64>) {
     let mut problem = Deformation::new(model, zoo.samples());
     let rest = problem.model.rest_parameters();
     let vertices = problem.vertices(&rest).to_vec();
     let mut positions = Vec::new();
     problem.samples().positions(&vertices, &mut positions);
     problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(31), &positions, Kernel::Huber { delta: 1.0 });
-    problem.terms.drain(some.end..);
-    problem.terms.drain(..some.start);
     (problem, rest)
 }
 
@@ -48,7 +46,7 @@ fn problem(zoo: &Zoo, model: Box<dyn TestModel>, some: std::ops::Range<usize>) -
 fn all_equations(zoo: &Zoo) -> Prints {
     let mut prints = Prints::new();
     for Specimen { name, model, .. } in zoo.models() {
-        let (mut problem, rest) = problem(zoo, model, 0..5);
+        let (mut problem, rest) = problem(zoo, model);
         let mut x = rest.clone();
         let step = random_step(&mut ChaCha8Rng::seed_from_u64(32), problem.structure().dimension());
         problem.retract(&rest, &step, &mut x);
@@ -61,10 +59,10 @@ fn all_equations(zoo: &Zoo) -> Prints {
 }
 
 /// Where three Gauss-Newton steps from rest lead every model of at most so many coordinates.
-fn all_steps(zoo: &Zoo, kind: LinearSolverKind, largest: usize, some: std::ops::Range<usize>) -> Prints {
+fn all_steps(zoo: &Zoo, kind: LinearSolverKind, largest: usize) -> Prints {
     let mut prints = Prints::new();
     for Specimen { name, model, .. } in zoo.models() {
-        let (mut problem, mut x) = problem(zoo, model, some.clone());
+        let (mut problem, mut x) = problem(zoo, model);
         if problem.structure().dimension() > largest || name == zoo::INDEFINITE {
             continue;
         }
@@ -104,36 +102,23 @@ fn equations_have_the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
-fn sparse_steps_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Sparse, usize::MAX, 0..5));
-}
-
-#[test]
 fn bordered_steps_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Bordered, usize::MAX, 0..5));
+    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Bordered, usize::MAX));
 }
 
 #[test]
 fn steps_of_the_solver_by_structure_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Auto, usize::MAX, 0..5));
+    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Auto, usize::MAX));
 }
 
 #[test]
 fn block_jacobi_steps_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::BlockJacobi, usize::MAX, 0..5));
-}
-
-#[test]
-fn conjugate_gradient_steps_have_the_same_bits_at_any_number_of_threads() {
-    // Point to point alone weighs all directions alike, with the others it does not: two preconditioners.
-    for some in [0..1, 0..5] {
-        compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::SplitCg, usize::MAX, some.clone()));
-    }
+    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::BlockJacobi, usize::MAX));
 }
 
 #[test]
 fn dense_steps_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::small(), LinearSolverKind::Dense, usize::MAX, 0..5));
+    compare(MODELS - 1, || all_steps(&Zoo::small(), LinearSolverKind::Dense, usize::MAX));
     // What has a few hundred coordinates on the large template too; the cost grows with the cube.
-    compare(8, || all_steps(&Zoo::large(), LinearSolverKind::Dense, 1000, 0..5));
+    compare(8, || all_steps(&Zoo::large(), LinearSolverKind::Dense, 1000));
 }

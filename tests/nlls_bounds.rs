@@ -135,13 +135,8 @@ fn algorithms() -> [Options; 3] {
         .map(|o| o.with_max_iterations(200).with_energy_tolerance(0.0))
 }
 
-const KINDS: [LinearSolverKind; 5] = [
-    LinearSolverKind::Auto,
-    LinearSolverKind::Dense,
-    LinearSolverKind::Sparse,
-    LinearSolverKind::Bordered,
-    LinearSolverKind::BlockJacobi,
-];
+const KINDS: [LinearSolverKind; 4] =
+    [LinearSolverKind::Auto, LinearSolverKind::Dense, LinearSolverKind::Bordered, LinearSolverKind::BlockJacobi];
 
 fn minimize(options: Options, problem: &mut impl Problem, x: &mut [f64]) -> Workspace {
     let mut workspace = Workspace::new();
@@ -305,7 +300,7 @@ fn what_nothing_observes_needs_no_damping_once_it_is_fixed() {
         upper: vec![9.0, 9.0, third[1]],
     };
     let reason = LinearError::NotPositiveDefinite { at: Coordinate::Border { index: 2 } };
-    for kind in [LinearSolverKind::Dense, LinearSolverKind::Bordered, LinearSolverKind::Sparse] {
+    for kind in [LinearSolverKind::Dense, LinearSolverKind::Bordered] {
         let options =
             Options::gauss_newton().with_linear_solver(kind).with_max_iterations(300).with_energy_tolerance(0.0);
         let mut free = x.clone();

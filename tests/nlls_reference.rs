@@ -1,6 +1,12 @@
 //! Certified values: problems of NIST's Statistical Reference Datasets for nonlinear regression
-//! (<https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>), from both of their starts.
+//! (<https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>), from both of their starts; and a bundle adjustment against SciPy
+//! (`tests/references/bundle_adjustment.py` writes the files that are read here).
 
+#[allow(dead_code)] // its own `main`
+#[path = "../examples/bundle_adjustment.rs"]
+mod bundle_adjustment;
+
+use bundle_adjustment::Scene;
 use nonrigid::nlls::{Euclidean, Family, Minimizer, Options, Residual, ResidualProblem, Scalar};
 
 /// y = b1 (1 - exp(-b2 x)), lower difficulty. Dental research, monomolecular adsorption.
@@ -53,4 +59,19 @@ fn misra_1a() {
             assert!((summary.final_energy / 1.245_513_889_4e-1 - 1.0).abs() < 1e-9, "{summary}");
         }
     }
+}
+
+#[test]
+fn a_bundle_adjustment_ends_at_scipys_minimum() {
+    let mut scene: Scene = include_str!("references/bundle_adjustment.txt").parse().unwrap();
+    let reference: serde_json::Value = serde_json::from_str(include_str!("references/bundle_adjustment.json")).unwrap();
+    let summary = scene.adjust().unwrap();
+    assert!(summary.stop.converged(), "{summary}");
+    for (found, key) in [(summary.initial_energy, "initial_energy"), (summary.final_energy, "energy")] {
+        let expected = reference[key].as_f64().unwrap();
+        assert!((found / expected - 1.0).abs() < 1e-8, "{key}: {found} {expected}\n{summary}");
+    }
+    // Points are eliminated, five cameras are left.
+    assert_eq!((summary.size.border, summary.size.blocks), (45, 40));
+    assert_eq!(summary.linear_solver, "bordered Cholesky");
 }

@@ -14,9 +14,10 @@ use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
-    BoundsOptions, GraphDistance, GraphOptions, Level, ModelKind, NodeKind, RegistrationError, RegistrationInput,
-    RegistrationResult, RigidityOptions, RotationKind, ScanFlip, ScanOptions, Schedule, SeamOptions, SigmaOptions,
-    SmoothOptions, SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions, register,
+    BoundsOptions, GraphDistance, GraphOptions, KernelScale, Level, ModelKind, NodeKind, RegistrationError,
+    RegistrationInput, RegistrationResult, RigidityOptions, RotationKind, ScanFlip, ScanOptions, Schedule, SeamOptions,
+    SigmaOptions, SmoothOptions, SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions,
+    register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use proptest::prelude::*;
@@ -84,6 +85,7 @@ fn level() -> impl Strategy<Value = Level> {
                 prediction,
                 seam,
                 kernel,
+                scale: if steps == 3 { KernelScale::Mad } else { KernelScale::Fixed },
                 distance_cap,
                 normal_angle,
             }
@@ -132,6 +134,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 algorithm: [StepAlgorithm::GaussNewton, StepAlgorithm::LevenbergMarquardt, StepAlgorithm::Dogleg]
                     [algorithm],
                 linearisation: Linearisation::Structured,
+                ..SolverOptions::default()
             },
             seam: SeamOptions { width: n.2, widest: 2.0 * n.2 },
             stop: Default::default(),

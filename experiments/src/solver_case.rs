@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Which steps are taken
     #[arg(long, value_enum, default_value_t = Steps::LevenbergMarquardt)]
     algorithm: Steps,
-    /// What solves for a step: auto, dense, sparse, bordered, split-cg, block-jacobi
+    /// What solves for a step: auto, dense, bordered, block-jacobi
     #[arg(long, default_value_t, value_parser = str::parse::<LinearSolverKind>)]
     linear_solver: LinearSolverKind,
     /// Print one line of JSON

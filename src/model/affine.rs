@@ -211,9 +211,7 @@ impl DeformationModel for Affine {
                 pairs.extend(corners[..k].iter().map(|other| (corner.block as usize, other.block as usize)));
             }
         }
-        BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0)
-            .and_then(BlockStructure::split_by_coordinate)
-            .expect("proven: all pairs are blocks of the model, and each block has three rows")
+        BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0).expect("proven: all pairs are blocks of the model")
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {

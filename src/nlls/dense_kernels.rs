@@ -137,11 +137,6 @@ pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl T
 }
 
 /// `out += sum_k left_k' right_k` for gathered rows: `left` of `W` numbers, `right` of `n`, padded; `out` is `W x n`.
-pub fn add_outer_products<const W: usize>(left: &[&[f64]], right: &[&[f64]], n: usize, out: &mut [f64]) {
-    dispatch(OuterProducts::<W> { left, right, n, out });
-}
-
-/// [`add_outer_products`], as work and as tiles.
 pub(crate) struct OuterProducts<'a, const W: usize> {
     pub left: &'a [&'a [f64]],
     pub right: &'a [&'a [f64]],

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use nalgebra_sparse::{CooMatrix, CscMatrix};
+
 use super::BlockStructure;
 use super::linear::{Coordinate, dot};
 
@@ -142,37 +144,62 @@ impl NormalEquations {
         split_rows(&self.structure, 0..n, rows, fill);
     }
 
-    /// `H_gg` as a dense symmetric matrix, for tests and diagnostics.
+    /// `H` as a dense symmetric matrix, for tests and diagnostics.
     #[must_use]
     pub fn to_dense(&self) -> nalgebra::DMatrix<f64> {
+        let n = self.structure.dimension();
+        let mut h = nalgebra::DMatrix::zeros(n, n);
+        self.for_each_lower(|r, c, v| {
+            h[(r, c)] = v;
+            h[(c, r)] = v;
+        });
+        h
+    }
+
+    /// `H` as a sparse symmetric matrix, both triangles, rows and columns numbered as the gradient, for other solvers: what is stored
+    /// is an entry, zeros included.
+    ///
+    /// ```
+    /// # use std::sync::Arc;
+    /// # use nonrigid::nlls::{BlockStructure, NormalEquations};
+    /// # let mut equations = NormalEquations::new(Arc::new(BlockStructure::new(&[1, 1], [(0, 1)], 1)?));
+    /// # equations.blocks.copy_from_slice(&[2.0, 1.0, 2.0]);
+    /// # equations.border[0] = 4.0;
+    /// # equations.gradient.copy_from_slice(&[3.0, 3.0, 4.0]);
+    /// let cholesky = nalgebra_sparse::factorization::CscCholesky::factor(&equations.to_csc())?;
+    /// let step = cholesky.solve(&-nalgebra::DVector::from_column_slice(&equations.gradient));
+    /// assert!((step.add_scalar(1.0)).amax() < 1e-15);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn to_csc(&self) -> CscMatrix<f64> {
+        let n = self.structure.dimension();
+        let mut h = CooMatrix::new(n, n);
+        self.for_each_lower(|r, c, v| {
+            h.push(r, c, v);
+            if r != c {
+                h.push(c, r, v);
+            }
+        });
+        CscMatrix::from(&h)
+    }
+
+    /// Calls `entry(row, column, value)` once for each stored entry of the lower triangle of `H`.
+    fn for_each_lower(&self, mut entry: impl FnMut(usize, usize, f64)) {
         let s = &self.structure;
         let (n, m) = (s.sparse_dimension(), s.border());
-        let mut h = nalgebra::DMatrix::zeros(n + m, n + m);
         for i in 0..s.block_count() {
-            for (k, &j) in s.row_slots(i).zip(s.row(i)) {
-                let block = &self.blocks[s.values(k)];
-                for a in 0..s.size(i) {
-                    for b in 0..s.size(j) {
-                        let (r, c, v) = (s.offset(i) + a, s.offset(j) + b, block[a * s.size(j) + b]);
-                        h[(r, c)] = v;
-                        h[(c, r)] = v;
-                    }
+            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
+                for (a, row) in self.blocks[s.values(slot)].chunks_exact(s.size(j)).enumerate() {
+                    let width = if i == j { a + 1 } else { row.len() };
+                    row[..width].iter().enumerate().for_each(|(b, v)| entry(s.offset(i) + a, s.offset(j) + b, *v));
                 }
             }
         }
-        for r in 0..n {
-            for c in 0..m {
-                h[(r, n + c)] = self.cross[r * m + c];
-                h[(n + c, r)] = self.cross[r * m + c];
-            }
+        for k in 0..m {
+            (0..n).for_each(|c| entry(n + k, c, self.cross[c * m + k]));
+            (0..=k).for_each(|c| entry(n + k, n + c, self.border[k * m + c]));
         }
-        for r in 0..m {
-            for c in 0..=r {
-                h[(n + r, n + c)] = self.border[r * m + c];
-                h[(n + c, n + r)] = self.border[r * m + c];
-            }
-        }
-        h
     }
 }
 

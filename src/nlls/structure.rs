@@ -15,14 +15,6 @@ pub enum StructureError {
         /// Number of blocks.
         blocks: usize,
     },
-    /// The coordinates of space cannot share a block.
-    #[error("block {block} has {size} tangent coordinates, which x, y and z cannot share evenly")]
-    UnevenBlock {
-        /// Index of the block.
-        block: usize,
-        /// Its tangent dimension.
-        size: usize,
-    },
 }
 
 /// The tangent space of a problem, split into small sparse blocks followed by one dense border.
@@ -39,7 +31,6 @@ pub enum StructureError {
 pub struct BlockStructure {
     offsets: Vec<usize>,
     border: usize,
-    coordinates: usize,
     row_starts: Vec<usize>,
     cols: Vec<usize>,
     value_starts: Vec<usize>,
@@ -77,45 +68,13 @@ impl BlockStructure {
             }
             row_starts.push(cols.len());
         }
-        Ok(Self { offsets, border, coordinates: 1, row_starts, cols, value_starts })
+        Ok(Self { offsets, border, row_starts, cols, value_starts })
     }
 
     /// A purely dense problem: no sparse blocks, `dimension` border parameters.
     #[must_use]
     pub fn dense(dimension: usize) -> Self {
-        Self {
-            offsets: vec![0],
-            border: dimension,
-            coordinates: 1,
-            row_starts: vec![0],
-            cols: Vec::new(),
-            value_starts: vec![0],
-        }
-    }
-
-    /// The same blocks, said to hold the parameters of each coordinate of space side by side, `[x: k | y: k | z: k]` in a block
-    /// of size `3 k`, and to change little from a block to those that it meets. Without a border, such equations are solved by
-    /// [`SplitCg`](super::linear::SplitCg) unless another solver is asked for.
-    ///
-    /// # Errors
-    /// When the size of a block is no multiple of three.
-    pub fn split_by_coordinate(self) -> Result<Self, StructureError> {
-        match (0..self.block_count()).find(|&block| !self.size(block).is_multiple_of(3)) {
-            Some(block) => Err(StructureError::UnevenBlock { block, size: self.size(block) }),
-            None => Ok(Self { coordinates: 3, ..self }),
-        }
-    }
-
-    /// How many coordinates of space share each block evenly: 3 if it was said so, else 1.
-    #[must_use]
-    pub fn coordinates(&self) -> usize {
-        self.coordinates
-    }
-
-    /// The same blocks without the border.
-    #[must_use]
-    pub fn without_border(&self) -> Self {
-        Self { border: 0, ..self.clone() }
+        Self { offsets: vec![0], border: dimension, row_starts: vec![0], cols: Vec::new(), value_starts: vec![0] }
     }
 
     /// Number of sparse blocks.

@@ -19,7 +19,7 @@ use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::srgb::{from_light, to_light};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::nlls::linear::SparseCholesky;
+use crate::nlls::linear::BorderedCholesky;
 use crate::nlls::{BlockStructure, LinearSolver as _, NormalEquations};
 
 /// The colour of parts of which the scan shows nothing: middle grey.
@@ -166,7 +166,7 @@ fn diffused(edges: &EdgeGraph, mut light: Vec<Option<Vec3>>) -> Vec<Option<Vec3>
             equations.block_mut(slot)[0] = -1.0;
         }
     }
-    let mut solver = SparseCholesky::new(&structure);
+    let mut solver = BorderedCholesky::new(&structure);
     let mut channel = vec![0.0; unknown.len()];
     let mut found = vec![Vec3::zeros(); unknown.len()];
     for axis in 0..3 {

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::{Level, ScanPoints, ScanSurface, VertexMasks};
 use crate::mesh::normals::{NormalWeighting, vertex_normals_into};
 use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
+use crate::nlls::mad_scale;
 use crate::term::ScanToTemplate;
 
 /// One correspondence per template vertex, in the model's frame.
@@ -104,6 +105,15 @@ impl Correspondences {
         } else {
             self.predictions.copy_from_slice(positions);
         }
+    }
+
+    /// Robust standard deviation of the distances from `positions` to the planes of the accepted correspondences, `1.4826 median |n . (v -
+    /// c)|`; `None` without any.
+    #[must_use]
+    pub fn residual_scale(&self, positions: &[Vec3]) -> Option<f64> {
+        let all = positions.iter().zip(&self.points).zip(&self.normals).zip(&self.weights);
+        let mut distances: Vec<f64> = all.filter(|(_, w)| **w > 0.0).map(|(((v, c), n), _)| n.dot(&(v - c))).collect();
+        mad_scale(&mut distances)
     }
 
     /// Whether any correspondence was accepted.
@@ -246,5 +256,26 @@ mod tests {
         found.weights = (0..12).map(|i| f64::from(u8::from(i < 2))).collect();
         found.pose_predictions(&positions);
         assert_eq!(found.predictions, positions);
+    }
+
+    #[test]
+    fn the_scale_of_residuals_is_that_of_the_noise_whatever_the_outliers() {
+        // The sum of three uniform numbers in [-1, 1) has variance one.
+        let gaussian = |i: usize| noise(3 * i) + noise(3 * i + 1) + noise(3 * i + 2);
+        let height = |i: usize| if i.is_multiple_of(4) { 5.0 + noise(i) } else { 0.2 * gaussian(i) };
+        let positions: Vec<Vec3> = (0..4000).map(|i| Vec3::new(i as f64, -7.0, height(i))).collect();
+        let mut found = Correspondences {
+            points: vec![Vec3::new(3.0, 4.0, 0.0); 4000],
+            normals: vec![Vec3::z(); 4000],
+            weights: vec![1.0; 4000],
+            ..Correspondences::default()
+        };
+        let scale = found.residual_scale(&positions).unwrap();
+        assert!((0.2..0.35).contains(&scale), "{scale}");
+        found.weights = (0..4000).map(|i| f64::from(u8::from(i % 4 != 0))).collect();
+        let scale = found.residual_scale(&positions).unwrap();
+        assert!((scale - 0.2).abs() < 0.02, "{scale}");
+        found.weights.fill(0.0);
+        assert_eq!(found.residual_scale(&positions), None);
     }
 }

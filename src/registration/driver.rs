@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::facing::{self, Faced, ScanFacing, ScanFlip};
 use super::start::{self, LandmarkStart, Start, StartInput};
 use super::{
-    Correspondences, ModelFactory, ModelInput, RegistrationError, RegistrationModel, RegistrationTerm, ScanPoints,
-    ScanSurface, Schedule, ScheduleError, Seams, StartSearch, StepAlgorithm, TermFactory, TermInput, TermKind,
-    VertexMasks, WarmStart, masks, scan,
+    Correspondences, KernelScale, Level, ModelFactory, ModelInput, RegistrationError, RegistrationModel,
+    RegistrationTerm, ScanPoints, ScanSurface, Schedule, ScheduleError, Seams, SolverOptions, StartSearch,
+    StepAlgorithm, TermFactory, TermInput, TermKind, VertexMasks, WarmStart, masks, scan,
 };
 use crate::energy::{Deformation, DeformationModel as _, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -317,8 +317,8 @@ pub fn register_with(
 const DAMPING_FLOOR: f64 = 1e-9;
 
 /// The minimiser of a level's first step, or of a later one, which carries on from the step before.
-fn minimizer(algorithm: StepAlgorithm, carry_on: bool) -> Minimizer {
-    let algorithm = match algorithm {
+fn minimizer(solver: &SolverOptions, carry_on: bool) -> Minimizer {
+    let algorithm = match solver.algorithm {
         StepAlgorithm::GaussNewton => Algorithm::GaussNewton(GaussNewton::default()),
         StepAlgorithm::LevenbergMarquardt => Algorithm::LevenbergMarquardt(LevenbergMarquardt {
             reuse_lambda: carry_on,
@@ -326,7 +326,8 @@ fn minimizer(algorithm: StepAlgorithm, carry_on: bool) -> Minimizer {
         }),
         StepAlgorithm::Dogleg => Algorithm::Dogleg(Dogleg { reuse_radius: carry_on, ..Dogleg::default() }),
     };
-    let options = Options::default().with_algorithm(algorithm).with_damping_floor(DAMPING_FLOOR);
+    let options = Options::default().with_algorithm(algorithm).with_linear_solver(solver.linear_solver);
+    let options = options.with_damping_floor(DAMPING_FLOOR);
     Minimizer::new(options).expect("proven: the defaults and the floor are in bounds")
 }
 
@@ -615,8 +616,17 @@ impl Run {
                     RegistrationError::Diverged { level: self.level_names[number].clone(), step: step + 1 }
                 })?;
             }
+            if level.scale == KernelScale::Mad
+                && let (Some(delta), Some(deviation)) =
+                    (level.kernel.scale(), self.correspondences.residual_scale(&self.vertices))
+            {
+                // Where half of the template fits exactly, only rounding is left to scale with.
+                let deviation = deviation.max(1e-6 * level.distance_cap);
+                let measured = Level { kernel: level.kernel.with_scale(delta * deviation), ..level };
+                problem.terms.iter_mut().for_each(|t| t.set_level(&measured, rest.density));
+            }
             problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
-            let minimizer = minimizer(schedule.solver.algorithm, step > 0);
+            let minimizer = minimizer(&schedule.solver, step > 0);
             let summary = minimizer.minimize_with(problem, x, &mut self.workspace, &mut one_step);
             let final_energy = summary.final_energy;
             match summary.stop {
@@ -709,8 +719,9 @@ mod tests {
             let (mut workspace, mut x) = (Workspace::new(), [10.0]);
             let mut step = |carry_on, x: &mut [f64; 1]| {
                 let before = problem.energy(x);
+                let solver = SolverOptions { algorithm, ..SolverOptions::default() };
                 let summary =
-                    minimizer(algorithm, carry_on).minimize_with(&mut problem, x, &mut workspace, &mut one_step);
+                    minimizer(&solver, carry_on).minimize_with(&mut problem, x, &mut workspace, &mut one_step);
                 assert!(summary.final_energy < before, "{algorithm:?}: {summary}");
                 let records = summary.records.clone();
                 let (last, trials) = records.split_last().expect("a step");

@@ -41,8 +41,8 @@ pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use scan::ScanSurface;
 pub use scan_points::ScanPoints;
 pub use schedule::{
-    AffineOptions, BoundsOptions, GraphDistance, GraphOptions, Level, NodeKind, RigidityOptions, RotationKind,
-    ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage,
+    AffineOptions, BoundsOptions, GraphDistance, GraphOptions, KernelScale, Level, NodeKind, RigidityOptions,
+    RotationKind, ScanOptions, Schedule, ScheduleError, SeamOptions, SigmaOptions, SmoothOptions, SolverOptions, Stage,
     StepAlgorithm, StopOptions, WarmStartOptions,
 };
 pub use seam::Seams;

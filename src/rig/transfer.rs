@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use super::{Family, Rig, RigError, RigWarning, Shape, likeness};
 use crate::mesh::{PoseError, PoseKind, Vec3, bounding_box_diagonal, closest_pose};
-use crate::nlls::linear::SparseCholesky;
+use crate::nlls::linear::BorderedCholesky;
 use crate::nlls::{BlockStructure, LinearError, LinearSolver as _, NormalEquations};
 
 /// A triangle of less than this share of the squared diagonal has no gradient, on either face, and no say.
@@ -108,7 +108,7 @@ impl Rig {
         // a vertex of no triangle has no gradient either: any weight will do
         anchors.iter_mut().filter(|a| **a == 0.0).for_each(|a| *a = 1.0);
         let mut equations = laplacian(&elements, &anchors);
-        let mut solver = SparseCholesky::new(equations.structure());
+        let mut solver = BorderedCholesky::new(equations.structure());
 
         let chosen: Vec<usize> =
             (0..self.shapes.len()).filter(|&k| self.shapes[k].family != Family::Identity).collect();

@@ -83,7 +83,7 @@ pub struct Arguments {
     /// Numbers of threads
     #[arg(long, value_name = "LIST", default_value = "1,2")]
     threads: Numbers,
-    /// What solves for a step: auto, dense, sparse, bordered, split-cg, block-jacobi
+    /// What solves for a step: auto, dense, bordered, block-jacobi
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "auto", value_parser = str::parse::<LinearSolverKind>)]
     linear_solver: Vec<LinearSolverKind>,
     /// How derivatives are taken

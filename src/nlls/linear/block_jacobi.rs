@@ -26,12 +26,14 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::dense::DenseFactor;
-use super::supernodal::SupernodalFactor;
 use super::two_level::TwoLevel;
 use super::vector::{axpy, dot};
 use super::{LinearError, LinearSolver, Pcg, breakdown, cause, check_step, damping_at, same_structure};
 use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
+
+/// [`LinearSolver::name`] of [`BlockJacobi`].
+pub(in crate::nlls) const BLOCK_JACOBI: &str = "block-Jacobi conjugate gradients";
 
 /// Block rows to a part: enough work for a thread to be worth asking, few enough to spread 400 nodes.
 const PART: usize = 32;
@@ -90,16 +92,6 @@ impl Below {
 }
 
 impl BlockJacobi {
-    /// Iterations that [`choose`](super::choose) expects of a solve.
-    pub const EXPECTED_ITERATIONS: f64 = 150.0;
-
-    /// Time of one multiplication of an iteration in those of a factorisation, for [`choose`](super::choose): 7 while the equations
-    /// fit the caches, over 20 beyond, measured on hybrids of 1000 and of 10,000 nodes.
-    pub const SLOWNESS: f64 = 16.0;
-
-    /// Memory of a factor, in bytes, beyond which [`choose`](super::choose) does without one.
-    pub const FACTOR_BYTES: f64 = 4.0 * 1_073_741_824.0;
-
     /// Residual to which the default solver goes, as a share of the first: see [`Pcg::tolerance`]. The step's energy is then minimal
     /// to about ten digits, more than the quadratic model is worth.
     pub const TOLERANCE: f64 = 1e-6;
@@ -129,22 +121,6 @@ impl BlockJacobi {
             iterations: 0,
             weak: 0,
         }
-    }
-
-    /// Whether conjugate gradients are expected to beat the factor whose analysis is given: see [`choose`](super::choose).
-    pub(super) fn pays(s: &BlockStructure, factor: &SupernodalFactor) -> bool {
-        let (n, m) = (s.sparse_dimension() as f64, s.border() as f64);
-        let (mut multiplications, mut values) = (n * m * m / 2.0, n * (m + 1.0));
-        for k in 0..factor.supernode_count() {
-            let node = factor.supernode(k);
-            let (width, below) = (node.width as f64, node.pattern.len() as f64);
-            let elimination = width * (width * width / 6.0 + below * (width + below) / 2.0);
-            multiplications += elimination + width * (width / 2.0 + below) * m;
-            values += width * (width + below);
-        }
-        // Blocks count twice, the diagonal's once more in the preconditioner; so do the border's rows.
-        let iteration = 2.0 * (s.value_count() as f64 + n * m);
-        multiplications > Self::EXPECTED_ITERATIONS * Self::SLOWNESS * iteration || 8.0 * values > Self::FACTOR_BYTES
     }
 
     /// Factorises the diagonal. Returns the number of weak pivots, or the tangent coordinate that broke it.
@@ -203,7 +179,7 @@ impl LinearSolver for BlockJacobi {
     }
 
     fn name(&self) -> &'static str {
-        "block-Jacobi conjugate gradients"
+        BLOCK_JACOBI
     }
 }
 

@@ -1,4 +1,4 @@
-//! Schur complement of the dense border, by a forward solve only.
+//! Sparse Cholesky of the blocks, and the Schur complement of the dense border by a forward solve only.
 //!
 //! ```text
 //!        sparse blocks (n)       border (m)
@@ -43,7 +43,12 @@ const CHUNK: usize = 56;
 /// Columns of Z from which on there are two chunks at least, for two threads.
 const HALVED: usize = 32;
 
-/// Sparse blocks eliminated first, then the border: see the head of the source file for the algebra.
+/// Sparse blocks eliminated first, then the border if there is one: see the head of the source file for the algebra. The order of
+/// the blocks and the symbolic analysis are found once, the numeric factor at every solve, in buffers of its own.
+///
+/// Without a border, equations with the matrix and damping of the last ones, bit for bit, are solved with its factor: where residuals
+/// are linear, or a model keeps its Hessian as the local/global steps of as-rigid-as-possible surfaces do, one factorisation
+/// serves all steps.
 ///
 /// Beside [`solve`](LinearSolver::solve) the two halves are public, for whoever wants to do something else with the border
 /// (bounds on its parameters by a small quadratic program, covariances):
@@ -79,6 +84,8 @@ pub struct BorderedCholesky {
     schur_factor: DenseFactor,
     permuted: Vec<f64>,
     weak: usize,
+    /// What the factor is of: blocks, then damping. Empty when there is none, or a border.
+    factored: Vec<f64>,
 }
 
 /// The border's system after the sparse blocks are eliminated, `S d_w = -r`.
@@ -138,7 +145,47 @@ impl BorderedCholesky {
             schur_factor: DenseFactor::new(m),
             permuted: vec![0.0; n],
             weak: 0,
+            factored: Vec::with_capacity(if m == 0 { structure.value_count() + n } else { 0 }),
         }
+    }
+
+    /// Numbers in the factor of the sparse blocks.
+    #[must_use]
+    pub fn factor_numbers(&self) -> usize {
+        self.factor.len()
+    }
+
+    /// Analyses the structure, if it is another one.
+    fn adopt(&mut self, structure: &Arc<BlockStructure>) {
+        if !same_structure(structure, &self.structure) {
+            *self = Self::new(structure);
+        }
+    }
+
+    /// Solves equations without a border.
+    fn solve_blocks(
+        &mut self,
+        equations: &NormalEquations,
+        damping: &[f64],
+        step: &mut [f64],
+    ) -> Result<(), LinearError> {
+        let matrix = || equations.blocks.iter().chain(damping);
+        let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+        if self.factored.len() != matrix().count() || !self.factored.iter().zip(matrix()).all(same) {
+            self.factored.clear();
+            let weak = self.factor.factorize(equations, damping);
+            self.weak = weak.map_err(|i| breakdown(equations, damping, i))?;
+            self.factored.extend(matrix());
+        }
+        for (&p, g) in self.position.iter().zip(&equations.gradient) {
+            self.permuted[p] = -g;
+        }
+        self.factor.forward(&mut self.permuted);
+        self.factor.backward(&mut self.permuted);
+        for (&p, d) in self.position.iter().zip(&mut *step) {
+            *d = self.permuted[p];
+        }
+        check_step(equations, damping, step)
     }
 
     /// Eliminates the sparse blocks and returns the border's system.
@@ -146,9 +193,8 @@ impl BorderedCholesky {
     /// # Errors
     /// [`LinearError`] when the damped `H_gg` is not numerically positive definite, or not finite.
     pub fn reduce(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<ReducedSystem<'_>, LinearError> {
-        if !same_structure(equations.structure(), &self.structure) {
-            *self = Self::new(equations.structure());
-        }
+        self.adopt(equations.structure());
+        self.factored.clear();
         let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
         let Self { factor, chunks, position, .. } = self;
         let load = || chunks.iter_mut().for_each(|chunk| chunk.load(equations, position));
@@ -218,7 +264,7 @@ impl BorderedCholesky {
             );
         }
         self.factor.backward(&mut self.permuted);
-        for (&p, d) in self.factor.position().iter().zip(d_g) {
+        for (&p, d) in self.position.iter().zip(d_g) {
             *d = self.permuted[p];
         }
     }
@@ -226,6 +272,10 @@ impl BorderedCholesky {
 
 impl LinearSolver for BorderedCholesky {
     fn solve(&mut self, equations: &NormalEquations, damping: &[f64], step: &mut [f64]) -> Result<(), LinearError> {
+        self.adopt(equations.structure());
+        if self.structure.border() == 0 {
+            return self.solve_blocks(equations, damping, step);
+        }
         self.reduce(equations, damping)?;
         let (n, m) = (self.structure.sparse_dimension(), self.structure.border());
         // The square is symmetric, so row-major is column-major.
@@ -251,7 +301,7 @@ impl LinearSolver for BorderedCholesky {
     }
 
     fn name(&self) -> &'static str {
-        "bordered Cholesky"
+        if self.structure.border() == 0 { "sparse Cholesky" } else { "bordered Cholesky" }
     }
 }
 

@@ -8,8 +8,8 @@
 //! complement S and the reduced gradient s in place of H and g ([`ReducedSystem`](super::ReducedSystem)): a small program in a
 //! box, solved exactly. Back substitution completes the step. H stands for the damped matrix where there is damping.
 
-use super::box_qp::{BoxQp, Program, Side};
-use super::{BorderedCholesky, Coordinate, LinearError, LinearSolver, breakdown, check_step, damping_at};
+use super::box_qp::{BoxQp, Program, Side, Unsolved};
+use super::{BorderedCholesky, Coordinate, LinearError, LinearSolver, breakdown, cause, check_step, damping_at};
 use crate::nlls::NormalEquations;
 
 /// What bounded steps need beside the linear solver.
@@ -74,7 +74,10 @@ impl BoundedStep {
         let reduced = elimination.reduced();
         let program =
             Program { matrix: reduced.matrix, gradient: reduced.gradient, pivots: &self.pivots, lower, upper };
-        self.program.solve(&program, &mut step[n..]).map_err(|k| breakdown(equations, damping, n + k))?;
+        self.program.solve(&program, &mut step[n..]).map_err(|unsolved| match unsolved {
+            Unsolved::Flat(k) => breakdown(equations, damping, n + k),
+            Unsolved::Rounds(rounds) => cause(equations, damping, LinearError::NoActiveSet { rounds }),
+        })?;
         elimination.back_substitute(step);
         check_step(equations, damping, step)
     }

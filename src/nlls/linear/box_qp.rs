@@ -15,7 +15,7 @@
 //! squares", 1995): steps inside the box towards the minimum of the face, up to the first bound in the way; at the minimum of a
 //! face one coordinate of wrong sign is freed. The minima of the faces it rests on fall strictly: a freed coordinate moves
 //! inwards whatever blocks (all other slopes on the face are zero), and as there are finitely many faces and none
-//! comes twice, it ends. [`PRIMAL_ROUNDS`] is there for rounding alone.
+//! comes twice, it ends. [`PRIMAL_ROUNDS`] is there for rounding alone; to reach it is an error.
 
 use super::dense::DenseFactor;
 use super::vector::dot;
@@ -23,8 +23,7 @@ use super::vector::dot;
 /// Rounds of the primal-dual method before the primal one takes over.
 const BLOCK_ROUNDS: usize = 20;
 
-/// Rounds of the primal method, per coordinate; in exact arithmetic a few are enough. What it has then is inside the box, and
-/// lower than where it started.
+/// Rounds of the primal method, per coordinate; in exact arithmetic a few are enough.
 const PRIMAL_ROUNDS: usize = 50;
 
 /// A multiplier counts as negative beyond this share of the sum of sizes that it was computed from: its rounding error.
@@ -39,6 +38,15 @@ pub(in crate::nlls) enum Side {
     Lower,
     /// At its upper bound.
     Upper,
+}
+
+/// Why there is no solution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unsolved {
+    /// S is numerically not positive definite along this coordinate.
+    Flat(usize),
+    /// No active set was found in so many rounds of the primal method.
+    Rounds(usize),
 }
 
 /// The solver: buffers, and the active set from which the next program starts.
@@ -90,8 +98,8 @@ impl BoxQp {
 
     /// Writes the solution to `d`; its held coordinates are bit for bit at their bounds. Starts from the last active set.
     ///
-    /// Needs `l <= u`. The error is a coordinate along which S is numerically not positive definite.
-    pub(super) fn solve(&mut self, program: &Program<'_>, d: &mut [f64]) -> Result<(), usize> {
+    /// Needs `l <= u`.
+    pub(super) fn solve(&mut self, program: &Program<'_>, d: &mut [f64]) -> Result<(), Unsolved> {
         let Program { lower, upper, .. } = *program;
         for (i, side) in self.sides.iter_mut().enumerate() {
             *side = match *side {
@@ -117,7 +125,7 @@ impl BoxQp {
                 return Ok(());
             }
         }
-        self.descend(program, d)
+        self.descend(program, d, PRIMAL_ROUNDS * d.len())
     }
 
     /// Holds what left the box and frees what a bound pulls at; false if there was nothing to change.
@@ -138,8 +146,8 @@ impl BoxQp {
         changed
     }
 
-    /// The primal active set method from `d`, moved into the box.
-    fn descend(&mut self, program: &Program<'_>, d: &mut [f64]) -> Result<(), usize> {
+    /// The primal active set method from `d`, moved into the box, in `rounds` at most.
+    fn descend(&mut self, program: &Program<'_>, d: &mut [f64], rounds: usize) -> Result<(), Unsolved> {
         let Program { matrix, lower, upper, .. } = *program;
         let n = d.len();
         for i in 0..n {
@@ -150,7 +158,7 @@ impl BoxQp {
                 _ => Side::Free,
             };
         }
-        for _ in 0..PRIMAL_ROUNDS * n {
+        for _ in 0..rounds {
             self.aim(program, d)?;
             let mut blocking = None;
             let mut length = 1.0;
@@ -182,7 +190,7 @@ impl BoxQp {
             let Some(i) = best.1 else { return Ok(()) };
             self.sides[i] = Side::Free;
         }
-        Ok(())
+        Err(Unsolved::Rounds(rounds))
     }
 
     /// How hard, beyond rounding, coordinate `i` is drawn from its bound into the box; not positive if it is free or rightly held.
@@ -208,7 +216,7 @@ impl BoxQp {
     }
 
     /// `direction = -S_FF^-1 (S d + s)_F` over the free coordinates F.
-    fn aim(&mut self, program: &Program<'_>, d: &[f64]) -> Result<(), usize> {
+    fn aim(&mut self, program: &Program<'_>, d: &[f64]) -> Result<(), Unsolved> {
         let n = d.len();
         let Self { sides, free, factor, direction, .. } = self;
         free.clear();
@@ -223,7 +231,7 @@ impl BoxQp {
                 l[c * free.len() + r] = row[j];
             }
         }
-        factor.factorize(|k| program.pivots[free[k]], |_| 0.0).map_err(|k| free[k])?;
+        factor.factorize(|k| program.pivots[free[k]], |_| 0.0).map_err(|k| Unsolved::Flat(free[k]))?;
         factor.solve(direction);
         Ok(())
     }
@@ -311,7 +319,7 @@ mod tests {
         let pivots = case.diagonal();
         let (mut d, mut primal) = (vec![f64::NAN; n], start.to_vec());
         BoxQp::new(n).solve(&case.program(&pivots), &mut d).unwrap();
-        BoxQp::new(n).descend(&case.program(&pivots), &mut primal).unwrap();
+        BoxQp::new(n).descend(&case.program(&pivots), &mut primal, PRIMAL_ROUNDS * n).unwrap();
         [d, primal]
     }
 
@@ -399,9 +407,18 @@ mod tests {
         let pivots = [4.0, 1.0];
         let program = Program { matrix: &matrix, gradient: &gradient, pivots: &pivots, lower: &lower, upper: &upper };
         let mut d = [0.0; 2];
-        assert_eq!(BoxQp::new(2).solve(&program, &mut d), Err(1));
+        assert_eq!(BoxQp::new(2).solve(&program, &mut d), Err(Unsolved::Flat(1)));
         let held = Program { lower: &[-1.0, 0.25], upper: &[1.0, 0.25], ..program };
         assert_eq!(BoxQp::new(2).solve(&held, &mut d), Ok(()));
         assert_eq!(d, [0.5, 0.25]);
+    }
+
+    #[test]
+    fn rounds_that_run_out_are_an_error() {
+        let case = Case::random(&mut Random(2), 20, 1e4);
+        let pivots = case.diagonal();
+        let ended = |rounds: usize| BoxQp::new(20).descend(&case.program(&pivots), &mut [9.0; 20], rounds);
+        assert_eq!(ended(1), Err(Unsolved::Rounds(1)));
+        assert_eq!(ended(PRIMAL_ROUNDS * 20), Ok(()));
     }
 }

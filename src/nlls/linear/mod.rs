@@ -3,10 +3,8 @@
 //! | solver | structure | method |
 //! |---|---|---|
 //! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
-//! | [`SparseCholesky`] | blocks, no (or a narrow) border | supernodal `P H P' = L L'`, AMD on the block graph |
-//! | [`BorderedCholesky`] | blocks and a dense border | Schur complement of the border by a forward solve |
+//! | [`BorderedCholesky`] | blocks, with or without a dense border | supernodal `P H_gg P' = L L'`, Schur complement of the border |
 //! | [`BlockJacobi`] | blocks and a dense border, too many to factor | conjugate gradients, preconditioned by diagonal blocks and aggregates |
-//! | [`SplitCg`] | blocks split by coordinate | conjugate gradients, preconditioned by the coordinates' common factor or two levels |
 //!
 //! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
 //! of threads. faer is used in here and nowhere else.
@@ -22,27 +20,23 @@ mod block_jacobi;
 mod bordered;
 mod bounded;
 mod box_qp;
-mod decoupled;
 mod dense;
 mod front;
 mod multifrontal;
 mod ordering;
 mod pcg;
 mod scratch;
-mod sparse;
-mod split_cg;
 mod supernodal;
 mod two_level;
 mod vector;
 
+pub(super) use block_jacobi::BLOCK_JACOBI;
 pub use block_jacobi::BlockJacobi;
 pub use bordered::{BorderedCholesky, ReducedSystem};
 pub(super) use bounded::{BoundedStep, inverse_of_reduced};
 pub(super) use box_qp::Side;
 pub use dense::DenseCholesky;
 pub use pcg::Pcg;
-pub use sparse::SparseCholesky;
-pub use split_cg::SplitCg;
 pub(crate) use vector::dot;
 
 /// A pivot that keeps less than this share of its diagonal entry is rounding error, and the matrix numerically singular.
@@ -53,6 +47,11 @@ pub const PIVOT_TOLERANCE: f64 = 1e-14;
 
 /// Below this many tangent coordinates [`choose`] prefers one dense factorisation to any sparse one.
 pub const DENSE_DIMENSION: usize = 48;
+
+/// Above so many numbers in the factor of the sparse blocks, a quarter of a gigabyte, [`choose`] prefers [`BlockJacobi`]: on faces at some
+/// 9,000 nodes, or 6,500 vertices with an affine map each. Where the two take equal time differs by a factor of ten (less for large
+/// blocks and for graphs in space, more for stiff graphs with blendshapes); where it matters, try both.
+pub const FACTOR_NUMBERS: usize = 1 << 25;
 
 /// One tangent coordinate, named by the block it belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -126,6 +125,14 @@ pub enum LinearError {
         /// Iteration, from 1.
         iteration: usize,
     },
+    /// The step between the bounds was not found: rounding leads from one set of coordinates at their bounds to the next.
+    #[error(
+        "no step between the bounds was found in {rounds} rounds; the normal equations are too ill-conditioned: regularise them, or set a damping floor"
+    )]
+    NoActiveSet {
+        /// Rounds made.
+        rounds: usize,
+    },
     /// The residual did not fall below the tolerance.
     #[error(
         "conjugate gradients did not converge in {iterations} iterations; the normal equations are too ill-conditioned for the preconditioner"
@@ -176,12 +183,8 @@ pub enum LinearSolverKind {
     Auto,
     /// [`DenseCholesky`].
     Dense,
-    /// [`SparseCholesky`]; a border is treated as one last block.
-    Sparse,
-    /// [`BorderedCholesky`].
+    /// [`BorderedCholesky`], the sparse one where there is no border.
     Bordered,
-    /// [`SplitCg`].
-    SplitCg,
     /// [`BlockJacobi`].
     BlockJacobi,
 }
@@ -195,7 +198,9 @@ impl std::str::FromStr for LinearSolverKind {
     type Err = UnknownLinearSolver;
 
     fn from_str(name: &str) -> Result<Self, UnknownLinearSolver> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| UnknownLinearSolver(name.to_owned()))
+        // What the one without a border used to be called.
+        let known = if name == "sparse" { "bordered" } else { name };
+        Self::ALL.into_iter().find(|kind| kind.name() == known).ok_or_else(|| UnknownLinearSolver(name.to_owned()))
     }
 }
 
@@ -207,8 +212,7 @@ impl fmt::Display for LinearSolverKind {
 
 impl LinearSolverKind {
     /// All kinds.
-    pub const ALL: [Self; 6] =
-        [Self::Auto, Self::Dense, Self::Sparse, Self::Bordered, Self::SplitCg, Self::BlockJacobi];
+    pub const ALL: [Self; 4] = [Self::Auto, Self::Dense, Self::Bordered, Self::BlockJacobi];
 
     /// Its name on command lines, such as `"block-jacobi"`.
     #[must_use]
@@ -216,9 +220,7 @@ impl LinearSolverKind {
         match self {
             Self::Auto => "auto",
             Self::Dense => "dense",
-            Self::Sparse => "sparse",
             Self::Bordered => "bordered",
-            Self::SplitCg => "split-cg",
             Self::BlockJacobi => "block-jacobi",
         }
     }
@@ -229,44 +231,22 @@ impl LinearSolverKind {
         match self {
             Self::Auto => choose(structure),
             Self::Dense => Box::new(DenseCholesky::new(structure)),
-            Self::Sparse => Box::new(SparseCholesky::new(structure)),
             Self::Bordered => Box::new(BorderedCholesky::new(structure)),
-            Self::SplitCg => Box::new(SplitCg::new(structure)),
             Self::BlockJacobi => Box::new(BlockJacobi::new(structure)),
         }
     }
 }
 
-/// The solver that suits a structure: dense when it has no sparse blocks or at most [`DENSE_DIMENSION`] coordinates; conjugate
-/// gradients without a border when the blocks are [split by coordinate](BlockStructure::split_by_coordinate); otherwise sparse
-/// Cholesky, with a border its Schur complement, unless [`BlockJacobi`] is expected to take less time.
-///
-/// Both times are estimated from counts of multiplications: those of the factor, of the border's forward solve and of its Schur
-/// complement, which the symbolic analysis knows, against those of [`BlockJacobi::EXPECTED_ITERATIONS`] iterations, each
-/// [`BlockJacobi::SLOWNESS`] times as slow because it waits for memory. A factor of more than [`BlockJacobi::FACTOR_BYTES`] loses
-/// whatever its time. The analysis is made once: if Cholesky wins, it is the solver's.
-///
-/// On graphs over a surface with 50 shapes, conjugate gradients take 2.0 times as long as Cholesky at 1000 nodes, 2.9 at 5000, 1.3 at
-/// 20,000 and 0.64 at 50,000, there in a third of its memory, and are chosen there. Lattices in space, whose factors fill in like
-/// `n^(4/3)`, are expected to be theirs from some thousand blocks on.
+/// The solver that suits a structure, by size alone: [`DenseCholesky`] without sparse blocks or with at most [`DENSE_DIMENSION`]
+/// coordinates; [`BorderedCholesky`] while the factor of the blocks holds at most [`FACTOR_NUMBERS`] numbers; else [`BlockJacobi`].
+/// Minimisers name the solver and the rule in their [`Summary`](super::Summary).
 #[must_use]
 pub fn choose(structure: &Arc<BlockStructure>) -> Box<dyn LinearSolver> {
     if structure.sparse_dimension() == 0 || structure.dimension() <= DENSE_DIMENSION {
         return Box::new(DenseCholesky::new(structure));
     }
-    if structure.border() == 0 && structure.coordinates() > 1 {
-        return Box::new(SplitCg::new(structure));
-    }
-    let (factoring, pays): (Box<dyn LinearSolver>, bool) = if structure.border() == 0 {
-        let sparse = SparseCholesky::new(structure);
-        let pays = BlockJacobi::pays(structure, &sparse.factor);
-        (Box::new(sparse), pays)
-    } else {
-        let bordered = BorderedCholesky::new(structure);
-        let pays = BlockJacobi::pays(structure, &bordered.factor);
-        (Box::new(bordered), pays)
-    };
-    if pays { Box::new(BlockJacobi::new(structure)) } else { factoring }
+    let cholesky = BorderedCholesky::new(structure);
+    if cholesky.factor_numbers() <= FACTOR_NUMBERS { Box::new(cholesky) } else { Box::new(BlockJacobi::new(structure)) }
 }
 
 /// Is `a` the pattern that a solver has analysed as `b`? Pointer comparison first, so the usual case costs nothing.

@@ -1,4 +1,4 @@
-//! The sparse factor that the sparse and the bordered solver share: `P H_gg P' = L L'` in supernodes.
+//! The sparse factor of the blocks: `P H_gg P' = L L'` in supernodes.
 //!
 //! The fill-reducing permutation is computed on the graph of *blocks* and expanded, so that every block stays together and
 //! the supernodes are at least one block wide. The permuted lower triangle is then laid out once; refilling it is a copy of
@@ -189,11 +189,6 @@ impl SupernodalFactor {
         &self.position
     }
 
-    /// The most rows that any supernode has below its triangle.
-    pub(super) fn longest_pattern(&self) -> usize {
-        self.gathered.len()
-    }
-
     /// Refills the matrix and factorises it. Returns the number of weak pivots, or the tangent coordinate that broke it.
     pub(super) fn factorize(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
         let s = equations.structure();
@@ -237,6 +232,11 @@ impl SupernodalFactor {
         Ok(weak)
     }
 
+    /// Numbers that it holds, padding included.
+    pub(super) fn len(&self) -> usize {
+        self.factor.len()
+    }
+
     /// Number of supernodes.
     pub(super) fn supernode_count(&self) -> usize {
         self.layout.supernodes.len()
@@ -274,52 +274,6 @@ impl SupernodalFactor {
         self.gathered = gathered;
     }
 
-    /// Solves `L L' X = B` in place for right-hand sides side by side; `x` is in permuted order. `gathered` holds
-    /// [`longest_pattern`](Self::longest_pattern) rows of scratch.
-    #[inline(always)]
-    pub(super) fn solve_lanes<const N: usize>(&self, x: &mut [[f64; N]], gathered: &mut [[f64; N]]) {
-        for k in 0..self.supernode_count() {
-            let node = self.supernode(k);
-            let below = &mut gathered[..node.pattern.len()];
-            below.fill([0.0; N]);
-            for c in 0..node.width {
-                let column = node.column(c);
-                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                let value = head[c].map(|v| v / column[c]);
-                head[c] = value;
-                for (x, l) in tail.iter_mut().zip(&column[c + 1..]) {
-                    add_multiple(x, -l, &value);
-                }
-                for (x, l) in below.iter_mut().zip(&column[node.width..]) {
-                    add_multiple(x, *l, &value);
-                }
-            }
-            for (&row, v) in node.pattern.iter().zip(below) {
-                add_multiple(&mut x[row], -1.0, v);
-            }
-        }
-        for k in (0..self.supernode_count()).rev() {
-            let node = self.supernode(k);
-            let below = &mut gathered[..node.pattern.len()];
-            for (&row, v) in node.pattern.iter().zip(&mut *below) {
-                *v = x[row];
-            }
-            for c in (0..node.width).rev() {
-                let column = node.column(c);
-                let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                let mut sums = [[0.0; N]; 4];
-                let known = tail.iter().chain(&*below);
-                for (i, (x, l)) in known.zip(&column[c + 1..]).enumerate() {
-                    add_multiple(&mut sums[i % 4], *l, x);
-                }
-                for n in 0..N {
-                    let sum = (sums[0][n] + sums[1][n]) + (sums[2][n] + sums[3][n]);
-                    head[c][n] = (head[c][n] - sum) / column[c];
-                }
-            }
-        }
-    }
-
     /// Solves `L' x = b` in place; `x` is in permuted order.
     pub(super) fn backward(&mut self, x: &mut [f64]) {
         let mut gathered = std::mem::take(&mut self.gathered);
@@ -342,14 +296,6 @@ impl SupernodalFactor {
             },
         );
         self.gathered = gathered;
-    }
-}
-
-/// `y += a x`.
-#[inline(always)]
-fn add_multiple<const N: usize>(y: &mut [f64; N], a: f64, x: &[f64; N]) {
-    for n in 0..N {
-        y[n] += a * x[n];
     }
 }
 

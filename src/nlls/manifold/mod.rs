@@ -50,6 +50,8 @@ pub trait Manifold: 'static {
     const AMBIENT: usize;
     /// Numbers that a step takes.
     const TANGENT: usize;
+    /// A step adds to the point, number by number: such blocks may have [bounds](super::ResidualProblemBuilder::set_bounds).
+    const PLAIN: bool = false;
     /// A point as an array, `[D; AMBIENT]`.
     type Point<D: Scalar>: PointArray<D>;
 

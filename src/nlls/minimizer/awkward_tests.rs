@@ -72,10 +72,10 @@ fn problem(shape: Shape, placed: &str) -> ResidualProblem {
 
 /// Runs all minimisers with all solvers that can factor, on all placements.
 fn each(shape: Shape, check: impl Fn(&Options, &Summary)) {
-    use LinearSolverKind::{Bordered, Dense, Sparse};
+    use LinearSolverKind::{Bordered, Dense};
     for options in [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()] {
         for placed in ["dense", "sparse", "bordered"] {
-            for kind in [Dense, Sparse, Bordered] {
+            for kind in [Dense, Bordered] {
                 let mut problem = problem(shape, placed);
                 let mut x = problem.initial();
                 let options = options.with_linear_solver(kind).with_max_iterations(300);

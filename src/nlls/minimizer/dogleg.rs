@@ -56,7 +56,8 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
             run.rescale(options.memory);
             (stale, solved) = (false, false);
         }
-        if run.gradient_norm() <= run.options.gradient_tolerance {
+        let gradient_norm = run.gradient_norm();
+        if gradient_norm <= run.options.gradient_tolerance {
             return StopReason::Converged(Convergence::Gradient);
         }
         if !solved {
@@ -81,6 +82,9 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
             radius = radius.max(3.0 * length);
         }
         *run.radius = Some(radius);
+        // A step that the radius cuts short is no proof of convergence unless coordinate steps promise no more either.
+        let small = run.options.energy_tolerance * energy;
+        let proof = whole || run.attainable() <= small;
         if accepted {
             run.accept(trial);
             stale = true;
@@ -88,6 +92,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
         let decrease = if accepted { energy - trial } else { 0.0 };
         let record = IterationRecord {
             decrease,
+            gradient_norm,
             step_norm: proposal.step_norm,
             step_scale: 1.0,
             lambda: mu,
@@ -99,9 +104,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
         if run.record(record) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
-        // A step that the radius cuts short is no proof of convergence unless coordinate steps promise no more either.
-        let small = run.options.energy_tolerance * energy;
-        if accepted && decrease <= small && (whole || run.attainable() <= small) {
+        if accepted && decrease <= small && proof {
             return StopReason::Converged(Convergence::Energy);
         }
         if proposal.step_is_small {

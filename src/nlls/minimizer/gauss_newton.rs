@@ -25,7 +25,8 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         if iteration > 1 {
             energy = run.linearize();
         }
-        if run.gradient_norm() <= run.options.gradient_tolerance {
+        let gradient_norm = run.gradient_norm();
+        if gradient_norm <= run.options.gradient_tolerance {
             return StopReason::Converged(Convergence::Gradient);
         }
         if let Err(error) = run.solve(0.0) {
@@ -56,6 +57,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         let gain = decrease / (scale * (-slope - scale * curvature));
         let record = IterationRecord {
             decrease,
+            gradient_norm,
             step_norm: scale * step_norm,
             step_scale: scale,
             lambda: 0.0,

@@ -50,7 +50,8 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             run.rescale(options.memory);
             stale = false;
         }
-        if run.gradient_norm() <= run.options.gradient_tolerance {
+        let gradient_norm = run.gradient_norm();
+        if gradient_norm <= run.options.gradient_tolerance {
             return StopReason::Converged(Convergence::Gradient);
         }
         if lambda > options.max_lambda {
@@ -73,6 +74,9 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             Err(error) => failure = Some(error),
         }
         let accepted = gain > options.min_gain && trial <= energy;
+        // A step that damping cuts short is no proof of convergence unless coordinate steps promise no more either.
+        let small = run.options.energy_tolerance * energy;
+        let proof = accepted && (!proposal.is_damped() || run.attainable() <= small);
         if accepted {
             run.accept(trial);
             stale = true;
@@ -90,6 +94,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
         let decrease = if accepted { energy - trial } else { 0.0 };
         let record = IterationRecord {
             decrease,
+            gradient_norm,
             step_norm: proposal.step_norm,
             step_scale: 1.0,
             lambda: used,
@@ -101,11 +106,16 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
         if run.record(record) == ControlFlow::Break(()) {
             return StopReason::StoppedByObserver;
         }
-        if accepted && decrease <= run.options.energy_tolerance * energy {
+        if proof && decrease <= small {
             return StopReason::Converged(Convergence::Energy);
         }
         if failure.is_none() && proposal.step_is_small {
-            return if accepted { StopReason::Converged(Convergence::Step) } else { run.stuck(energy) };
+            if !accepted {
+                return run.stuck(energy);
+            }
+            if proof {
+                return StopReason::Converged(Convergence::Step);
+            }
         }
     }
     StopReason::MaxIterations

@@ -64,6 +64,13 @@ pub(super) struct Proposal {
     pub step_is_small: bool,
 }
 
+impl Proposal {
+    /// Damping, more than H, keeps the step from being longer: without damping and bounds `d'Hd = -g'd`.
+    pub(super) fn is_damped(&self) -> bool {
+        self.curvature < -0.25 * self.slope
+    }
+}
+
 /// The scaling of a coordinate. One that nothing has observed yet does not move, whatever its scaling is.
 pub(super) fn positive(d: f64) -> f64 {
     if d > 0.0 { d } else { 1.0 }
@@ -129,7 +136,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         energy
     }
 
-    /// `max |g_i|`, with `|w_k - P(w_k - g_k)|` for border coordinates between bounds; NaN if any entry is.
+    /// `max |g_i|`, with `|w_k - P(w_k - g_k)|` for border coordinates between bounds; NaN if any entry is. For use while x is where
+    /// the equations were linearised.
     pub(super) fn gradient_norm(&self) -> f64 {
         let (sparse, border) = self.equations.gradient.split_at(self.equations.structure().sparse_dimension());
         let sparse = sparse.iter().map(|g| g.abs());
@@ -183,6 +191,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             }
             let record = IterationRecord {
                 decrease: energy - trial,
+                gradient_norm: gradient,
                 step_norm,
                 step_scale: 1.0,
                 radius: f64::INFINITY,
@@ -227,7 +236,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     }
 
     /// The decrease of E that coordinate-wise steps promise, `sum_i g_i^2 / H_ii` (less where a bound shortens the step): a
-    /// measure of how far the minimum is that does not shrink with the damping. For use after [`rescale`](Self::rescale).
+    /// measure of how far the minimum is that does not shrink with the damping. For use after [`rescale`](Self::rescale), while x is
+    /// where the equations were linearised.
     pub(super) fn attainable(&self) -> f64 {
         let sparse = self.equations.structure().sparse_dimension();
         let terms = self.equations.gradient.iter().zip(&self.buffers.diagonal).enumerate();
@@ -280,8 +290,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         self.summary.final_energy = energy;
     }
 
-    /// Files an iteration and shows it to the observer. What the run knows itself is filled in: number, energy, gradient, weak
-    /// directions, times.
+    /// Files an iteration and shows it to the observer. What the run knows itself is filled in: number, energy, weak directions,
+    /// times.
     pub(super) fn record(&mut self, step: IterationRecord) -> ControlFlow<()> {
         self.summary.iterations += 1;
         let times = std::mem::take(&mut self.times);
@@ -289,7 +299,6 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         let record = IterationRecord {
             iteration: self.summary.iterations,
             energy: self.summary.final_energy,
-            gradient_norm: self.gradient_norm(),
             weak_directions: self.solver.weak_pivots(),
             linear_iterations: self.solver.iterations().unwrap_or(0),
             times,

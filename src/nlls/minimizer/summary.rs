@@ -6,7 +6,8 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::{Algorithm, Options};
-use crate::nlls::{BlockStructure, BoundsError, LinearError};
+use crate::nlls::linear::{BLOCK_JACOBI, FACTOR_NUMBERS};
+use crate::nlls::{BlockStructure, BoundsError, LinearError, LinearSolverKind};
 
 /// Which criterion was met.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -238,7 +239,13 @@ impl Summary {
             Algorithm::LevenbergMarquardt(_) => "Levenberg-Marquardt",
             Algorithm::Dogleg(_) => "dogleg",
         };
-        let given = o.linear_solver;
+        let asked = match o.linear_solver {
+            LinearSolverKind::Auto if self.linear_solver == BLOCK_JACOBI => {
+                format!("by size: a factor would hold more than {FACTOR_NUMBERS} numbers")
+            }
+            LinearSolverKind::Auto => "by size".to_owned(),
+            kind => format!("asked for: {kind}"),
+        };
         writeln!(f, "Minimisation report")?;
         writeln!(f, "  parameters      {:>12}   tangent coordinates {}", self.size.parameters, self.size.tangent)?;
         writeln!(
@@ -247,7 +254,7 @@ impl Summary {
             self.size.blocks, self.size.hessian_blocks, self.size.border
         )?;
         writeln!(f, "  algorithm       {algorithm}")?;
-        writeln!(f, "  linear solver   {} (asked for: {given})", self.linear_solver)?;
+        writeln!(f, "  linear solver   {} ({asked})", self.linear_solver)?;
         writeln!(
             f,
             "  tolerances      energy {:e}, step {:e}, gradient {:e}; at most {} iterations",

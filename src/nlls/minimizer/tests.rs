@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::*;
+use crate::nlls::Bounded;
 use crate::nlls::linear::{Coordinate, LinearError};
 
 /// Residuals and their Jacobian, row by row.
@@ -292,4 +293,54 @@ fn options_name_what_is_wrong_with_them() {
     let options: Options = toml::from_str("max_iterations = 7\n[algorithm.gauss_newton]\nmax_halvings = 3\n").unwrap();
     assert_eq!(options.algorithm, Algorithm::GaussNewton(GaussNewton { max_halvings: 3, ..Default::default() }));
     assert!(toml::from_str::<Options>("max_iteration = 7").is_err());
+}
+
+#[test]
+fn a_small_decrease_under_heavy_damping_is_no_convergence() {
+    for initial_lambda in [1e6, 1e13] {
+        let damped = LevenbergMarquardt { initial_lambda, ..LevenbergMarquardt::default() };
+        let options = Options::default().with_algorithm(Algorithm::LevenbergMarquardt(damped));
+        for options in [options, options.with_energy_tolerance(1e-3), options.with_step_tolerance(1e-3)] {
+            let (summary, x) = run(options.with_max_iterations(200), 2, linear, &[30.0, -40.0]);
+            assert!(summary.stop.converged(), "{summary}");
+            assert!((x[0] - 7.0 / 11.0).abs() < 0.1 && x[1].abs() < 0.1, "{summary}\n{x:?}");
+        }
+    }
+}
+
+#[test]
+fn records_hold_the_gradient_at_the_point_where_their_step_starts() {
+    /// Himmelblau's function and a pull to the diagonal, so that residuals remain.
+    fn himmelblau(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        vec![
+            (x[0] * x[0] + x[1] - 11.0, vec![2.0 * x[0], 1.0]),
+            (x[0] + x[1] * x[1] - 7.0, vec![1.0, 2.0 * x[1]]),
+            (x[0] - x[1], vec![1.0, -1.0]),
+        ]
+    }
+    for (lower, upper) in [([f64::NEG_INFINITY; 2], [f64::INFINITY; 2]), ([0.0, 0.0], [5.0, 2.0])] {
+        let norm = |x: &[f64]| {
+            let gradient = |k: usize| himmelblau(x).iter().map(|(r, row)| r * row[k]).sum::<f64>();
+            let reach = |k: usize| (x[k] - (x[k] - gradient(k)).clamp(lower[k], upper[k])).abs();
+            reach(0).max(reach(1))
+        };
+        for options in all() {
+            // No tolerances: the last steps are those that the energy cannot judge.
+            let options = options.with_energy_tolerance(0.0).with_step_tolerance(0.0).with_gradient_tolerance(0.0);
+            let run = |steps: usize| {
+                let problem = Dense::new(2, himmelblau);
+                let mut problem = Bounded { problem, first: 0, lower: lower.to_vec(), upper: upper.to_vec() };
+                let mut x = [1.0, 1.0];
+                let options = options.with_max_iterations(steps);
+                (Minimizer::new(options).unwrap().minimize(&mut problem, &mut x), x)
+            };
+            let (summary, _) = run(100);
+            for (k, record) in summary.records.iter().enumerate() {
+                let expected = norm(&run(k).1);
+                // Both are sums of terms of the size of the residuals.
+                assert!((record.gradient_norm - expected).abs() < 1e-12, "{k}: {expected:e}\n{summary}");
+            }
+            assert!(summary.records.len() > 3, "{summary}");
+        }
+    }
 }

@@ -4,10 +4,11 @@ use std::any::TypeId;
 use std::fmt;
 use std::sync::Arc;
 
+use super::analytic::AnalyticFamily;
 use super::family::{AnyFamily, Family};
-use super::{BlockId, FamilyId, ProblemError, Residual, ResidualProblem};
+use super::{AnalyticResidual, BlockId, FamilyId, ProblemError, Residual, ResidualProblem};
 use crate::nlls::manifold::Manifold;
-use crate::nlls::{BlockStructure, OptionError};
+use crate::nlls::{BlockStructure, BorderBounds, OptionError};
 
 /// Where the tangent coordinates of a parameter block live.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,6 +27,10 @@ pub(super) struct Block {
     pub place: Place,
     pub manifold: TypeId,
     pub name: &'static str,
+    /// A step adds to its coordinates.
+    pub plain: bool,
+    /// Lower and upper bounds.
+    pub bounds: Option<[Vec<f64>; 2]>,
     pub ambient: usize,
     pub tangent: usize,
     pub initial: Vec<f64>,
@@ -82,6 +87,13 @@ pub(super) struct Layout {
     pub starts: Vec<usize>,
 }
 
+impl Layout {
+    /// Columns of a Jacobian.
+    pub fn width(&self) -> usize {
+        self.starts[self.starts.len() - 1]
+    }
+}
+
 /// Collects parameter blocks and families; [`build`](Self::build) checks them and lays out the equations.
 #[derive(Default)]
 pub struct ResidualProblemBuilder {
@@ -101,6 +113,8 @@ impl ResidualProblemBuilder {
             place,
             manifold: TypeId::of::<M>(),
             name: std::any::type_name::<M>(),
+            plain: M::PLAIN,
+            bounds: None,
             ambient: M::AMBIENT,
             tangent: M::TANGENT,
             initial: initial.to_vec(),
@@ -128,6 +142,26 @@ impl ResidualProblemBuilder {
     /// Holds a block at its initial value. Its coordinates stay in x, but have no place in the equations.
     pub fn set_constant(&mut self, block: BlockId) {
         self.blocks[block.0].place = Place::Constant;
+    }
+
+    /// Holds the coordinates of a block between bounds `lower <= x <= upper`, exactly: every point that a minimiser visits is inside
+    /// and a coordinate at a bound equals it bit for bit. Infinities for none. A block between bounds belongs to the dense border
+    /// and is moved there, where all blocks must then be [plain](Manifold::PLAIN); [`build`](Self::build) checks that.
+    pub fn set_bounds(&mut self, block: BlockId, lower: &[f64], upper: &[f64]) {
+        let block = &mut self.blocks[block.0];
+        if block.place == Place::Sparse {
+            block.place = Place::Border;
+        }
+        block.bounds = Some([lower.to_vec(), upper.to_vec()]);
+    }
+
+    /// Adds residuals that bring their own Jacobians.
+    pub fn add_analytic_family<F: AnalyticResidual<K>, const K: usize>(
+        &mut self,
+        family: AnalyticFamily<F, K>,
+    ) -> FamilyId {
+        self.families.push(Box::new(family));
+        FamilyId(self.families.len() - 1)
     }
 
     /// Adds residuals.
@@ -183,7 +217,7 @@ impl ResidualProblemBuilder {
             .iter()
             .map(|family| {
                 let mut starts = vec![0];
-                for (.., tangent) in family.manifolds() {
+                for (.., tangent) in family.manifolds(&blocks) {
                     starts.push(starts[starts.len() - 1] + tangent);
                 }
                 Layout { starts }
@@ -191,9 +225,10 @@ impl ResidualProblemBuilder {
             .collect();
         let sparse_gather = gather(&blocks, &families, &structure, Place::Sparse);
         let border_gather = gather(&blocks, &families, &structure, Place::Border);
-        for family in &mut families {
-            family.prepare();
+        for (family, layout) in families.iter_mut().zip(&layouts) {
+            family.prepare(layout.width());
         }
+        let bounds = border_bounds(&blocks);
         let ranges = blocks.iter().map(|b| b.ambient_at..b.ambient_at + b.ambient).collect();
         let border_blocks = (0..blocks.len()).filter(|&i| blocks[i].place == Place::Border).collect();
         Ok(ResidualProblem {
@@ -202,6 +237,7 @@ impl ResidualProblemBuilder {
             blocks,
             ranges,
             border_blocks,
+            bounds,
             families,
             layouts,
             sparse_gather,
@@ -221,7 +257,32 @@ fn check_blocks(blocks: &[Block]) -> Result<(), ProblemError> {
             });
         }
     }
+    // The border's bounds count its coordinates in x.
+    let border = || blocks.iter().enumerate().filter(|(_, b)| b.place == Place::Border);
+    if border().any(|(_, b)| b.bounds.is_some())
+        && let Some((block, b)) = border().find(|(_, b)| !b.plain)
+    {
+        return Err(ProblemError::BoundsOnManifold { block, manifold: b.name });
+    }
+    for (block, b) in blocks.iter().enumerate() {
+        let Some([lower, upper]) = &b.bounds else { continue };
+        BorderBounds { first: 0, lower, upper }
+            .validate(b.ambient, b.ambient)
+            .map_err(|source| ProblemError::Bounds { block, source })?;
+    }
     Ok(())
+}
+
+/// Lower and upper bounds of all coordinates of the border, if any has some.
+fn border_bounds(blocks: &[Block]) -> Option<[Vec<f64>; 2]> {
+    let border = || blocks.iter().filter(|b| b.place == Place::Border);
+    border().any(|b| b.bounds.is_some()).then(|| {
+        [(0, f64::NEG_INFINITY), (1, f64::INFINITY)].map(|(side, none)| {
+            border()
+                .flat_map(|b| b.bounds.as_ref().map_or_else(|| vec![none; b.ambient], |bounds| bounds[side].clone()))
+                .collect()
+        })
+    })
 }
 
 fn check_family(f: usize, family: &dyn AnyFamily, blocks: &[Block]) -> Result<(), ProblemError> {
@@ -229,11 +290,11 @@ fn check_family(f: usize, family: &dyn AnyFamily, blocks: &[Block]) -> Result<()
     if residuals != block_lists {
         return Err(ProblemError::LengthMismatch { family: f, residuals, block_lists });
     }
-    let alpha = family.weight();
+    let alpha = family.setting().weight;
     OptionError::require(alpha >= 0.0 && alpha.is_finite(), "weight", alpha, "finite and not negative")
-        .and(family.kernel_error().map_or(Ok(()), |e| Err(e.clone())))
+        .and(family.setting().kernel_error.clone().map_or(Ok(()), Err))
         .map_err(|source| ProblemError::Setting { family: f, source })?;
-    let manifolds = family.manifolds();
+    let manifolds = family.manifolds(blocks);
     for (m, ids) in family.blocks().chunks_exact(family.block_count()).enumerate() {
         for (place, (id, &(manifold, expected, _))) in ids.iter().zip(&manifolds).enumerate() {
             let Some(block) = blocks.get(id.0) else {

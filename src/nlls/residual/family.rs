@@ -5,6 +5,7 @@ use std::marker::PhantomData;
 
 use num_dual::DualSVec64;
 
+use super::builder::Block;
 use super::{BlockId, BlockList, Residual};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{Kernel, OptionError, RobustKernel};
@@ -17,9 +18,7 @@ where
     residuals: Vec<F>,
     blocks: Vec<BlockId>,
     block_lists: usize,
-    kernel: Box<dyn RobustKernel>,
-    kernel_error: Option<OptionError>,
-    weight: f64,
+    setting: Setting,
     slots: Vec<Slot<R, T>>,
     tangents: PhantomData<[(); T]>,
 }
@@ -45,9 +44,7 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
             residuals,
             blocks: blocks.iter().flat_map(|ids| ids.as_ref().iter().copied()).collect(),
             block_lists: blocks.len(),
-            kernel: Box::new(Kernel::None),
-            kernel_error: None,
-            weight: 1.0,
+            setting: Setting::default(),
             slots: Vec::new(),
             tangents: PhantomData,
         }
@@ -56,19 +53,48 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
     /// The same residuals under one of the [`Kernel`]s. Default: plain squares.
     #[must_use]
     pub fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { kernel: Box::new(kernel), kernel_error: kernel.validate().err(), ..self }
+        Self { setting: self.setting.with_kernel(kernel), ..self }
     }
 
     /// The same residuals under a kernel of your own.
     #[must_use]
     pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { kernel: Box::new(kernel), kernel_error: None, ..self }
+        Self { setting: self.setting.with_robust_kernel(kernel), ..self }
     }
 
     /// The same residuals with the weight alpha >= 0. Default 1.
     #[must_use]
     pub fn with_weight(self, alpha: f64) -> Self {
-        Self { weight: alpha, ..self }
+        Self { setting: Setting { weight: alpha, ..self.setting }, ..self }
+    }
+}
+
+/// Kernel and weight of a family.
+pub(super) struct Setting {
+    pub kernel: Box<dyn RobustKernel>,
+    pub kernel_error: Option<OptionError>,
+    pub weight: f64,
+}
+
+impl Default for Setting {
+    fn default() -> Self {
+        Self { kernel: Box::new(Kernel::None), kernel_error: None, weight: 1.0 }
+    }
+}
+
+impl Setting {
+    pub(super) fn with_kernel(self, kernel: Kernel) -> Self {
+        Self { kernel: Box::new(kernel), kernel_error: kernel.validate().err(), ..self }
+    }
+
+    pub(super) fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
+        Self { kernel: Box::new(kernel), kernel_error: None, ..self }
+    }
+
+    /// `alpha rho(|r|^2)` and `alpha rho'(|r|^2)`.
+    pub(super) fn judge(&self, residual: &[f64]) -> [f64; 2] {
+        let [rho, first, _] = self.kernel.evaluate(residual.iter().map(|r| r * r).sum());
+        [self.weight * rho, self.weight * first]
     }
 }
 
@@ -77,15 +103,13 @@ pub(super) trait AnyFamily: Send + Sync {
     fn block_count(&self) -> usize;
     fn residual_count(&self) -> usize;
     fn block_lists(&self) -> usize;
-    fn entries(&self) -> usize;
     fn blocks(&self) -> &[BlockId];
-    fn manifolds(&self) -> Vec<(TypeId, &'static str, usize)>;
-    fn kernel_error(&self) -> Option<&OptionError>;
-    fn weight(&self) -> f64;
-    fn set_weight(&mut self, weight: f64);
-    fn set_kernel(&mut self, kernel: Box<dyn RobustKernel>);
-    /// Allocates the slots.
-    fn prepare(&mut self);
+    /// Type, name and tangent dimension of the blocks that its residuals read, in order; `blocks` are all of the problem.
+    fn manifolds(&self, blocks: &[Block]) -> Vec<(TypeId, &'static str, usize)>;
+    fn setting(&self) -> &Setting;
+    fn setting_mut(&mut self) -> &mut Setting;
+    /// Allocates the slots for Jacobians of `width` columns.
+    fn prepare(&mut self, width: usize);
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64;
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64;
     /// Residual, Jacobian (row-major) and weight of residual `m`, as of the last linearisation.
@@ -94,7 +118,7 @@ pub(super) trait AnyFamily: Send + Sync {
 }
 
 /// Residuals that one thread takes at least.
-const GRAIN: usize = 32;
+pub(super) const GRAIN: usize = 32;
 
 impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, R, T> {
     fn block_count(&self) -> usize {
@@ -109,53 +133,39 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
         self.block_lists
     }
 
-    fn entries(&self) -> usize {
-        R
-    }
-
     fn blocks(&self) -> &[BlockId] {
         &self.blocks
     }
 
-    fn manifolds(&self) -> Vec<(TypeId, &'static str, usize)> {
+    fn manifolds(&self, _blocks: &[Block]) -> Vec<(TypeId, &'static str, usize)> {
         F::Blocks::manifolds()
     }
 
-    fn kernel_error(&self) -> Option<&OptionError> {
-        self.kernel_error.as_ref()
+    fn setting(&self) -> &Setting {
+        &self.setting
     }
 
-    fn weight(&self) -> f64 {
-        self.weight
+    fn setting_mut(&mut self) -> &mut Setting {
+        &mut self.setting
     }
 
-    fn set_weight(&mut self, weight: f64) {
-        self.weight = weight;
-    }
-
-    fn set_kernel(&mut self, kernel: Box<dyn RobustKernel>) {
-        self.kernel = kernel;
-    }
-
-    fn prepare(&mut self) {
+    fn prepare(&mut self, _width: usize) {
         let empty = Slot { residual: [0.0; R], jacobian: [[0.0; T]; R], weight: 0.0, energy: 0.0 };
         self.slots = vec![empty; self.residuals.len()];
     }
 
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        let Self { residuals, blocks, kernel, weight, slots, .. } = self;
+        let Self { residuals, blocks, setting, slots, .. } = self;
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
             let ids = &blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
             let points = F::Blocks::load(|k| &x[ambient[ids[k].0].clone()]);
-            let residual = residuals[m].evaluate(&points);
-            let square: f64 = residual.iter().map(|r| r * r).sum();
-            slot.energy = *weight * kernel.evaluate(square)[0];
+            [slot.energy, _] = setting.judge(&residuals[m].evaluate(&points));
         });
         slots.iter().map(|slot| slot.energy).sum()
     }
 
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        let Self { residuals, blocks, kernel, weight, slots, .. } = self;
+        let Self { residuals, blocks, setting, slots, .. } = self;
         let seeds: [DualSVec64<T>; T] = std::array::from_fn(|i| DualSVec64::from_re(0.0).derivative(i));
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
             let ids = &blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
@@ -165,10 +175,7 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
                 slot.residual[i] = value.re;
                 slot.jacobian[i] = value.eps.0.map_or([0.0; T], |eps| eps.data.0[0]);
             }
-            let square: f64 = slot.residual.iter().map(|r| r * r).sum();
-            let [rho, first, _] = kernel.evaluate(square);
-            slot.weight = *weight * first;
-            slot.energy = *weight * rho;
+            [slot.energy, slot.weight] = setting.judge(&slot.residual);
         });
         slots.iter().map(|slot| slot.energy).sum()
     }

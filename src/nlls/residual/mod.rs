@@ -11,6 +11,7 @@
 //! Linearising has two phases, both parallel and both independent of the number of threads: every residual writes its own
 //! slot (r, J, w); then every block row sums the residuals that touch it, in the order in which they were added.
 
+mod analytic;
 mod builder;
 mod family;
 mod problem;
@@ -22,8 +23,9 @@ use std::any::TypeId;
 use thiserror::Error;
 
 use super::manifold::{Manifold, PointArray};
-use super::{OptionError, Scalar};
+use super::{BoundsError, OptionError, Scalar};
 
+pub use analytic::AnalyticFamily;
 pub use builder::ResidualProblemBuilder;
 pub use family::Family;
 pub use problem::ResidualProblem;
@@ -53,6 +55,54 @@ pub trait Residual<const R: usize, const T: usize>: Send + Sync + 'static {
 
     /// The residual at the points of its blocks.
     fn evaluate<D: Scalar>(&self, points: &<Self::Blocks as BlockList>::Points<D>) -> [D; R];
+}
+
+/// A residual that brings its Jacobian, over `K` blocks of any manifolds, with as many entries as it says at run time.
+///
+/// ```
+/// use nonrigid::nlls::{AnalyticFamily, AnalyticResidual, Euclidean, Minimizer, Options, ResidualProblem};
+///
+/// /// Differences of a polynomial from samples: r_i = sum_k c_k t_i^k - y_i.
+/// struct Polynomial { t: Vec<f64>, y: Vec<f64> }
+///
+/// impl AnalyticResidual<1> for Polynomial {
+///     fn len(&self) -> usize { self.t.len() }
+///
+///     fn evaluate(&self, [c]: [&[f64]; 1], residual: &mut [f64], jacobian: Option<&mut [f64]>) {
+///         for (i, t) in self.t.iter().enumerate() {
+///             residual[i] = c.iter().rev().fold(0.0, |sum, c| sum * t + c) - self.y[i];
+///         }
+///         for (row, t) in jacobian.into_iter().flat_map(|j| j.chunks_exact_mut(c.len())).zip(&self.t) {
+///             row.iter_mut().enumerate().for_each(|(k, d)| *d = t.powi(k as i32));
+///         }
+///     }
+/// }
+///
+/// let mut builder = ResidualProblem::builder();
+/// let c = builder.add_block::<Euclidean<3>>(&[0.0; 3]);
+/// let samples = Polynomial { t: vec![-1.0, 0.0, 1.0, 2.0], y: vec![6.0, 1.0, 2.0, 9.0] };
+/// builder.add_analytic_family(AnalyticFamily::new(vec![samples], &[[c]]));
+/// let mut problem = builder.build()?;
+/// let mut x = problem.initial();
+/// Minimizer::new(Options::gauss_newton())?.minimize(&mut problem, &mut x);
+/// assert!((x[0] - 1.0).abs() < 1e-12 && (x[1] + 2.0).abs() < 1e-12 && (x[2] - 3.0).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// [`check_gradient`](super::check_gradient) compares the Jacobian with finite differences of the energy.
+pub trait AnalyticResidual<const K: usize>: Send + Sync + 'static {
+    /// Number of entries; asked once, when the problem is built.
+    fn len(&self) -> usize;
+
+    /// Whether it has no entries.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Writes the residual at the points (ambient coordinates) of its blocks to `residual` and, if asked for, its derivatives by the
+    /// blocks' tangent coordinates to `jacobian`: row-major, zero when it is handed over, [`len`](Self::len) rows with the columns of
+    /// all blocks side by side.
+    fn evaluate(&self, points: [&[f64]; K], residual: &mut [f64], jacobian: Option<&mut [f64]>);
 }
 
 /// Tuples of one to six [`Manifold`]s.
@@ -177,6 +227,24 @@ pub enum ProblemError {
         expected: usize,
         /// What was given.
         found: Vec<f64>,
+    },
+    /// The border counts no plain numbers.
+    #[error(
+        "bounds hold plain numbers, but block {block} of the border is {manifold}; add it by `add_block`, not `add_border_block`"
+    )]
+    BoundsOnManifold {
+        /// The block.
+        block: usize,
+        /// Its manifold.
+        manifold: &'static str,
+    },
+    /// Bounds that no value can keep, or not one of each for each coordinate.
+    #[error("block {block}: {source}")]
+    Bounds {
+        /// The block.
+        block: usize,
+        /// What is wrong.
+        source: BoundsError,
     },
     /// A weight or a kernel is out of bounds.
     #[error("family {family}: {source}")]

@@ -8,37 +8,10 @@ use nalgebra::DMatrix;
 use super::builder::{Block, Contribution, Gather, Layout, Place, TargetKind};
 use super::family::AnyFamily;
 use super::{BlockId, FamilyId, ResidualProblemBuilder};
-use crate::nlls::{BlockStructure, Kernel, NormalEquations, OptionError, Problem};
+use crate::nlls::{BlockStructure, BorderBounds, Kernel, NormalEquations, OptionError, Problem};
 
 /// A least-squares problem stated residual by residual, over parameter blocks on manifolds.
-///
-/// ```
-/// use nonrigid::nlls::{Euclidean, Family, Minimizer, Options, Residual, ResidualProblem, Scalar};
-///
-/// /// One measurement of y = a exp(b t).
-/// struct Sample { t: f64, y: f64 }
-///
-/// impl Residual<1, 2> for Sample {
-///     type Blocks = (Euclidean<2>,);
-///
-///     fn evaluate<D: Scalar>(&self, (p,): &([D; 2],)) -> [D; 1] {
-///         [p[0] * (p[1] * self.t).exp() - self.y]
-///     }
-/// }
-///
-/// let samples: Vec<Sample> = (0..20).map(|k| 0.1 * k as f64).map(|t| Sample { t, y: 3.0 * (0.5 * t).exp() }).collect();
-/// let mut builder = ResidualProblem::builder();
-/// let curve = builder.add_border_block::<Euclidean<2>>(&[1.0, 0.0]);
-/// let blocks = vec![[curve]; samples.len()];
-/// builder.add_family(Family::new(samples, &blocks));
-/// let mut problem = builder.build()?;
-///
-/// let mut x = problem.initial();
-/// let summary = Minimizer::new(Options::gauss_newton())?.minimize(&mut problem, &mut x);
-/// let p = problem.block(&x, curve);
-/// assert!((p[0] - 3.0).abs() < 1e-9 && (p[1] - 0.5).abs() < 1e-9, "{summary}");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
+/// [The module](crate::nlls) begins with an example.
 ///
 /// In x the sparse blocks come first, then the border, then the constant blocks, each in the order of addition.
 pub struct ResidualProblem {
@@ -49,6 +22,8 @@ pub struct ResidualProblem {
     pub(super) ranges: Vec<std::ops::Range<usize>>,
     /// Blocks of the border, in order.
     pub(super) border_blocks: Vec<usize>,
+    /// Lower and upper bounds of the border, if it has some.
+    pub(super) bounds: Option<[Vec<f64>; 2]>,
     pub(super) families: Vec<Box<dyn AnyFamily>>,
     pub(super) layouts: Vec<Layout>,
     pub(super) sparse_gather: Gather,
@@ -107,7 +82,7 @@ impl ResidualProblem {
     /// If it is negative or not finite.
     pub fn set_weight(&mut self, family: FamilyId, alpha: f64) -> Result<(), OptionError> {
         OptionError::require(alpha >= 0.0 && alpha.is_finite(), "weight", alpha, "finite and not negative")?;
-        self.families[family.0].set_weight(alpha);
+        self.families[family.0].setting_mut().weight = alpha;
         Ok(())
     }
 
@@ -117,7 +92,7 @@ impl ResidualProblem {
     /// If its scale or exponent is out of bounds.
     pub fn set_kernel(&mut self, family: FamilyId, kernel: Kernel) -> Result<(), OptionError> {
         kernel.validate()?;
-        self.families[family.0].set_kernel(Box::new(kernel));
+        self.families[family.0].setting_mut().kernel = Box::new(kernel);
         Ok(())
     }
 
@@ -130,11 +105,12 @@ impl ResidualProblem {
     /// square root of its weight: `g = J'r` and `H = J'J`. Dense; for diagnostics, covariances and tests.
     #[must_use]
     pub fn weighted_jacobian(&self) -> (Vec<f64>, DMatrix<f64>) {
-        let rows: usize = self.families.iter().map(|f| f.residual_count() * f.entries()).sum();
+        let all = || self.families.iter().flat_map(|f| (0..f.residual_count()).map(move |m| f.row(m)));
+        let rows: usize = all().map(|(r, ..)| r.len()).sum();
         let mut jacobian = DMatrix::zeros(rows, self.structure.dimension());
         let mut residuals = Vec::with_capacity(rows);
         for (family, layout) in self.families.iter().zip(&self.layouts) {
-            let width = layout.starts[layout.starts.len() - 1];
+            let width = layout.width();
             for (m, ids) in family.blocks().chunks_exact(family.block_count()).enumerate() {
                 let (r, j, weight) = family.row(m);
                 let root = weight.sqrt();
@@ -154,8 +130,8 @@ impl ResidualProblem {
 
     /// Adds what one contribution gives to its row: gradient, stored blocks, border part (whose rows are `stride` apart).
     fn contribute(&self, gather: &Gather, c: Contribution, row: &mut Row<'_>) {
-        let starts = &self.layouts[c.family as usize].starts;
-        let width = starts[starts.len() - 1];
+        let layout = &self.layouts[c.family as usize];
+        let (starts, width) = (&layout.starts, layout.width());
         let (r, j, weight) = self.families[c.family as usize].row(c.residual as usize);
         let own = starts[c.place as usize]..starts[c.place as usize + 1];
         for (r, line) in r.iter().zip(j.chunks_exact(width)) {
@@ -244,5 +220,11 @@ impl Problem for ResidualProblem {
                 (block.move_by)(from, &step[block.tangent_at..block.tangent_at + block.tangent], to);
             }
         }
+    }
+
+    fn border_bounds(&self) -> Option<BorderBounds<'_>> {
+        let [lower, upper] = self.bounds.as_ref()?;
+        let first = self.border_blocks.first().map_or(0, |&i| self.ranges[i].start);
+        Some(BorderBounds { first, lower, upper })
     }
 }

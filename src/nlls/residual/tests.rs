@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::nlls::{
-    Euclidean, GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Se3, Sim3, So3,
-    UnitQuaternion, check_gradient, check_hessian, so3,
+    Bounded, Euclidean, GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Se3,
+    Sim3, So3, UnitQuaternion, check_gradient, check_hessian, so3,
 };
 
 /// `T_a^-1 T_b` measured: r = (vee of the antisymmetric part of Z' R_a' R_b, R_a' (t_b - t_a) - z).
@@ -228,4 +228,177 @@ fn mistakes_are_named() {
         b.add_family(Family::new(vec![Unary], &[[r]]).with_kernel(Kernel::Cauchy { delta: 0.0 }));
     });
     assert_eq!(error, "family 0: kernel.delta is 0, but must be positive and finite");
+}
+
+/// A pose moves so many points: r = R p + t - q for each.
+struct Cloud(Vec<[[f64; 3]; 2]>);
+
+/// One of them, differentiated by duals.
+struct MovedPoint([[f64; 3]; 2]);
+
+impl Residual<3, 6> for MovedPoint {
+    type Blocks = (Se3,);
+
+    fn evaluate<D: Scalar>(&self, (pose,): &([D; 12],)) -> [D; 3] {
+        let moved = Se3::transform(pose, self.0[0].map(D::from));
+        std::array::from_fn(|i| moved[i] - self.0[1][i])
+    }
+}
+
+impl AnalyticResidual<1> for Cloud {
+    fn len(&self) -> usize {
+        3 * self.0.len()
+    }
+
+    fn evaluate(&self, [pose]: [&[f64]; 1], residual: &mut [f64], jacobian: Option<&mut [f64]>) {
+        let turned = |p: &[f64; 3]| [0, 1, 2].map(|i: usize| (0..3).map(|k| pose[3 * i + k] * p[k]).sum::<f64>());
+        for ([p, q], r) in self.0.iter().zip(residual.chunks_exact_mut(3)) {
+            let v = turned(p);
+            (0..3).for_each(|i| r[i] = v[i] + pose[9 + i] - q[i]);
+        }
+        for ([p, _], j) in self.0.iter().zip(jacobian.into_iter().flat_map(|j| j.chunks_exact_mut(18))) {
+            let [x, y, z] = turned(p);
+            // -[R p]x, then I.
+            j.copy_from_slice(&[0.0, z, -y, 1.0, 0.0, 0.0, -z, 0.0, x, 0.0, 1.0, 0.0, y, -x, 0.0, 0.0, 0.0, 1.0]);
+        }
+    }
+}
+
+#[test]
+fn residuals_with_jacobians_of_their_own_give_the_equations_of_duals() {
+    let point = |k: usize| [0.0, 7.0].map(|s| std::array::from_fn(|i| (s + 1.3 * (3 * k + i) as f64).sin()));
+    let mut start = [0.0; 12];
+    Se3::plus(&Se3::IDENTITY, &[0.3, -0.2, 0.5, 1.0, 2.0, -1.0], &mut start);
+    // Clouds of three sizes on two poses, one of which does not move.
+    let sizes = [1, 4, 2];
+    let places = [0, 1, 0];
+    let mut problems = [true, false].map(|analytic| {
+        let mut builder = ResidualProblem::builder();
+        let poses = [(); 2].map(|()| builder.add_block::<Se3>(&start));
+        builder.set_constant(poses[1]);
+        let mut from = 0;
+        for (size, place) in sizes.iter().zip(places) {
+            let points: Vec<_> = (from..from + size).map(point).collect();
+            from += size;
+            if analytic {
+                let family = AnalyticFamily::new(vec![Cloud(points)], &[[poses[place]]]).with_weight(1.5);
+                builder.add_analytic_family(family);
+            } else {
+                let ids = vec![[poses[place]]; *size];
+                let points = points.into_iter().map(MovedPoint).collect();
+                builder.add_family(Family::new(points, &ids).with_weight(1.5));
+            }
+        }
+        builder.build().unwrap()
+    });
+    assert_eq!(problems.each_ref().map(ResidualProblem::residual_count), [3, 7]);
+    let x = problems[0].initial();
+    let linearised = problems.each_mut().map(|problem| {
+        let mut equations = NormalEquations::new(problem.structure().clone());
+        let energy = problem.linearize(&x, &mut equations);
+        assert!((energy - problem.energy(&x)).abs() < 1e-12 * energy);
+        let (r, jacobian) = problem.weighted_jacobian();
+        assert_eq!((r.len(), jacobian.nrows()), (21, 21));
+        (energy, equations)
+    });
+    let [(a, ours), (b, theirs)] = linearised;
+    approx::assert_relative_eq!(a, b, max_relative = 1e-13);
+    approx::assert_relative_eq!(ours.to_dense(), theirs.to_dense(), epsilon = 1e-11);
+    for (g, h) in ours.gradient.iter().zip(&theirs.gradient) {
+        approx::assert_relative_eq!(*g, *h, epsilon = 1e-11);
+    }
+    let report = check_gradient(&mut problems[0], &x, GradientCheck::default());
+    assert!(report.passed(), "{report}");
+    let kernel = Kernel::Huber { delta: 0.5 };
+    let mut builder = ResidualProblem::builder();
+    let pose = builder.add_block::<Se3>(&start);
+    let clouds = (0..50).map(|k| Cloud((k..k + k % 4).map(point).collect())).collect();
+    builder.add_analytic_family(AnalyticFamily::new(clouds, &[[pose]; 50]).with_kernel(kernel));
+    let mut problem = builder.build().unwrap();
+    let report = check_gradient(&mut problem, &x[..12], GradientCheck::default());
+    assert!(report.passed(), "{report}");
+}
+
+/// `w - target`, over plain numbers.
+struct Near([f64; 2]);
+
+impl Residual<2, 2> for Near {
+    type Blocks = (Euclidean<2>,);
+
+    fn evaluate<D: Scalar>(&self, (w,): &([D; 2],)) -> [D; 2] {
+        [w[0] - self.0[0], w[1] - self.0[1] + w[0] * 0.3]
+    }
+}
+
+#[test]
+fn blocks_between_bounds_move_to_the_border_and_stay_inside() {
+    let none = f64::INFINITY;
+    let build = |bounded: bool| {
+        let mut builder = ResidualProblem::builder();
+        let free = builder.add_block::<So3>(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        let ids = if bounded {
+            let ids = [(); 2].map(|()| builder.add_block::<Euclidean<2>>(&[0.0; 2]));
+            builder.set_bounds(ids[1], &[-none, 0.5], &[0.1, none]);
+            let still = builder.add_block::<Euclidean<2>>(&[9.0; 2]);
+            builder.set_constant(still);
+            builder.set_bounds(still, &[0.0; 2], &[1.0; 2]);
+            ids
+        } else {
+            [builder.add_block::<Euclidean<2>>(&[0.0; 2]), builder.add_border_block::<Euclidean<2>>(&[0.0; 2])]
+        };
+        builder.add_family(Family::new(vec![Near([1.0, 2.0]), Near([0.7, 0.1])], &ids.map(|id| [id])));
+        builder.add_family(Family::new(vec![Turned], &[[free]]));
+        (builder.build().unwrap(), ids)
+    };
+    let (mut problem, ids) = build(true);
+    let mut x = problem.initial();
+    let minimizer = Minimizer::new(Options::default()).unwrap();
+    let summary = minimizer.minimize(&mut problem, &mut x);
+    assert!(summary.stop.converged(), "{summary}");
+    let (other, same) = build(false);
+    let first = other.parameter_len() - 2;
+    let mut other = Bounded { problem: other, first, lower: vec![-none, 0.5], upper: vec![0.1, none] };
+    let mut y = other.problem.initial();
+    minimizer.minimize(&mut other, &mut y);
+    for (id, same) in ids.iter().zip(same) {
+        assert_eq!(problem.block(&x, *id), other.problem.block(&y, same));
+    }
+    assert_eq!(problem.block(&x, ids[1]), [0.1, 0.5]);
+    assert!((problem.block(&x, ids[0])[0] - 1.0).abs() < 1e-9);
+}
+
+/// A rotation near another.
+struct Turned;
+
+impl Residual<3, 3> for Turned {
+    type Blocks = (So3,);
+
+    fn evaluate<D: Scalar>(&self, (r,): &([D; 9],)) -> [D; 3] {
+        [r[1] - 0.1, r[2] - 0.2, r[5] + 0.3]
+    }
+}
+
+#[test]
+fn bounds_that_cannot_be_held_are_named() {
+    let error = |fill: &dyn Fn(&mut ResidualProblemBuilder)| {
+        let mut builder = ResidualProblem::builder();
+        fill(&mut builder);
+        builder.build().unwrap_err().to_string()
+    };
+    let empty = error(&|b| {
+        let w = b.add_block::<Euclidean<2>>(&[0.0; 2]);
+        b.set_bounds(w, &[0.0, 2.0], &[1.0; 2]);
+    });
+    assert_eq!(empty, "block 0: border coordinate 1 is to lie between 2 and 1, but no number does");
+    let short = error(&|b| {
+        let w = b.add_block::<Euclidean<2>>(&[0.0; 2]);
+        b.set_bounds(w, &[0.0], &[1.0; 2]);
+    });
+    assert!(short.contains("block 0: 1 lower and 2 upper bounds"), "{short}");
+    let turned = error(&|b| {
+        b.add_border_block::<So3>(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        let w = b.add_block::<Euclidean<1>>(&[0.0]);
+        b.set_bounds(w, &[0.0], &[1.0]);
+    });
+    assert!(turned.contains("block 0 of the border is") && turned.contains("So3"), "{turned}");
 }
