@@ -1,0 +1,14 @@
+//! The program `experiments`: what its commands leave, promise and refuse.
+
+#[path = "../../../tests/support/refusal.rs"]
+mod refusal;
+#[path = "../../../tests/support/repeats.rs"]
+mod repeats;
+
+mod bad_input;
+mod compare;
+mod determinism;
+mod reference_problems;
+mod report;
+mod scaling;
+mod solver_case;
