@@ -9,6 +9,8 @@ use nonrigid::mesh::io::{
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
 
+use crate::mesh_formats::{binary_stl, packed};
+
 fn quad() -> PolygonMesh {
     let positions = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| Vec3::new(x, y, 0.0)).to_vec();
     PolygonMesh { positions, starts: vec![0, 4], corners: vec![0, 1, 2, 3], ..PolygonMesh::default() }
@@ -45,6 +47,15 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
     let v3 = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
     let deep = format!("{}{}", "[".repeat(20_000), "]".repeat(20_000));
 
+    let one = TriangleMesh {
+        positions: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].map(Vec3::from).to_vec(),
+        triangles: vec![[0, 1, 2]],
+    };
+    let stl = binary_stl(&one);
+    let nan_stl = [&stl[..96], &f32::NAN.to_le_bytes(), &stl[100..]].concat();
+    let huge_stl = [&[b' '; 80][..], &u32::MAX.to_le_bytes()].concat();
+    let off = |rest: &str| format!("OFF\n{rest}").into_bytes();
+    let p3 = "0 0 0\n1 0 0\n0 1 0\n";
     #[rustfmt::skip]
     let table: Vec<(&str, Vec<u8>, &[&str])> = vec![
         ("empty.obj", vec![], &["vertices"]),
@@ -118,6 +129,41 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
         ("overflow.json", b"{\"1\": [1e999, 2, 3]}".to_vec(), &["overflow.json"]),
         ("unnamed.json", b"[[1, 2, 3]]".to_vec(), &["template landmark file"]),
         ("no_scan.json", b"{\"1\": [0, 0.2, 0.3]}".to_vec(), &["scan with triangles"]),
+        ("empty.stl", vec![], &["solid", "84 bytes", "found 0 bytes"]),
+        ("huge.stl", huge_stl, &["214748364834 bytes for 4294967295 triangles", "84 bytes"]),
+        ("none.stl", [&[b' '; 80][..], &[0; 4]].concat(), &["triangles", "none"]),
+        ("nan.stl", nan_stl, &["byte 96", "finite", "triangle 0"]),
+        ("ascii_none.stl", b"solid x\nendsolid x\n".to_vec(), &["triangles", "none"]),
+        ("word.stl", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 zero 0\n".to_vec(), &["line 4", "finite coordinate", "zero"]),
+        ("short.stl", b"solid x\nvertex 0 0\n".to_vec(), &["line 2", "finite coordinate", "nothing"]),
+        ("two.stl", b"solid x\nvertex 0 0 0\nvertex 0 0 1\nendfacet\n".to_vec(), &["line 4", "3 vertices", "found 2"]),
+        ("cut.stl", b"solid x\nvertex 0 0 0\nvertex 0 0 1\n".to_vec(), &["endfacet", "end of the file"]),
+        ("keyword.stl", b"solid x\nfoo\n".to_vec(), &["line 2", "facet", "foo"]),
+        ("empty.off", vec![], &["OFF", "end of the file"]),
+        ("word.off", b"OFFSET\n".to_vec(), &["line 1", "COFF", "OFFSET"]),
+        ("binary.off", b"OFF BINARY\n1 1 1\n".to_vec(), &["line 1", "number of vertices", "BINARY"]),
+        ("four.off", b"4OFF\n".to_vec(), &["line 1", "4OFF"]),
+        ("huge.off", off("1000000000000 0 0\n0 0 0\n"), &["line 2", "1000000000000 vertices", "bytes"]),
+        ("faces.off", off(&format!("3 999999999999 0\n{p3}")), &["line 2", "999999999999 faces"]),
+        ("endless.off", off("18446744073709551615 18446744073709551615 0\n"), &["vertices"]),
+        ("none.off", off("0 0 0\n"), &["line 2", "vertices", "none"]),
+        ("short.off", off("3 1 0\n0 0 0\n0 0 1\n"), &["vertex 2 of 3", "end of the file"]),
+        ("number.off", off("1 0 0\n0 x 0\n"), &["line 3", "finite number", "\"x\""]),
+        ("past.off", off(&format!("3 1 0\n{p3}3 0 1 3\n")), &["line 6", "from 0 to 2", "found 3"]),
+        ("minus.off", off(&format!("3 1 0\n{p3}3 0 1 -1\n")), &["line 6", "vertex index", "-1"]),
+        ("two.off", off(&format!("3 1 0\n{p3}2 0 1\n")), &["line 6", "3 corners", "found 2"]),
+        ("many.off", off(&format!("3 1 0\n{p3}4294967296 0 1 2\n")), &["line 6", "3 corners", "4294967296"]),
+        ("empty.xyz", vec![], &["points", "none"]),
+        ("two.xyz", b"1 2\n".to_vec(), &["line 1", "3 columns", "found 2"]),
+        ("nine.xyz", b"1 2 3 4 5 6 7 8 9\n".to_vec(), &["line 1", "or 6", "found 9"]),
+        ("mixed.xyz", b"1 2 3\n1 2 3 0 0 1\n".to_vec(), &["line 2", "3 columns, as in the first line", "found 6"]),
+        ("word.xyz", b"1 2 3\n1 2 x\n".to_vec(), &["line 2", "finite number", "\"x\""]),
+        ("inf.xyz", b"1 2 1e999\n".to_vec(), &["line 1", "finite"]),
+        ("garbage.obj.gz", b"v 0 0 0\n".to_vec(), &["gzip"]),
+        ("cut.stl.gz", packed(&stl)[..40].to_vec(), &["gzip"]),
+        ("inside.ply.gz", packed(b"plx\n"), &["line 1", "ply"]),
+        ("kind.zip.gz", packed(b"x"), &["\"zip\"", ".stl", ".gz"]),
+        ("bare.gz", packed(b"x"), &["extension", ".obj"]),
         ("mesh.xls", vec![], &["\"xls\"", ".obj, .ply, .stl, .off and .xyz"]),
         ("mesh", vec![], &["extension", ".obj, .ply"]),
     ];

@@ -1,6 +1,6 @@
 //! Landmark files: what each format's files say, round trips through every one, and what is wrong with malformed ones.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use nonrigid::mesh::io::{
     LandmarkCheck, LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, PlaceKind, PlacedLandmark,
@@ -283,27 +283,6 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
     }
     let binary = parse_landmark_set(&[b'a', 0xff, 0xfe], Path::new("a.pp")).unwrap_err().to_string();
     assert!(binary.contains("byte 1") && binary.contains("UTF-8"), "{binary}");
-}
-
-#[test]
-fn cutting_or_breaking_a_file_anywhere_never_panics() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
-    for (format, file) in ALL.into_iter().filter(|(format, _)| *format != LandmarkFormat::Wrap) {
-        let path = folder.path().join(file);
-        write_landmark_set(&path, &parse("a.json", "[[5.5, 6, 7], [8, 9, 10]]"), format).unwrap();
-        files.push((path.clone(), std::fs::read(&path).unwrap()));
-    }
-    for (path, bytes) in files {
-        for cut in 0..bytes.len() {
-            let _ = parse_landmark_set(&bytes[..cut], &path);
-            for replaced in [0, b'"', b'<', b'{', b'-', b'9', 0xc3] {
-                let mut broken = bytes.clone();
-                broken[cut] = replaced;
-                let _ = parse_landmark_set(&broken, &path);
-            }
-        }
-    }
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 #[path = "../support/awkward.rs"]
 mod awkward;
+#[path = "../support/real_data.rs"]
+mod real_data;
 
 mod awkward_meshes;
-mod real_data;
+mod real_meshes;

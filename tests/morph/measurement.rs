@@ -1,6 +1,6 @@
 //! Laws of measurements: what is turned measures the same, what is its own mirror image is found to be, what moves sweeps its volume.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use data_gen::{Eyeball, FaceOptions, FaceRig};
 use nalgebra::Rotation3;
@@ -380,13 +380,7 @@ fn bad_meshes_are_refused() {
 
 #[test]
 fn the_landmarks_of_ict_facekit_lie_in_mirrored_pairs() {
-    let root = std::env::var_os("NONRIGID_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join("ict-facekit/head/template.obj");
-    if !path.exists() {
-        eprintln!("skipped: {} is absent (set NONRIGID_DATA)", path.display());
-        return;
-    }
+    let Some(path) = crate::real_data::real_data("ict-facekit/head/template.obj") else { return };
     let mesh = read_obj(&path).unwrap();
     let files = ["ict-facekit.json", "ict-facekit-head.json"]
         .map(|f| Path::new(env!("CARGO_MANIFEST_DIR")).join("landmarks").join(f));

@@ -1,6 +1,6 @@
 //! Recipes and presets: what they say, what they do, and how they say what is wrong.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig};
@@ -81,12 +81,7 @@ fn presets_fold_nothing_and_reach_what_they_are_asked_for() {
 
 #[test]
 fn presets_run_unchanged_on_a_real_rig() {
-    let data = std::env::var_os("NONRIGID_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
-    let folder = data.join("ict-facekit/narrow");
-    if !folder.exists() {
-        println!("skipped: {} is not there", folder.display());
-        return;
-    }
+    let Some(folder) = crate::real_data::real_data("ict-facekit/narrow") else { return };
     let mesh = read_polygon_mesh(&folder.join("template.obj")).unwrap();
     let landmarks = read_template_landmarks(&folder.join("landmarks_multipie68.json"), &mesh).unwrap();
     check_presets(&Face::new(mesh, landmarks));

@@ -1,5 +1,5 @@
 //! What fuzzing asks of the readers, asked again in a few seconds: of every seed and every input that once broke something, in
-//! `fuzz/seeds`, and of a fixed number of changes of each.
+//! `fuzz/seeds`, of a fixed number of changes of each, and of short ones cut and broken at every byte.
 
 #[path = "../../fuzz/src/lib.rs"]
 mod fuzz;
@@ -15,6 +15,12 @@ use rand_chacha::ChaCha8Rng;
 /// Changes of each seed.
 const CHANGES: usize = 300;
 
+/// Bytes of the longest seed that is cut and broken everywhere.
+const SHORT: usize = 600;
+
+/// What each byte of a short seed is broken to.
+const BYTES: [u8; 8] = [0, b'\n', b' ', b'"', b'-', b'9', 0x7f, 0xff];
+
 /// Inputs of a target, by name.
 fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(target);
@@ -22,6 +28,15 @@ fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
     let mut paths: Vec<_> = entries.map(|e| e.unwrap().path()).collect();
     paths.sort();
     paths.iter().map(|p| (p.file_name().unwrap().to_string_lossy().into_owned(), fs::read(p).unwrap())).collect()
+}
+
+/// The bytes cut before each of them, and with each of them replaced.
+fn broken_everywhere(bytes: &[u8]) -> impl Iterator<Item = Vec<u8>> {
+    let length = if bytes.len() > SHORT { 0 } else { bytes.len() };
+    (0..length).flat_map(move |at| {
+        let replaced = move |byte: &u8| [&bytes[..at], &[*byte], &bytes[at + 1..]].concat();
+        std::iter::once(bytes[..at].to_vec()).chain(BYTES.iter().map(replaced))
+    })
 }
 
 /// Bytes as a fuzzer would change them: bits, pieces that are lost, repeated or another seed's, and numbers out of range.
@@ -76,7 +91,7 @@ fn readers_keep_their_promises_on_the_corpus_and_around_it() {
         for (name, bytes) in &all {
             let mut rng = ChaCha8Rng::seed_from_u64(11);
             let inputs = std::iter::once(bytes.clone()).chain((0..CHANGES).map(|_| changed(&mut rng, bytes, &all)));
-            for (k, input) in inputs.enumerate() {
+            for (k, input) in inputs.chain(broken_everywhere(bytes)).enumerate() {
                 count += 1;
                 if catch_unwind(AssertUnwindSafe(|| run(&input))).is_err() {
                     faults.push(format!("{target}, change {k} of {name}: {}", String::from_utf8_lossy(&input)));

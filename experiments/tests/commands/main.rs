@@ -1,5 +1,7 @@
 //! The program `experiments`: what its commands leave, promise and refuse.
 
+#[path = "../../../tests/support/real_data.rs"]
+mod real_data;
 #[path = "../../../tests/support/refusal.rs"]
 mod refusal;
 #[path = "../../../tests/support/repeats.rs"]

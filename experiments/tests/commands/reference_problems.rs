@@ -1,24 +1,14 @@
 //! Minimisers on problems with known answers: what NIST certifies, and what More, Garbow and Hillstrom print.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use experiments::more_garbow_hillstrom::{Found, failures, more_garbow_hillstrom};
 use experiments::nist::nist;
 use nonrigid::nlls::StopReason;
 
-/// The folder of NIST's files, if it is there.
-fn nist_folder() -> Option<PathBuf> {
-    let data = std::env::var_os("NONRIGID_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
-    let folder = data.join("nist");
-    if folder.exists() {
-        return Some(folder);
-    }
-    eprintln!("skipped: {} is absent (set NONRIGID_DATA)", folder.display());
-    None
-}
+use crate::real_data::real_data;
 
 fn command(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_experiments")).args(arguments).output().unwrap()
@@ -26,7 +16,7 @@ fn command(arguments: &[&str]) -> Output {
 
 #[test]
 fn levenberg_marquardt_reaches_all_certified_parameters() {
-    let Some(folder) = nist_folder() else { return };
+    let Some(folder) = real_data("nist") else { return };
     let rows = nist(&folder).unwrap();
     assert_eq!(rows.len(), 54);
     for row in &rows {
@@ -43,7 +33,7 @@ fn levenberg_marquardt_reaches_all_certified_parameters() {
 
 #[test]
 fn nist_on_the_command_line() {
-    let Some(folder) = nist_folder() else { return };
+    let Some(folder) = real_data("nist") else { return };
     let output = command(&["nist", "--json", "--data", folder.to_str().unwrap()]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -133,7 +123,7 @@ fn closed_pipe() -> Stdio {
 
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
-    let nist = nist_folder().map(|folder| folder.to_str().unwrap().to_owned());
+    let nist = real_data("nist").map(|folder| folder.to_str().unwrap().to_owned());
     let mut commands =
         vec![vec!["more-garbow-hillstrom"], vec!["more-garbow-hillstrom", "--json"], vec!["--help"], vec!["--version"]];
     commands.extend(nist.iter().map(|folder| vec!["nist", "--json", "--data", folder]));

@@ -1,7 +1,5 @@
 //! Real files, when they lie beside the checkout or where `NONRIGID_DATA` points; skipped otherwise.
 
-use std::path::PathBuf;
-
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
@@ -11,19 +9,11 @@ use nonrigid::mesh::io::{
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 
-fn data(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("NONRIGID_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let path = root.join(name);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent (set NONRIGID_DATA)", path.display());
-    }
-    path.exists().then_some(path)
-}
+use crate::real_data::real_data;
 
 #[test]
 fn the_face_rig() {
-    let Some(folder) = data("ict-facekit/narrow") else { return };
+    let Some(folder) = real_data("ict-facekit/narrow") else { return };
     let options = RigReadOptions { identity_modes: 40, kind: None };
     let (rig, warnings) = Rig::read(&folder, &options).unwrap();
     assert_eq!(rig.neutral().len(), 6706);
@@ -50,7 +40,7 @@ fn the_face_rig() {
 
 #[test]
 fn nodes_and_labels_on_the_face() {
-    let Some(path) = data("ict-facekit/narrow/template.obj") else { return };
+    let Some(path) = real_data("ict-facekit/narrow/template.obj") else { return };
     let mesh = read_polygon_mesh(&path).unwrap().into_triangles();
     let graph = EdgeGraph::of(&mesh);
     let components = graph.components();
@@ -73,12 +63,12 @@ fn nodes_and_labels_on_the_face() {
 #[test]
 fn the_benchmark_scans() {
     for case in ["same_open", "same_smile", "same_blink", "new_open", "new_asym", "new_neutral"] {
-        let Some(folder) = data(&format!("scan-bench/{case}")) else { return };
+        let Some(folder) = real_data(&format!("scanner-bench/{case}")) else { return };
         let scan = read_scan(&folder.join("scan.ply")).unwrap();
         assert!(scan.mesh.triangles.len() > 50_000);
         let truth = read_npy_points(&folder.join("truth.npy")).unwrap();
         let observed = read_npy_mask(&folder.join("observed.npy"), Some(truth.len())).unwrap();
-        let Some(template) = data("ict-facekit/narrow/template.obj") else { return };
+        let Some(template) = real_data("ict-facekit/narrow/template.obj") else { return };
         let template = read_polygon_mesh(&template).unwrap();
         let landmarks = read_landmarks(&folder.join("landmarks.json"), None, &template, Some(&scan.mesh)).unwrap();
         assert!(landmarks.len() > 20);
@@ -97,8 +87,8 @@ fn the_benchmark_scans() {
 
 #[test]
 fn the_other_scans_and_their_landmarks() {
-    let Some(folder) = data("scans") else { return };
-    let Some(rig) = data("ict-facekit/narrow") else { return };
+    let Some(folder) = real_data("scans") else { return };
+    let Some(rig) = real_data("ict-facekit/narrow") else { return };
     let template = read_polygon_mesh(&rig.join("template.obj")).unwrap();
     let names = rig.join("landmarks_multipie68.json");
     for name in ["lps-head/lps_head_full.ply", "lps-head/lps_head_neckcut.ply", "standardcyborg-sven/frame_050.ply"] {
