@@ -42,8 +42,8 @@ pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]
 /// The file of this program, whose processes measure what needs one of its own.
 ///
 /// # Errors
-/// A [`Failure`](nonrigid::cli::Failure) of the computation when the system does not say.
+/// A [`Failure`](nonrigid::console::Failure) of the computation when the system does not say.
 pub fn this_program() -> anyhow::Result<std::path::PathBuf> {
     let program = std::env::current_exe();
-    Ok(program.map_err(|e| nonrigid::cli::Failure::computation(format!("this program's own file: {e}")))?)
+    Ok(program.map_err(|e| nonrigid::console::Failure::computation(format!("this program's own file: {e}")))?)
 }

@@ -9,7 +9,7 @@ use experiments::{
     compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
     schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
-use nonrigid::cli::{Failure, Stage, answer, bounded, tell};
+use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 use std::marker::PhantomData;
 
 use anyhow::Result;
-use nonrigid::cli::say;
+use nonrigid::console::say;
 use nonrigid::nlls::{Euclidean, Family, Minimizer, Options, Residual, ResidualProblem, Scalar, StopReason};
 use serde::Serialize;
 

@@ -14,7 +14,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::nlls::{
     Euclidean, Family, Minimizer, Options, Problem as _, Residual, ResidualProblem, Scalar, StopReason,
 };

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say, tell};
+use nonrigid::console::{Failure, say, tell};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 

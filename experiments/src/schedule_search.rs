@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say, tell};
+use nonrigid::console::{Failure, say, tell};
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};

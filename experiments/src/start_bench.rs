@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};

@@ -10,7 +10,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
-use nonrigid::cli::{Failure, say, tell};
+use nonrigid::console::{Failure, say, tell};
 use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
 use nonrigid::mesh::closest_point::ClosestVertices;
 use nonrigid::mesh::io::write_polygon_mesh;

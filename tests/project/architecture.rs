@@ -11,6 +11,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("text", &[]),
     ("mesh", &["text"]),
     ("page", &["text"]),
+    ("console", &["mesh", "text"]),
     ("rig", &["mesh", "nlls", "text"]),
     ("energy", &["mesh", "nlls"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
@@ -26,6 +27,7 @@ const FLOORS: &[(&str, &[&str])] = &[
         "cli",
         &[
             "batch",
+            "console",
             "energy",
             "evaluation",
             "measurement",

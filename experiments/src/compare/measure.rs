@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::cli::{Failure, Stage};
+use nonrigid::console::{Failure, Stage};
 use nonrigid::registration::{TermFactory, TermKind};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

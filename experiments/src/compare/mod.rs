@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::registration::ModelKind;
 
 use crate::output::make_output_folder;

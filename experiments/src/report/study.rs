@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use indicatif::ProgressBar;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::registration::{RegistrationResult, TermFactory, TermKind};
 use nonrigid::render::{RgbImage, draw_text, save_png};
 use rayon::prelude::*;

@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 use std::str::FromStr;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 

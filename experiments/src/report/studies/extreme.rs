@@ -3,7 +3,7 @@
 use std::fs;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};

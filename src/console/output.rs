@@ -3,9 +3,10 @@
 
 use std::fmt;
 use std::io::{self, Write};
-use std::process::ExitCode;
 
-use super::{Failure, Stage};
+use super::Failure;
+#[cfg(feature = "cli")]
+use super::Stage;
 use crate::text;
 
 /// Writes a line to stdout, or several; control characters are shown. When nobody reads any more, nothing is said and nothing fails: files may still be wanted.
@@ -34,8 +35,11 @@ pub fn tell(line: impl fmt::Display) {
 }
 
 /// Prints what clap has to say, help or what is wrong with the arguments, and gives the exit code.
+#[cfg(feature = "cli")]
 #[must_use]
-pub fn answer(error: &clap::Error) -> ExitCode {
+pub fn answer(error: &clap::Error) -> std::process::ExitCode {
+    use std::process::ExitCode;
+
     if error.use_stderr() {
         let plain = error.render().to_string();
         if text::lines(&plain) == plain {
