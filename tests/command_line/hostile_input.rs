@@ -253,19 +253,18 @@ fn an_archive_unpacks_to_so_many_times_its_length_and_no_more() {
     let bench = Bench::of_size(300, 1000);
     let mesh = face(8);
     let bomb = |shapes: usize| -> Vec<u8> {
-        let mut zip = npyz::zip::write::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        let mut archive = zip::write::ZipWriter::new(std::io::Cursor::new(Vec::new()));
         let mut array = |name: &str, descr: &str, shape: &str, bytes: &[u8]| {
             let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
             while !(10 + header.len() + 1).is_multiple_of(64) {
                 header.push(' ');
             }
             header.push('\n');
-            let options =
-                npyz::zip::write::FileOptions::default().compression_method(npyz::zip::CompressionMethod::Deflated);
-            zip.start_file(name, options).unwrap();
+            let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
+            archive.start_file(name, options).unwrap();
             let start = [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes()];
-            std::io::Write::write_all(&mut zip, &start.concat()).unwrap();
-            std::io::Write::write_all(&mut zip, bytes).unwrap();
+            std::io::Write::write_all(&mut archive, &start.concat()).unwrap();
+            std::io::Write::write_all(&mut archive, bytes).unwrap();
         };
         let neutral: Vec<u8> = mesh.positions.iter().flat_map(|p| [p.x, p.y, p.z]).flat_map(f64::to_le_bytes).collect();
         array("neutral.npy", "<f8", "(64, 3)", &neutral);
@@ -273,7 +272,7 @@ fn an_archive_unpacks_to_so_many_times_its_length_and_no_more() {
         let names: String = (0..shapes).map(|k| format!("{k:07}")).collect();
         let names: Vec<u8> = names.chars().flat_map(|c| u32::from(c).to_le_bytes()).collect();
         array("expression_names.npy", "<U7", &format!("({shapes},)"), &names);
-        zip.finish().unwrap().into_inner()
+        archive.finish().unwrap().into_inner()
     };
     let (large, small) = (bomb(200_000), bomb(10_000));
     assert!(large.len() < 1_000_000, "{}", large.len());

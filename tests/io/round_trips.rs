@@ -209,17 +209,18 @@ fn npy_types_orders_and_prefixes() {
 
 #[test]
 fn npz_arrays_by_name() {
-    use npyz::WriterBuilder;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.npz");
-    let mut writer = npyz::npz::NpzWriter::create(&path).unwrap();
-    for (name, scale) in [("vertices", 1.0), ("shapes", 2.0)] {
-        let mut array =
-            writer.array(name, Default::default()).unwrap().default_dtype().shape(&[2, 3]).begin_nd().unwrap();
-        array.extend((0..6).map(|i| scale * f64::from(i))).unwrap();
-        array.finish().unwrap();
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+    for (name, scale, method) in
+        [("vertices", 1.0, zip::CompressionMethod::Stored), ("shapes", 2.0, zip::CompressionMethod::Deflated)]
+    {
+        let options = zip::write::SimpleFileOptions::default().compression_method(method);
+        archive.start_file(format!("{name}.npy"), options).unwrap();
+        let data: Vec<u8> = (0..6).flat_map(|i| (scale * f64::from(i)).to_le_bytes()).collect();
+        std::io::Write::write_all(&mut archive, &npy("<f8", false, "(2, 3)", &data)).unwrap();
     }
-    drop(writer);
+    archive.finish().unwrap();
     let mut npz = Npz::open(&path).unwrap();
     assert_eq!(npz.names(), ["shapes", "vertices"]);
     assert_eq!(npz.points("vertices").unwrap()[1], Vec3::new(3.0, 4.0, 5.0));

@@ -2,12 +2,10 @@
 //! with a case is said.
 
 use std::f64::consts::PI;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use npyz::WriterBuilder as _;
-use npyz::npz::NpzWriter;
+use nonrigid::mesh::io::NpzContents;
 use serde_json::Value;
 
 const SIDE: usize = 9;
@@ -20,9 +18,9 @@ struct Case {
     neutral: Vec<[f64; 3]>,
     delta: Vec<f64>,
     target: Vec<[f64; 3]>,
-    influence: Vec<i32>,
+    influence: Vec<u32>,
     weight: Vec<f64>,
-    edge: Vec<i32>,
+    edge: Vec<u32>,
     huber: f64,
 }
 
@@ -63,36 +61,24 @@ impl Case {
     }
 
     fn write(&self, path: &Path) {
-        let mut file = NpzWriter::new(File::create(path).unwrap());
-        let n = self.neutral.len() as u64;
-        let flat = |points: &[[f64; 3]]| points.concat();
+        let n = self.neutral.len();
         let normals: Vec<f64> = self.neutral.iter().flat_map(normal).collect();
         let nodes: Vec<[f64; 3]> = NODES.iter().map(|&i| self.neutral[i]).collect();
-        let mut floats = |name: &str, shape: &[u64], values: &[f64]| {
-            let mut array =
-                file.array(name, Default::default()).unwrap().default_dtype().shape(shape).begin_nd().unwrap();
-            array.extend(values).unwrap();
-            array.finish().unwrap();
-        };
-        floats("neutral", &[n, 3], &flat(&self.neutral));
-        floats("delta", &[n, SHAPES as u64, 3], &self.delta);
-        floats("target", &[n, 3], &flat(&self.target));
-        floats("normal", &[n, 3], &normals);
-        floats("node", &[4, 3], &flat(&nodes));
-        floats("weight", &[n, 4], &self.weight);
-        for (name, value) in
-            [("alpha_data", 1.0), ("lambda_graph", 10.0), ("lambda_blend", 0.1), ("huber_delta", self.huber)]
-        {
-            floats(name, &[], &[value]);
-        }
-        let mut integers = |name: &str, shape: &[u64], values: &[i32]| {
-            let mut array =
-                file.array(name, Default::default()).unwrap().default_dtype().shape(shape).begin_nd().unwrap();
-            array.extend(values).unwrap();
-            array.finish().unwrap();
-        };
-        integers("influence", &[n, 4], &self.influence);
-        integers("edge", &[self.edge.len() as u64 / 2, 2], &self.edge);
+        NpzContents::new()
+            .with("neutral", &[n, 3], &self.neutral.concat())
+            .with("delta", &[n, SHAPES, 3], &self.delta)
+            .with("target", &[n, 3], &self.target.concat())
+            .with("normal", &[n, 3], &normals)
+            .with("node", &[4, 3], &nodes.concat())
+            .with("weight", &[n, 4], &self.weight)
+            .with("alpha_data", &[], &[1.0])
+            .with("lambda_graph", &[], &[10.0])
+            .with("lambda_blend", &[], &[0.1])
+            .with("huber_delta", &[], &[self.huber])
+            .with("influence", &[n, 4], &self.influence)
+            .with("edge", &[self.edge.len() / 2, 2], &self.edge)
+            .write(path)
+            .unwrap();
     }
 }
 
