@@ -2,7 +2,6 @@
 
 use nonrigid::mesh::io::{FaceUnit, LengthUnit, face_extent};
 
-pub mod compare;
 pub mod compare_rigs;
 pub mod generated;
 pub mod more_garbow_hillstrom;
@@ -16,7 +15,6 @@ pub mod report;
 pub mod rig_statistics;
 pub mod scaling;
 pub mod scan_bench;
-pub mod scan_bench_command;
 pub mod schedule_search;
 pub mod silence;
 pub mod solver_case;

@@ -20,7 +20,7 @@ use crate::tables::{stop_word, table};
 
 /// How the result is printed.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  experiments more-garbow-hillstrom")]
+#[command(after_help = "Example:\n  experiments dev more-garbow-hillstrom")]
 pub struct Arguments {
     /// Print JSON instead of the table
     #[arg(long)]

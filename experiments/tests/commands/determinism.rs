@@ -1,4 +1,4 @@
-//! The same files at 1, 2 and 4 threads and from run to run. The report, `compare` and `real-scans` have this beside their own
+//! The same files at 1, 2 and 4 threads and from run to run. The report, `scan-bench --terms` and `real-scans` have this beside their own
 //! tests; `scaling`, `solver-case` and `start-bench` print times.
 
 use crate::repeats::leaves_equal_files;
@@ -13,9 +13,9 @@ fn commands_leave_the_same_files() {
     for (line, files, stdout) in [
         ("scan-bench cases --rig rig --models hybrid,rigid --turn 20 --threads THREADS --out OUT", 6, false),
         ("scan-bench cases --rig rig --models rigid --remesh --landmarks none --threads THREADS --out OUT", 4, false),
-        ("search-schedules --models rigid --vertices 1000 --budget 2 --threads THREADS --out OUT", 2, true),
+        ("dev search-schedules --models rigid --vertices 1000 --budget 2 --threads THREADS --out OUT", 2, true),
         ("compare-rigs rig rig --json", 0, true),
-        ("more-garbow-hillstrom --json", 0, true),
+        ("dev more-garbow-hillstrom --json", 0, true),
     ] {
         assert_eq!(leaves_equal_files(PROGRAM, folder.path(), line, stdout), files, "{line}");
     }

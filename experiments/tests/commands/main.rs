@@ -8,9 +8,9 @@ mod refusal;
 mod repeats;
 
 mod bad_input;
-mod compare;
 mod determinism;
 mod reference_problems;
 mod report;
 mod scaling;
+mod scan_bench;
 mod solver_case;

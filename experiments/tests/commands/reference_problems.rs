@@ -34,7 +34,7 @@ fn levenberg_marquardt_reaches_all_certified_parameters() {
 #[test]
 fn nist_on_the_command_line() {
     let Some(folder) = real_data("nist") else { return };
-    let output = command(&["nist", "--json", "--data", folder.to_str().unwrap()]);
+    let output = command(&["dev", "nist", "--json", "--data", folder.to_str().unwrap()]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((json["passed"].as_u64(), json["total"].as_u64()), (Some(54), Some(54)));
@@ -44,7 +44,7 @@ fn nist_on_the_command_line() {
     // A missing file, one that is not NIST's, and a misprint.
     let copy = tempfile::tempdir().unwrap();
     let said = |expected: &[&str]| {
-        let output = command(&["nist", "--data", copy.path().to_str().unwrap()]);
+        let output = command(&["dev", "nist", "--data", copy.path().to_str().unwrap()]);
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(4), "{error}");
         assert_eq!(error.lines().count(), 1, "{error}");
@@ -124,10 +124,14 @@ fn closed_pipe() -> Stdio {
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
     let nist = real_data("nist").map(|folder| folder.to_str().unwrap().to_owned());
-    let mut commands =
-        vec![vec!["more-garbow-hillstrom"], vec!["more-garbow-hillstrom", "--json"], vec!["--help"], vec!["--version"]];
-    commands.extend(nist.iter().map(|folder| vec!["nist", "--json", "--data", folder]));
-    commands.extend(nist.iter().map(|folder| vec!["nist", "--data", folder]));
+    let mut commands = vec![
+        vec!["dev", "more-garbow-hillstrom"],
+        vec!["dev", "more-garbow-hillstrom", "--json"],
+        vec!["--help"],
+        vec!["--version"],
+    ];
+    commands.extend(nist.iter().map(|folder| vec!["dev", "nist", "--json", "--data", folder]));
+    commands.extend(nist.iter().map(|folder| vec!["dev", "nist", "--data", folder]));
     for arguments in commands {
         assert_eq!(into(closed_pipe(), &arguments), (Some(0), String::new()), "{arguments:?}");
         // Linux has a file that is always full.

@@ -91,7 +91,7 @@ fn written(case: &Case) -> (tempfile::TempDir, PathBuf) {
 
 fn solved(path: &Path, options: &[&str]) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_experiments"));
-    let run = command.arg("solver-case").arg(path).args(["--json"]).args(options).output().unwrap();
+    let run = command.args(["dev", "solver-case"]).arg(path).args(["--json"]).args(options).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     serde_json::from_slice(&run.stdout).unwrap()
 }
@@ -127,7 +127,7 @@ fn all_ways_to_solve_a_case_start_at_its_energy_and_end_at_one_minimum() {
 #[test]
 fn the_table_names_every_stage() {
     let (_folder, path) = written(&Case::new(HUBER));
-    let run = Command::new(env!("CARGO_BIN_EXE_experiments")).arg("solver-case").arg(&path).output().unwrap();
+    let run = Command::new(env!("CARGO_BIN_EXE_experiments")).args(["dev", "solver-case"]).arg(&path).output().unwrap();
     let text = String::from_utf8(run.stdout).unwrap();
     for word in ["initial_cost", "final_cost", "iterations", "seconds_per_iteration", "linearise", "solve", "energy"] {
         assert!(text.contains(word), "{word}: {text}");
@@ -140,7 +140,8 @@ fn a_bad_case_is_one_clear_error() {
         let mut case = Case::new(HUBER);
         change(&mut case);
         let (_folder, path) = written(&case);
-        let run = Command::new(env!("CARGO_BIN_EXE_experiments")).arg("solver-case").arg(&path).output().unwrap();
+        let run =
+            Command::new(env!("CARGO_BIN_EXE_experiments")).args(["dev", "solver-case"]).arg(&path).output().unwrap();
         let message = String::from_utf8(run.stderr).unwrap();
         assert_eq!((run.status.code(), message.lines().count()), (Some(4), 1), "{message}");
         assert!(message.contains(expected) && run.stdout.is_empty(), "{message}");
@@ -149,6 +150,7 @@ fn a_bad_case_is_one_clear_error() {
     broken(|case| case.edge[1] = case.edge[0], "edge: node 0 is joined to itself");
     broken(|case| case.weight[3] = f64::NAN, "weight: item 3 is NaN");
     broken(|case| case.huber = -1.0, "huber_delta: -1");
-    let run = Command::new(env!("CARGO_BIN_EXE_experiments")).args(["solver-case", "absent.npz"]).output().unwrap();
+    let run =
+        Command::new(env!("CARGO_BIN_EXE_experiments")).args(["dev", "solver-case", "absent.npz"]).output().unwrap();
     assert_eq!(run.status.code(), Some(4));
 }

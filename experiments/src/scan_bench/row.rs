@@ -1,4 +1,4 @@
-//! Rows of the comparison, their summary, and both as files and on the terminal.
+//! Rows of results, their summary, and both as files and on the terminal.
 
 use std::path::Path;
 
@@ -12,16 +12,18 @@ use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// One variant, or another program's result, on one case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CompareRow {
-    /// What is varied; `external` for another program's result.
-    pub group: String,
-    /// Name in the group.
-    pub name: String,
+pub struct BenchRow {
     /// Case name.
     pub case: String,
+    /// Name in the group: of the model, the kernel, the term or the program.
+    pub model: String,
+    /// What is varied; `external` for another program's result.
+    pub group: String,
     /// What came out; `None` where nothing did.
+    #[serde(flatten)]
     pub score: Option<Score>,
     /// Why nothing did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// Wall time of the registration; not part of what is compared.
     #[serde(skip)]
@@ -30,6 +32,16 @@ pub struct CompareRow {
     /// compared.
     #[serde(skip)]
     pub peak_bytes: Option<u64>,
+}
+
+impl BenchRow {
+    /// Without seconds and memory.
+    #[must_use]
+    pub fn new(group: &str, model: &str, case: &str, scored: Result<Score, String>) -> Self {
+        let (score, error) = scored.map_or_else(|e| (None, Some(e)), |score| (Some(score), None));
+        let [case, model, group] = [case, model, group].map(str::to_owned);
+        Self { case, model, group, score, error, seconds: None, peak_bytes: None }
+    }
 }
 
 /// A result in numbers.
@@ -43,18 +55,15 @@ pub struct Score {
     pub mesh: MeshQuality,
     /// Steps taken; another program's are unknown.
     pub iterations: Option<usize>,
-    /// Significance of the scan's vertices coinciding with the template's, where it was tested: above 5, the scan gives true
-    /// vertex positions away.
-    pub vertex_coincidence: Option<f64>,
 }
 
 /// One variant over its cases. Means and worst are over the cases with a result, zero without any: look at `failed` first.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CompareSummary {
+pub struct BenchSummary {
     /// What is varied.
     pub group: String,
     /// Name in the group.
-    pub name: String,
+    pub model: String,
     /// Cases.
     pub cases: usize,
     /// Cases without a result.
@@ -87,10 +96,10 @@ pub struct CompareSummary {
 
 /// Summaries by group and name, in the order of the rows.
 #[must_use]
-pub fn summarize(rows: &[CompareRow]) -> Vec<CompareSummary> {
+pub fn summarize(rows: &[BenchRow]) -> Vec<BenchSummary> {
     let mut order: Vec<[&str; 2]> = Vec::new();
     for row in rows {
-        let key = [row.group.as_str(), &row.name];
+        let key = [row.group.as_str(), &row.model];
         if !order.contains(&key) {
             order.push(key);
         }
@@ -98,15 +107,15 @@ pub fn summarize(rows: &[CompareRow]) -> Vec<CompareSummary> {
     order.into_iter().map(|key| summary(key, rows)).collect()
 }
 
-fn summary(key: [&str; 2], rows: &[CompareRow]) -> CompareSummary {
-    let rows: Vec<&CompareRow> = rows.iter().filter(|r| [r.group.as_str(), &r.name] == key).collect();
+fn summary(key: [&str; 2], rows: &[BenchRow]) -> BenchSummary {
+    let rows: Vec<&BenchRow> = rows.iter().filter(|r| [r.group.as_str(), &r.model] == key).collect();
     let scores: Vec<&Score> = rows.iter().filter_map(|r| r.score.as_ref()).collect();
     let mean = |of: fn(&Score) -> f64| mean(scores.iter().map(|s| of(s))).unwrap_or(0.0);
     let worst = |of: fn(&Score) -> f64| scores.iter().map(|s| of(s)).fold(0.0, f64::max);
     let most = |of: fn(&Score) -> usize| scores.iter().map(|s| of(s)).max().unwrap_or(0);
-    CompareSummary {
+    BenchSummary {
         group: key[0].to_owned(),
-        name: key[1].to_owned(),
+        model: key[1].to_owned(),
         cases: rows.len(),
         failed: rows.len() - scores.len(),
         mean_rmse: mean(|s| s.errors.rmse),
@@ -130,7 +139,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// One line a variant: errors in millimetres, seconds, megabytes. Without a result on any case, that is all it says.
 #[must_use]
-pub fn summary_table(summaries: &[CompareSummary]) -> Table {
+pub fn summary_table(summaries: &[BenchSummary]) -> Table {
     let header = [
         "variant / mm",
         "mean rmse",
@@ -145,8 +154,8 @@ pub fn summary_table(summaries: &[CompareSummary]) -> Table {
         "peak MB",
         "failed",
     ];
-    let line = |s: &CompareSummary| {
-        let mut cells = vec![format!("{}: {}", s.group, s.name)];
+    let line = |s: &BenchSummary| {
+        let mut cells = vec![format!("{}: {}", s.group, s.model)];
         if s.failed == s.cases {
             cells.extend(vec![String::new(); header.len() - 2]);
         } else {
@@ -163,40 +172,67 @@ pub fn summary_table(summaries: &[CompareSummary]) -> Table {
     table(&header, summaries.iter().map(line))
 }
 
-/// Writes `compare.csv` and `compare.json`, which are the same in every equal run, and `compare.timing.csv`, which is not.
+/// The columns of [`cells`].
+const COLUMNS: [&str; 13] = [
+    "rmse",
+    "off",
+    "slide",
+    "median",
+    "p95",
+    "max",
+    "unobserved",
+    "flips",
+    "self_intersections",
+    "self_intersections_at_rest",
+    "stretch_p1",
+    "stretch_p99",
+    "iterations",
+];
+
+/// A result as text, numbers with so many decimals; without one nothing.
+fn cells(score: Option<&Score>, decimals: usize) -> Vec<String> {
+    let Some(Score { errors: e, mesh: m, iterations }) = score else { return vec![String::new(); COLUMNS.len()] };
+    let number = |x: f64| format!("{x:.decimals$}");
+    let mut cells = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(number).to_vec();
+    cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
+    cells.extend([m.stretch.p1, m.stretch.p99].map(number));
+    cells.push(iterations.map_or(String::new(), |n| n.to_string()));
+    cells
+}
+
+/// Every row: errors in millimetres, seconds.
+#[must_use]
+pub fn table_of(rows: &[BenchRow]) -> Table {
+    let header = [&["case / mm", "model"][..], &COLUMNS, &["s"]].concat();
+    let line = |r: &BenchRow| {
+        let seconds = r.seconds.map_or(String::new(), |s| format!("{s:.2}"));
+        [vec![r.case.clone(), r.model.clone()], cells(r.score.as_ref(), 3), vec![seconds]].concat()
+    };
+    table(&header, rows.iter().map(line))
+}
+
+/// Writes `scan-bench.csv` and `scan-bench.json`, which are the same in every equal run, and `scan-bench.timing.csv`, which is
+/// not.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_rows(out: &Path, rows: &[CompareRow], threads: usize) -> Result<()> {
-    let header = "group,name,case,rmse,off,slide,median,p95,max,unobserved,flips,self_intersections,\
-                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations,vertex_coincidence,error";
-    let key = |r: &CompareRow| [&r.group, &r.name, &r.case].map(|text| csv_text(text)).join(",");
+pub fn write_rows(out: &Path, rows: &[BenchRow], threads: usize) -> Result<()> {
+    let key = |r: &BenchRow| [&r.case, &r.model, &r.group].map(|text| csv_text(text)).join(",");
     let lines = rows.iter().map(|r| {
         let error = r.error.as_deref().map_or(String::new(), csv_text);
-        let numbers = r.score.as_ref().map_or_else(|| vec![String::new(); 14], numbers);
-        format!("{},{},{error}", key(r), numbers.join(","))
+        format!("{},{},{error}", key(r), cells(r.score.as_ref(), 6).join(","))
     });
-    write_csv(&out.join("compare.csv"), header, lines)?;
+    write_csv(&out.join("scan-bench.csv"), &format!("case,model,group,{},error", COLUMNS.join(",")), lines)?;
     let times = rows.iter().filter_map(|r| {
         let peak = r.peak_bytes.map_or(String::new(), |bytes| format!("{:.3}", megabytes(bytes)));
         Some(format!("{},{:.4},{peak},{threads}", key(r), r.seconds?))
     });
-    write_csv(&out.join("compare.timing.csv"), "group,name,case,seconds,peak_mb,threads", times)?;
-    write_json(&out.join("compare.json"), &json!({ "rows": rows, "summary": summarize(rows) }))
+    write_csv(&out.join("scan-bench.timing.csv"), "case,model,group,seconds,peak_mb,threads", times)?;
+    write_json(&out.join("scan-bench.json"), &json!({ "rows": rows, "summary": summarize(rows) }))
 }
 
-/// What `compare.csv` has of a result, in its order.
-fn numbers(s: &Score) -> Vec<String> {
-    let (e, m) = (&s.errors, &s.mesh);
-    let mut cells: Vec<String> = Vec::new();
-    cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}")));
-    cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
-    cells.extend([m.stretch.p1, m.stretch.p99].map(|x| format!("{x:.6}")));
-    cells.push(s.iterations.map_or(String::new(), |n| n.to_string()));
-    cells.push(s.vertex_coincidence.map_or(String::new(), |x| format!("{x:.6}")));
-    cells
-}
-
-pub(super) fn megabytes(bytes: u64) -> f64 {
+/// Millions of bytes.
+#[must_use]
+pub fn megabytes(bytes: u64) -> f64 {
     1e-6 * bytes as f64
 }

@@ -1,7 +1,15 @@
-//! `scan-bench`: every model on every case with exact dense ground truth, in one table.
+//! `scan-bench`: everything that can be chosen, and other programs, on every case with exact dense ground truth, in one table.
 //!
-//! Varied: the model. Held: the case, its shapes and landmarks, and each model's one schedule. Measured: the error against
-//! the true position of every template vertex, split into the part along the surface's normal and the part along it.
+//! Varied, one thing in each group: the model with its default schedule; the robust kernel of the hybrid; its data terms; the
+//! program. Held: the case, its shapes and landmarks. Measured: the error against the true position of every template vertex,
+//! split into the part along the surface's normal and the part along it; folds; and, each variant in a process of its own,
+//! seconds and memory.
+
+pub mod command;
+mod external;
+mod measure;
+mod row;
+mod variant;
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -12,11 +20,16 @@ use nonrigid::evaluation::{EvaluationError, MeshQuality, TruthErrors};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
-    Level, ModelFactory, ModelInput, RegistrationError, RegistrationInput, RegistrationModel, RegistrationResult,
-    Schedule, ScheduleError, Stage, StepRecord, TermFactory, register_with,
+    Level, ModelFactory, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Stage, StepRecord,
+    TermFactory, register_with,
 };
 use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};
+
+pub use external::External;
+pub use measure::{CaseSource, measure};
+pub use row::{BenchRow, BenchSummary, Score, megabytes, summarize, summary_table, table_of, write_rows};
+pub use variant::Variant;
 
 /// One case: a scan with the true position of every template vertex.
 #[derive(Clone)]
@@ -255,29 +268,6 @@ fn spread(landmarks: &[Landmark], template: &PolygonMesh, n: usize) -> Vec<Landm
     chosen
 }
 
-/// One model on one case.
-#[derive(Debug, Clone, Serialize)]
-pub struct BenchRow {
-    /// Case name.
-    pub case: String,
-    /// Model name.
-    pub model: String,
-    /// Errors against the truth.
-    #[serde(flatten)]
-    pub errors: TruthErrors,
-    /// Self-intersections and edge stretch against the rest shape: the subject's neutral, or else the template.
-    #[serde(flatten)]
-    pub mesh: MeshQuality,
-    /// Steps taken.
-    pub iterations: usize,
-    /// Significance of the scan's vertices coinciding with the template's, at the first level that tested it: above 5, the
-    /// scan gives true vertex positions away.
-    pub vertex_coincidence: Option<f64>,
-    /// Wall time of the registration; not part of what is compared.
-    #[serde(skip)]
-    pub seconds: f64,
-}
-
 /// Registers one model with its schedule to one case: the result, and how many seconds it took.
 pub fn fit_case(
     model: &dyn ModelFactory,
@@ -293,126 +283,41 @@ pub fn fit_case(
     Ok((result, clock.elapsed().as_secs_f64()))
 }
 
-/// Significance of the scan's vertices coinciding with the template's, at the first level that tested it.
-#[must_use]
-pub fn vertex_coincidence(result: &RegistrationResult) -> Option<f64> {
-    result.history.iter().find_map(|h| h.vertex_coincidence).map(|c| c.significance())
-}
-
-/// Runs one model with its schedule on one case.
+/// Runs one model with its schedule on one case: its score, the result, and how many seconds that took.
+///
+/// # Errors
+/// When the registration fails.
 pub fn run_case(
     model: &dyn ModelFactory,
     terms: &[&dyn TermFactory],
     schedule: &Schedule,
     case: &BenchCase,
     landmarks: LandmarkUse,
-) -> Result<(BenchRow, RegistrationResult)> {
+) -> Result<(Score, RegistrationResult, f64)> {
     let (result, seconds) = fit_case(model, terms, schedule, case, landmarks)
         .with_context(|| format!("{} on {}", model.name(), case.name))?;
     let (errors, mesh) = case.score(&result.positions)?;
-    let row = BenchRow {
-        case: case.name.clone(),
-        model: model.name().to_owned(),
-        errors,
-        mesh,
-        iterations: result.history.len(),
-        vertex_coincidence: vertex_coincidence(&result),
-        seconds,
-    };
-    Ok((row, result))
+    Ok((Score { errors, mesh, iterations: Some(result.history.len()) }, result, seconds))
 }
 
-/// Every model, each with its own default schedule, on every case. `visit` sees each row and result as it arrives. Your own
-/// [`ModelFactory`] or [`TermFactory`] lands in the same table.
+/// Every model, each with its own default schedule, on every case, in this process. Your own [`ModelFactory`] or [`TermFactory`]
+/// lands in the same table.
+///
+/// # Errors
+/// When a registration fails.
 pub fn scan_bench(
     models: &[&dyn ModelFactory],
     terms: &[&dyn TermFactory],
     cases: &[BenchCase],
     landmarks: LandmarkUse,
-    mut visit: impl FnMut(&BenchRow, &BenchCase, &RegistrationResult) -> Result<()>,
 ) -> Result<Vec<BenchRow>> {
     let mut rows = Vec::new();
     for case in cases {
         for &model in models {
-            let (row, result) = run_case(model, terms, &model.schedule()?, case, landmarks)?;
-            visit(&row, case, &result)?;
-            rows.push(row);
+            let (score, _, seconds) = run_case(model, terms, &model.schedule()?, case, landmarks)?;
+            let row = BenchRow::new("model", model.name(), &case.name, Ok(score));
+            rows.push(BenchRow { seconds: Some(seconds), ..row });
         }
     }
     Ok(rows)
-}
-
-/// A model with another schedule than its default.
-pub struct Scheduled<'a> {
-    /// The model.
-    pub model: &'a dyn ModelFactory,
-    /// Its schedule.
-    pub schedule: Schedule,
-}
-
-impl ModelFactory for Scheduled<'_> {
-    fn name(&self) -> &str {
-        self.model.name()
-    }
-
-    fn schedule(&self) -> Result<Schedule, ScheduleError> {
-        Ok(self.schedule.clone())
-    }
-
-    fn needs_shapes(&self) -> bool {
-        self.model.needs_shapes()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
-        self.model.build(input)
-    }
-}
-
-/// Means over the cases of one model.
-#[derive(Debug, Clone, Serialize)]
-pub struct BenchSummary {
-    /// Model name.
-    pub model: String,
-    /// Mean over the cases of the rmse, millimetres.
-    pub mean_rmse: f64,
-    /// Largest rmse of a case.
-    pub worst_rmse: f64,
-    /// Mean of the part along the normal.
-    pub mean_off: f64,
-    /// Mean of the part along the surface.
-    pub mean_slide: f64,
-    /// Largest rmse over the unobserved vertices of a case.
-    pub worst_unobserved: f64,
-    /// Most self-intersections in a case.
-    pub worst_self_intersections: usize,
-    /// Mean wall time; not part of what is compared.
-    #[serde(skip)]
-    pub mean_seconds: f64,
-}
-
-/// Summaries by model, in the order of the rows.
-#[must_use]
-pub fn summarize(rows: &[BenchRow]) -> Vec<BenchSummary> {
-    let mut models: Vec<&str> = Vec::new();
-    rows.iter().for_each(|r| {
-        if !models.contains(&r.model.as_str()) {
-            models.push(&r.model);
-        }
-    });
-    let summary = |model: &str| {
-        let of: Vec<&BenchRow> = rows.iter().filter(|r| r.model == model).collect();
-        let mean = |f: fn(&BenchRow) -> f64| of.iter().map(|r| f(r)).sum::<f64>() / of.len() as f64;
-        let worst = |f: fn(&BenchRow) -> f64| of.iter().map(|r| f(r)).fold(0.0, f64::max);
-        BenchSummary {
-            model: model.to_owned(),
-            mean_rmse: mean(|r| r.errors.rmse),
-            worst_rmse: worst(|r| r.errors.rmse),
-            mean_off: mean(|r| r.errors.off),
-            mean_slide: mean(|r| r.errors.slide),
-            worst_unobserved: worst(|r| r.errors.unobserved),
-            worst_self_intersections: of.iter().map(|r| r.mesh.self_intersections).max().unwrap_or(0),
-            mean_seconds: mean(|r| r.seconds),
-        }
-    };
-    models.into_iter().map(summary).collect()
 }

@@ -8,36 +8,91 @@ use std::thread;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage};
+use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::registration::{TermFactory, TermKind};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::row::{CompareRow, Score};
-use super::variant::Variant;
+use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_case};
+use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
-use crate::scan_bench::{BenchCase, BenchRig, case_folders, fit_case, vertex_coincidence};
 
-/// Runs every variant on every case below `cases`, each variant in a process of its own, one after the other, on so many threads.
-/// `program` is the `experiments` whose processes they are. `on_row` sees each row as it arrives and ends everything with an error.
+/// Cases in a folder, and what is done to their scans.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct CaseSource {
+    /// Folder of cases.
+    pub cases: PathBuf,
+    /// Rig folder; its polygons are the template.
+    pub rig: PathBuf,
+    /// Whether each scan becomes its [`dual`](crate::remesh::dual) mesh.
+    pub remesh: bool,
+    /// Degrees that each scan is turned by about a random axis.
+    pub turn: f64,
+    /// Millimetres that it is moved by in a random direction.
+    pub shift: f64,
+    /// Seed of both.
+    pub seed: u64,
+}
+
+impl CaseSource {
+    /// The cases as they are.
+    #[must_use]
+    pub fn new(cases: &Path, rig: &Path) -> Self {
+        Self { cases: cases.into(), rig: rig.into(), remesh: false, turn: 0.0, shift: 0.0, seed: 7 }
+    }
+
+    /// Reads all cases; no two have the same name.
+    ///
+    /// # Errors
+    /// A [`Failure`] of loading.
+    pub fn read(&self) -> Result<Vec<BenchCase>> {
+        let read = || self.from(0)?.collect::<Result<Vec<BenchCase>>>();
+        let read = read().map_err(|e| Failure::loading(format!("{e:#}")))?;
+        for (i, case) in read.iter().enumerate() {
+            if read[..i].iter().any(|other| other.name == case.name) {
+                let message = format!("{}: two cases are called {:?}; rename one", self.cases.display(), case.name);
+                return Err(Failure::loading(message).into());
+            }
+        }
+        Ok(read)
+    }
+
+    /// The cases from the `first`, each read when its turn comes.
+    fn from(&self, first: usize) -> Result<impl Iterator<Item = Result<BenchCase>>> {
+        let rig = BenchRig::read(&self.rig)?;
+        let folders = case_folders(&self.cases)?.into_iter().enumerate().skip(first);
+        Ok(folders.map(move |(k, folder)| {
+            let case = BenchCase::read(&folder, &rig)?;
+            let case = if self.remesh { case.remeshed() } else { case };
+            let still = self.turn == 0.0 && self.shift == 0.0;
+            Ok(if still { case } else { case.moved(&random_pose(self.turn, self.shift, self.seed, k as u64)) })
+        }))
+    }
+}
+
+/// Runs every variant on every case of `source`, each variant in a process of its own, one after the other, on so many threads.
+/// `program` is the `experiments` whose processes they are; results go to `results/CASE/NAME.obj`, whose folders are there.
+/// `on_row` sees each row as it arrives and ends everything with an error.
 ///
 /// # Errors
 /// A [`Failure`]: of loading when rig or cases cannot be read; of the computation when no process can be started or every run
 /// fails. The run that fails beside others says so in its row. Whatever `on_row` returns.
 pub fn measure(
     program: &Path,
-    cases: &Path,
-    rig: &Path,
+    source: &CaseSource,
     variants: &[Variant],
     threads: usize,
-    on_row: &mut dyn FnMut(&CompareRow) -> Result<()>,
-) -> Result<Vec<CompareRow>> {
-    let names = read_cases(cases, rig)?.into_iter().map(|case| case.name).collect::<Vec<_>>();
+    results: Option<&Path>,
+    on_row: &mut dyn FnMut(&BenchRow) -> Result<()>,
+) -> Result<Vec<BenchRow>> {
+    let names = source.read()?.into_iter().map(|case| case.name).collect::<Vec<_>>();
     let mut rows = Vec::with_capacity(variants.len() * names.len());
     for variant in variants {
         let mut first = 0;
         while first < names.len() {
-            let run = Run { cases: cases.into(), first, rig: rig.into(), variant: variant.clone() };
+            let run =
+                Run { source: source.clone(), first, variant: variant.clone(), results: results.map(Path::to_owned) };
             run_apart(program, &run, threads, &names[first..], &mut |row| {
                 on_row(&row)?;
                 rows.push(row);
@@ -48,41 +103,25 @@ pub fn measure(
     }
     if let Some(row) = rows.first().filter(|_| rows.iter().all(|r| r.score.is_none())) {
         let reason = row.error.as_deref().unwrap_or_default();
-        let message = format!("every run failed; the first, {} {} on {}: {reason}", row.group, row.name, row.case);
+        let message = format!("every run failed; the first, {} {} on {}: {reason}", row.group, row.model, row.case);
         return Err(Failure::computation(message).into());
     }
     Ok(rows)
 }
 
-/// Reads all cases; no two have the same name.
-///
-/// # Errors
-/// A [`Failure`] of loading.
-pub(super) fn read_cases(cases: &Path, rig: &Path) -> Result<Vec<BenchCase>> {
-    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
-    let read = BenchCase::read_all(cases, &BenchRig::read(rig).map_err(unread)?).map_err(unread)?;
-    for (i, case) in read.iter().enumerate() {
-        if read[..i].iter().any(|other| other.name == case.name) {
-            let message = format!("{}: two cases are called {:?}; rename one", cases.display(), case.name);
-            return Err(Failure::loading(message).into());
-        }
-    }
-    Ok(read)
-}
-
 /// What a process is told to do: the variant on all cases from the `first`.
 #[derive(Serialize, Deserialize)]
 struct Run {
-    cases: PathBuf,
+    source: CaseSource,
     first: usize,
-    rig: PathBuf,
     variant: Variant,
+    results: Option<PathBuf>,
 }
 
 /// What it says of a case.
 #[derive(Serialize, Deserialize)]
 struct Line {
-    row: CompareRow,
+    row: BenchRow,
     seconds: Option<f64>,
     peak_bytes: Option<u64>,
 }
@@ -93,37 +132,33 @@ struct Line {
 /// When the configuration, the rig or a case cannot be read, or nobody reads the lines. A registration that fails is a line.
 pub(super) fn run_here(configuration: &str) -> Result<()> {
     let run: Run = from_exact(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e:#}")))?;
-    let rig = BenchRig::read(&run.rig)?;
     let mut out = io::stdout().lock();
-    for folder in case_folders(&run.cases)?.iter().skip(run.first) {
-        let line = run.variant.run(&BenchCase::read(folder, &rig)?);
+    for case in run.source.from(run.first)? {
+        let line = run.variant.run(&case?, run.results.as_deref());
         writeln!(out, "{}", to_exact(&line)?).and_then(|()| out.flush()).context("standard output")?;
     }
     Ok(())
 }
 
 impl Variant {
-    fn run(&self, case: &BenchCase) -> Line {
+    fn run(&self, case: &BenchCase, results: Option<&Path>) -> Line {
         let (mut seconds, mut peak) = (None, None);
         let mut fit = || -> Result<Score> {
             let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
             reset_peak();
-            let (result, wall) = fit_case(&self.model, &terms, &self.schedule, case, self.landmarks)?;
+            let (score, result, wall) = run_case(&self.model, &terms, &self.schedule, case, self.landmarks)?;
             (seconds, peak) = (Some(wall), peak_bytes());
-            let (errors, mesh) = case.score(&result.positions)?;
-            if !errors.finite {
+            if !score.errors.finite {
                 bail!("the result is not finite");
             }
-            let coincidence = vertex_coincidence(&result);
-            Ok(Score { errors, mesh, iterations: Some(result.history.len()), vertex_coincidence: coincidence })
+            if let Some(results) = results {
+                let mesh = case.template.with_positions(result.positions);
+                write_polygon_mesh(&results.join(&case.name).join(format!("{}.obj", self.file_stem())), &mesh)?;
+            }
+            Ok(score)
         };
-        let (score, error) = fit().map_or_else(|e| (None, Some(format!("{e:#}"))), |score| (Some(score), None));
-        Line { row: self.row(&case.name, score, error), seconds, peak_bytes: peak }
-    }
-
-    fn row(&self, case: &str, score: Option<Score>, error: Option<String>) -> CompareRow {
-        let (group, name, case) = (self.group.clone(), self.name.clone(), case.to_owned());
-        CompareRow { group, name, case, score, error, seconds: None, peak_bytes: None }
+        let row = BenchRow::new(&self.group, &self.name, &case.name, fit().map_err(|e| format!("{e:#}")));
+        Line { row, seconds, peak_bytes: peak }
     }
 }
 
@@ -145,11 +180,11 @@ fn run_apart(
     run: &Run,
     threads: usize,
     names: &[String],
-    on_row: &mut dyn FnMut(CompareRow) -> Result<()>,
+    on_row: &mut dyn FnMut(BenchRow) -> Result<()>,
 ) -> Result<()> {
     let failed = |what: String| Failure::computation(format!("{}: {what}", program.display()));
     let mut command = Command::new(program);
-    command.args(["compare", "--threads", &threads.to_string(), "--run", &to_exact(run)?]);
+    command.args(["scan-bench", "--threads", &threads.to_string(), "--run", &to_exact(run)?]);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut process = Process(command.spawn().map_err(|e| failed(format!("cannot be started: {e}")))?);
     let (Some(out), Some(mut err)) = (process.0.stdout.take(), process.0.stderr.take()) else {
@@ -164,7 +199,7 @@ fn run_apart(
     for name in names {
         let reason = match lines.next().map(|line| line.context("its output").and_then(|line| from_exact(&line))) {
             Some(Ok(Line { row, seconds, peak_bytes })) if row.case == *name => {
-                on_row(CompareRow { seconds, peak_bytes, ..row })?;
+                on_row(BenchRow { seconds, peak_bytes, ..row })?;
                 continue;
             }
             Some(Ok(line)) => format!("another case came, {:?}: have the cases changed meanwhile?", line.row.case),
@@ -177,7 +212,7 @@ fn run_apart(
                 format!("the process ended early ({status}) {}", words.join(" ")).trim_end().to_owned()
             }
         };
-        return on_row(run.variant.row(name, None, Some(reason)));
+        return on_row(BenchRow::new(&run.variant.group, &run.variant.name, name, Err(reason)));
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `compare` on generated cases: its rows are those of `scan_bench`, other programs' results score as they should, and what
+//! `scan-bench` on generated cases: its rows are those of `run_case`, other programs' results score as they should, and what
 //! fails leaves the rest.
 
 use std::fs;
@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
-use experiments::compare::{CompareRow, Variant, measure, summarize};
-use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case};
-use nonrigid::mesh::io::{write_npy, write_npy_points, write_polygon_mesh};
+use experiments::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, run_case, summarize};
+use nonrigid::mesh::io::{read_obj, write_npy, write_npy_points, write_polygon_mesh};
 use nonrigid::registration::{ModelKind, TermFactory, TermKind};
 use serde_json::Value;
 
@@ -36,19 +35,23 @@ impl Data {
         self.folder.path().join(inside)
     }
 
+    fn source(&self) -> CaseSource {
+        CaseSource::new(&self.path("cases"), &self.path("rig"))
+    }
+
     fn cases(&self) -> Vec<BenchCase> {
-        BenchCase::read_all(&self.path("cases"), &BenchRig::read(&self.path("rig")).unwrap()).unwrap()
+        self.source().read().unwrap()
     }
 
     /// Runs the command in the folder of the data.
-    fn compare(&self, options: &[&str]) -> Output {
+    fn scan_bench(&self, options: &[&str]) -> Output {
         let mut command = Command::new(PROGRAM);
-        command.args(["compare", "cases", "--rig", "rig"]).args(options);
+        command.args(["scan-bench", "cases", "--rig", "rig"]).args(options);
         command.current_dir(&self.folder).output().unwrap()
     }
 
-    fn measure(&self, program: &Path, variants: &[Variant]) -> anyhow::Result<Vec<CompareRow>> {
-        measure(program, &self.path("cases"), &self.path("rig"), variants, 2, &mut |_| Ok(()))
+    fn measure(&self, program: &Path, variants: &[Variant]) -> anyhow::Result<Vec<BenchRow>> {
+        measure(program, &self.source(), variants, 2, None, &mut |_| Ok(()))
     }
 }
 
@@ -57,7 +60,7 @@ fn json(path: &Path) -> Value {
 }
 
 #[test]
-fn rows_are_those_of_scan_bench_to_the_last_bit() {
+fn rows_are_those_of_the_library_to_the_last_bit() {
     let data = Data::new();
     let mut variants = [ModelKind::Hybrid, ModelKind::Sequential].map(|m| Variant::of_model(m).unwrap());
     variants[1].landmarks = LandmarkUse::Some(9);
@@ -67,11 +70,9 @@ fn rows_are_those_of_scan_bench_to_the_last_bit() {
     let cases = data.cases();
     let runs = variants.iter().flat_map(|v| cases.iter().map(move |case| (v, case)));
     for (row, (variant, case)) in rows.iter().zip(runs) {
-        assert_eq!((&*row.group, &row.name, &row.case), ("model", &variant.name, &case.name));
-        let (bench, _) = run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks).unwrap();
-        let score = row.score.as_ref().unwrap_or_else(|| panic!("{row:?}"));
-        assert_eq!((&score.errors, &score.mesh), (&bench.errors, &bench.mesh));
-        assert_eq!((score.iterations, score.vertex_coincidence), (Some(bench.iterations), bench.vertex_coincidence));
+        assert_eq!((&*row.group, &row.model, &row.case), ("model", &variant.name, &case.name));
+        let (score, ..) = run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks).unwrap();
+        assert_eq!(row.score, Some(score));
         assert!(row.seconds.unwrap() > 0.0 && row.error.is_none(), "{row:?}");
         if cfg!(target_os = "linux") {
             // More than the mesh itself, less than a machine.
@@ -85,7 +86,7 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
     let data = Data::new();
     for threads in ["1", "2"] {
         let options = ["--models", "rigid,blendshape", "--terms", "--threads", threads, "--out", threads];
-        let run = data.compare(&options);
+        let run = data.scan_bench(&options);
         let said = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.success(), "{said}");
         assert!(said.lines().count() == 22 && said.contains("\n22/22  term"), "{said}");
@@ -94,32 +95,34 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
             assert_eq!(table.lines().filter(|l| l.contains(name)).count(), 1, "{name}: {table}");
         }
     }
-    for file in ["compare.csv", "compare.json"] {
+    for file in ["scan-bench.csv", "scan-bench.json", "new/rigid.obj", "same/term-symmetric.obj"] {
         assert!(fs::read(data.path("1").join(file)).unwrap() == fs::read(data.path("2").join(file)).unwrap(), "{file}");
     }
     let read = |file: &str| -> Vec<Vec<String>> {
         let text = fs::read_to_string(data.path("2").join(file)).unwrap();
         text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
     };
-    let (rows, times) = (read("compare.csv"), read("compare.timing.csv"));
+    let (rows, times) = (read("scan-bench.csv"), read("scan-bench.timing.csv"));
     assert_eq!((rows.len(), times.len()), (23, 23));
     assert!(rows.iter().all(|r| r.len() == rows[0].len()) && times.iter().all(|t| t.len() == times[0].len()));
     let at = |name: &str| rows[0].iter().position(|h| h == name).unwrap_or_else(|| panic!("no column {name}"));
-    let json = json(&data.path("2/compare.json"));
+    let json = json(&data.path("2/scan-bench.json"));
     for ((row, time), json) in rows[1..].iter().zip(&times[1..]).zip(json["rows"].as_array().unwrap()) {
         assert_eq!(row[..3], time[..3]);
-        assert_eq!(
-            (row[0].as_str(), row[2].as_str()),
-            (json["group"].as_str().unwrap(), json["case"].as_str().unwrap())
-        );
+        assert_eq!(row[..3], ["case", "model", "group"].map(|key| json[key].as_str().unwrap().to_owned()));
         for (column, key) in [("rmse", "rmse"), ("off", "off"), ("slide", "slide"), ("p95", "p95"), ("max", "max")] {
-            assert_eq!(row[at(column)], format!("{:.6}", json["score"][key].as_f64().unwrap()));
+            assert_eq!(row[at(column)], format!("{:.6}", json[key].as_f64().unwrap()));
         }
-        assert_eq!(row[at("flips")], json["score"]["flipped"].to_string());
-        assert_eq!(row[at("iterations")], json["score"]["iterations"].to_string());
+        assert_eq!(row[at("flips")], json["flipped"].to_string());
+        assert_eq!(row[at("iterations")], json["iterations"].to_string());
         assert_eq!(row[at("error")], "");
         assert!(time[3].parse::<f64>().unwrap() > 0.0 && time[5] == "2", "{time:?}");
     }
+    // A result is what its row says.
+    let (case, row) = (&data.cases()[0], json["rows"].as_array().unwrap()[2].clone());
+    let (errors, _) = case.score(&read_obj(&data.path("2/new/blendshape.obj")).unwrap().positions).unwrap();
+    assert_eq!((row["case"].as_str(), row["model"].as_str()), (Some("new"), Some("blendshape")));
+    assert!((errors.rmse - row["rmse"].as_f64().unwrap()).abs() < 1e-9, "{} {row}", errors.rmse);
     // Each term does something: what differs in the schedule differs in the result.
     let rmse = |name: &str| rows.iter().filter(|r| r[1] == name).map(|r| r[at("rmse")].clone()).collect::<Vec<_>>();
     for name in ["symmetric", "point_to_point", "with scan_to_template", "without landmarks", "without lambda_unseen"] {
@@ -143,14 +146,14 @@ fn another_programs_results_score_as_they_should() {
     // A vertex too few, and no result for the other case.
     write_npy_points(&data.path("bad/new/result.npy"), &cases[0].truth[1..]).unwrap();
     let externals = ["--external", "truth=truth", "--external", "start=start", "--external", "bad=bad"];
-    let run = data.compare(&[&["--models", "none"], &externals[..]].concat());
+    let run = data.scan_bench(&[&["--models", "none"], &externals[..]].concat());
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let json = json(&data.path("out/compare/compare.json"));
-    let rows: Vec<CompareRow> = serde_json::from_value(json["rows"].clone()).unwrap();
+    let json = json(&data.path("out/scan-bench/scan-bench.json"));
+    let rows: Vec<BenchRow> = serde_json::from_value(json["rows"].clone()).unwrap();
     assert_eq!(rows.len(), 6);
     for (row, case) in rows.iter().zip(cases.iter().cycle()) {
         assert_eq!((&*row.group, &row.case), ("external", &case.name));
-        match (row.name.as_str(), row.case.as_str()) {
+        match (row.model.as_str(), row.case.as_str()) {
             ("truth", _) => {
                 let e = &row.score.as_ref().unwrap().errors;
                 assert_eq!((e.rmse, e.max, e.off, e.slide, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
@@ -174,7 +177,7 @@ fn another_programs_results_score_as_they_should() {
     }
     let summary = summarize(&rows);
     assert_eq!(summary.iter().map(|s| s.failed).collect::<Vec<_>>(), [0, 0, 2]);
-    assert_eq!(fs::read_to_string(data.path("out/compare/compare.timing.csv")).unwrap().lines().count(), 1);
+    assert_eq!(fs::read_to_string(data.path("out/scan-bench/scan-bench.timing.csv")).unwrap().lines().count(), 1);
     assert!(String::from_utf8_lossy(&run.stdout).contains("2 of 2"));
 
     // A number that is none, and a case with two results.
@@ -185,8 +188,8 @@ fn another_programs_results_score_as_they_should() {
     for file in ["bad/same.npy", "bad/same/result.npy"] {
         write_npy_points(&data.path(file), &cases[1].truth).unwrap();
     }
-    assert!(data.compare(&["--models", "none", "--external", "bad=bad"]).status.success());
-    let rows = self::json(&data.path("out/compare/compare.json"));
+    assert!(data.scan_bench(&["--models", "none", "--external", "bad=bad"]).status.success());
+    let rows = self::json(&data.path("out/scan-bench/scan-bench.json"));
     let error = |i: usize| rows["rows"][i]["error"].as_str().unwrap_or_else(|| panic!("{rows}"));
     assert!(error(0).contains("result.npy") && error(0).contains("finite coordinates of point 1"), "{rows}");
     assert!(error(1).starts_with("two results: ") && error(1).contains("same.npy"), "{rows}");
@@ -211,9 +214,8 @@ fn a_variant_that_fails_leaves_the_others() {
     let error = data.measure(Path::new(PROGRAM), &[broken]).unwrap_err().to_string();
     assert!(error.starts_with("every run failed; the first, model one stage on new: "), "{error}");
     // Whoever takes the rows may end it.
-    let (cases, rig) = (data.path("cases"), data.path("rig"));
-    let mut stop = |_: &CompareRow| anyhow::bail!("enough");
-    let stopped = measure(Path::new(PROGRAM), &cases, &rig, &[rigid], 1, &mut stop).unwrap_err();
+    let mut stop = |_: &BenchRow| anyhow::bail!("enough");
+    let stopped = measure(Path::new(PROGRAM), &data.source(), &[rigid], 1, None, &mut stop).unwrap_err();
     assert_eq!(stopped.to_string(), "enough");
 }
 

@@ -4,7 +4,7 @@ use nonrigid::nlls::Kernel;
 use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule, ScheduleError};
 use serde::{Deserialize, Serialize};
 
-use crate::scan_bench::{LandmarkUse, each_level};
+use super::{LandmarkUse, each_level};
 
 /// A model with its schedule: one line of the summary, one row for each case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -100,6 +100,15 @@ impl Variant {
             ("without seam", |s| each_level(s, |l| l.seam = 0.0)),
         ];
         changes.into_iter().map(|(name, change)| Self::hybrid("term", name, change)).collect()
+    }
+
+    /// Name of its results' files: the model's, or what differs.
+    pub(super) fn file_stem(&self) -> String {
+        if self.group == "model" {
+            self.name.clone()
+        } else {
+            format!("{} {}", self.group, self.name).replace(' ', "-")
+        }
     }
 
     fn hybrid(group: &str, name: &str, change: impl FnOnce(&mut Schedule)) -> Result<Self, ScheduleError> {

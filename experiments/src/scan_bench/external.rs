@@ -7,8 +7,7 @@ use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::mesh::io;
 
-use super::row::{CompareRow, Score};
-use crate::scan_bench::BenchCase;
+use super::{BenchCase, BenchRow, Score};
 
 /// Another program's results: for a case called `CASE`, `folder/CASE.obj`, `.ply` or `.npy`, or `folder/CASE/result.obj`,
 /// `.ply` or `.npy`, in the template's vertex order, in the scan's frame, millimetres.
@@ -47,12 +46,12 @@ impl External {
     ///
     /// # Errors
     /// A [`Failure`] of loading when the folder is not there or holds no case's result.
-    pub fn rows(&self, cases: &[BenchCase]) -> Result<Vec<CompareRow>> {
+    pub fn rows(&self, cases: &[BenchCase]) -> Result<Vec<BenchRow>> {
         let (name, folder) = (&self.name, self.folder.display());
         if !self.folder.is_dir() {
             return Err(Failure::loading(format!("--external {name}={folder}: there is no such folder")).into());
         }
-        let rows: Vec<(bool, CompareRow)> = cases.iter().map(|case| self.row(case)).collect();
+        let rows: Vec<(bool, BenchRow)> = cases.iter().map(|case| self.row(case)).collect();
         if !rows.iter().any(|(present, _)| *present) {
             let example = cases.first().map_or("CASE", |case| &case.name);
             return Err(Failure::loading(format!(
@@ -65,23 +64,14 @@ impl External {
     }
 
     /// Whether there is a file, and what it says.
-    fn row(&self, case: &BenchCase) -> (bool, CompareRow) {
+    fn row(&self, case: &BenchCase) -> (bool, BenchRow) {
         let files: Vec<PathBuf> = self.candidates(&case.name).filter(|path| path.is_file()).collect();
         let scored = match &files[..] {
             [] => Err("no result".to_owned()),
             [file] => score(file, case),
             [one, other, ..] => Err(format!("two results: {} and {}", one.display(), other.display())),
         };
-        let (score, error) = scored.map_or_else(|e| (None, Some(e)), |score| (Some(score), None));
-        let row = CompareRow {
-            group: "external".to_owned(),
-            name: self.name.clone(),
-            case: case.name.clone(),
-            score,
-            error,
-            seconds: None,
-            peak_bytes: None,
-        };
+        let row = BenchRow::new("external", &self.name, &case.name, scored);
         (!files.is_empty(), row)
     }
 }
@@ -95,5 +85,5 @@ fn score(file: &Path, case: &BenchCase) -> Result<Score, String> {
     // The readers' errors name the file, and refuse numbers that are not finite.
     let positions = positions.map_err(|e| e.to_string())?;
     let (errors, mesh) = case.score(&positions).map_err(|e| format!("{}: {e}", file.display()))?;
-    Ok(Score { errors, mesh, iterations: None, vertex_coincidence: None })
+    Ok(Score { errors, mesh, iterations: None })
 }
