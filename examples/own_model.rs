@@ -7,8 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 
 use experiments::generated::standard_cases;
-use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, scan_bench};
-use experiments::tables::{summary_table, table_of};
+use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, scan_bench, summarize, summary_table, table_of};
 use nonrigid::mesh::{TriangleMesh, Vec3, adjacency::EdgeGraph};
 use nonrigid::model::{Autodiff, PositionFunction};
 use nonrigid::nlls::{Euclidean, Scalar};
@@ -143,7 +142,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let models: [&dyn ModelFactory; 3] = [&LatticeModel, &ModelKind::Graph, &ModelKind::Rigid];
-    let rows = scan_bench(&models, &terms, &cases, LandmarkUse::All, |_, _, _| Ok(()))?;
-    println!("{}\n{}", table_of(&rows), summary_table(&rows));
+    let rows = scan_bench(&models, &terms, &cases, LandmarkUse::All)?;
+    println!("{}\n{}", table_of(&rows), summary_table(&summarize(&rows)));
     Ok(())
 }

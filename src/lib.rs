@@ -16,20 +16,26 @@
 //! - [`batch`]: many scans, each in a process of its own.
 //! - [`self_test`]: does this build compute what it should on this machine?
 //! - [`text`]: what came from a file, on its way into another one or onto a terminal.
-//! - [`cli`]: the `nonrigid` command.
+//! - [`console`]: errors with exit codes, and what a program says; [`cli`]: the `nonrigid` command (feature `cli`).
 
+#[cfg(feature = "cli")]
 pub mod batch;
+#[cfg(feature = "cli")]
 pub mod cli;
+pub mod console;
 pub mod energy;
 pub mod evaluation;
 pub mod guide;
+#[cfg(feature = "pictures")]
 pub mod measurement;
 pub mod mesh;
 pub mod model;
+#[cfg(feature = "pictures")]
 pub mod morph;
 pub mod nlls;
 pub mod page;
 pub mod registration;
+#[cfg(feature = "pictures")]
 pub mod render;
 pub mod rig;
 pub mod self_test;

@@ -10,7 +10,7 @@ use data_gen::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Subject,
     WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
-use nonrigid::cli::{Failure, Stage, answer, bounded, check_plan, say};
+use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say};
 use nonrigid::mesh::io::FilePlan;
 use nonrigid::render::save_png;
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::rig::{Rig, RigReadOptions};
 
 use crate::rig_statistics::RigStatistics;

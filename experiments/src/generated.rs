@@ -7,7 +7,7 @@ use data_gen::{
     FaceModel, FaceOptions, FaceRig, StandardCase, Subject, resolve_shapes, simulate_scan, write_case, write_rig,
 };
 pub use data_gen::{STANDARD_CASES, ScanOptions};
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::io::{Landmark, Scan, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};

@@ -2,7 +2,6 @@
 
 use nonrigid::mesh::io::{FaceUnit, LengthUnit, face_extent};
 
-pub mod compare;
 pub mod compare_rigs;
 pub mod generated;
 pub mod more_garbow_hillstrom;
@@ -15,7 +14,6 @@ pub mod report;
 pub mod rig_statistics;
 pub mod scaling;
 pub mod scan_bench;
-pub mod scan_bench_command;
 pub mod schedule_search;
 pub mod silence;
 pub mod solver_case;
@@ -41,8 +39,8 @@ pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]
 /// The file of this program, whose processes measure what needs one of its own.
 ///
 /// # Errors
-/// A [`Failure`](nonrigid::cli::Failure) of the computation when the system does not say.
+/// A [`Failure`](nonrigid::console::Failure) of the computation when the system does not say.
 pub fn this_program() -> anyhow::Result<std::path::PathBuf> {
     let program = std::env::current_exe();
-    Ok(program.map_err(|e| nonrigid::cli::Failure::computation(format!("this program's own file: {e}")))?)
+    Ok(program.map_err(|e| nonrigid::console::Failure::computation(format!("this program's own file: {e}")))?)
 }

@@ -6,10 +6,10 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare, compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench_command,
-    schedule_search, silence, solver_case, start_bench, this_program, unseen,
+    compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench, schedule_search, silence,
+    solver_case, start_bench, this_program, unseen,
 };
-use nonrigid::cli::{Failure, Stage, answer, bounded, tell};
+use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
@@ -34,31 +34,38 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Register every case below DIR with every model and compare with the ground truth
-    ScanBench(scan_bench_command::Arguments),
-    /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
-    StartBench(start_bench::Arguments),
+    /// Register every case below DIR and compare with its ground truth: models, robust kernels, data terms, other programs' results
+    ScanBench(scan_bench::command::Arguments),
     /// Register scans with all that can be wrong with them: how often a bad result is silent and a good one doubted
     Silence(silence::Arguments),
     /// Register three real scans with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
     Unseen(unseen::Arguments),
-    /// Search the default schedules: the same search for every model
-    SearchSchedules(schedule_search::Options),
-    /// Solve one hybrid problem with fixed correspondences: the same minimum as other solvers, and the time of an iteration
-    SolverCase(solver_case::Arguments),
     /// Measure how time and memory of an iteration grow with vertices and nodes, and those of a registration with the scan
     Scaling(scaling::Arguments),
-    /// Compare models, robust kernels, data terms and other programs' results on every case below DIR with ground truth
-    Compare(compare::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
     CompareRigs(compare_rigs::Arguments),
+    /// What maintainers use: reference problems, the search of schedules and of starts
+    #[command(subcommand, after_help = DEV_EXAMPLES)]
+    Dev(Dev),
+}
+
+#[derive(Subcommand)]
+enum Dev {
     /// Fit NIST's certified nonlinear regression problems: matching digits of Levenberg-Marquardt and dogleg
     Nist(nist::Arguments),
     /// Minimise the More-Garbow-Hillstrom problems from their standard starts and from ten times these
     MoreGarbowHillstrom(more_garbow_hillstrom::Arguments),
+    /// Solve one hybrid problem with fixed correspondences: the same minimum as other solvers, and the time of an iteration
+    SolverCase(solver_case::Arguments),
+    /// Search the start of every scan without landmarks, as given and moved, and compare with the start by landmarks
+    StartBench(start_bench::Arguments),
+    /// Search the default schedules: the same search for every model
+    SearchSchedules(schedule_search::Options),
 }
+
+const DEV_EXAMPLES: &str = "Example:\n  experiments dev more-garbow-hillstrom --json";
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -70,18 +77,17 @@ fn main() -> ExitCode {
             let program = this_program()?;
             report::run(&cli.report, &cli.report.effort(), &program, &mut io::stdout().lock()).map(drop)
         }),
-        Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench_command::run(a)),
-        Some(Command::StartBench(a)) => on_threads(a.threads, || start_bench::run(a)),
+        Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench::command::run(a)),
+        Some(Command::Dev(Dev::StartBench(a))) => on_threads(a.threads, || start_bench::run(a)),
         Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
-        Some(Command::SearchSchedules(a)) => on_threads(a.threads, || schedule_search::run(a)),
-        Some(Command::SolverCase(a)) => on_threads(a.threads, || solver_case::run(a)),
+        Some(Command::Dev(Dev::SearchSchedules(a))) => on_threads(a.threads, || schedule_search::run(a)),
+        Some(Command::Dev(Dev::SolverCase(a))) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::Scaling(a)) => scaling::run(a),
-        Some(Command::Compare(a)) => on_threads(a.threads, || compare::run(a)),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
-        Some(Command::Nist(a)) => nist::run(a),
-        Some(Command::MoreGarbowHillstrom(a)) => more_garbow_hillstrom::run(a),
+        Some(Command::Dev(Dev::Nist(a))) => nist::run(a),
+        Some(Command::Dev(Dev::MoreGarbowHillstrom(a))) => more_garbow_hillstrom::run(a),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
     tell(format_args!("error: {e:#}"));

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 use std::marker::PhantomData;
 
 use anyhow::Result;
-use nonrigid::cli::say;
+use nonrigid::console::say;
 use nonrigid::nlls::{Euclidean, Family, Minimizer, Options, Residual, ResidualProblem, Scalar, StopReason};
 use serde::Serialize;
 
@@ -20,7 +20,7 @@ use crate::tables::{stop_word, table};
 
 /// How the result is printed.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  experiments more-garbow-hillstrom")]
+#[command(after_help = "Example:\n  experiments dev more-garbow-hillstrom")]
 pub struct Arguments {
     /// Print JSON instead of the table
     #[arg(long)]

@@ -14,7 +14,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::nlls::{
     Euclidean, Family, Minimizer, Options, Problem as _, Residual, ResidualProblem, Scalar, StopReason,
 };
@@ -36,7 +36,7 @@ const ROSZMAN1_B1: (&str, usize, f64) = ("Roszman1", 1, 1.20196866396);
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples, the files being those of <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>:\n  \
-    experiments nist --data nist\n  experiments nist --data nist --json"
+    experiments dev nist --data nist\n  experiments dev nist --data nist --json"
 )]
 pub struct Arguments {
     /// Folder of the .dat files [default: nist in $NONRIGID_DATA, or else in ../shared/data]

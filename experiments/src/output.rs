@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, check_plan};
+use nonrigid::console::{Failure, Stage, check_plan};
 use nonrigid::mesh::io::FilePlan;
 
 /// Makes the folder of results, unless a file or folder that is read is in it.

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::cli::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::mesh::io::{self, Landmark, Scan, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, StepRecord, register};

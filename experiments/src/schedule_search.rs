@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say, tell};
+use nonrigid::console::{Failure, say, tell};
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
 use rayon::prelude::*;
@@ -103,7 +103,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
 #[must_use]
 pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> String {
     let mut text = format!(
-        "# Default schedule of the model '{model}', as `experiments search-schedules` found it: the same ladder, cases and\n\
+        "# Default schedule of the model '{model}', as `experiments dev search-schedules` found it: the same ladder, cases and\n\
          # budget for every model (experiments/src/schedule_search.rs).\n\
          #\n\
          # Lengths are millimetres on a template of `reference_size` and scale with the template; weights are per vertex on a\n\
@@ -257,7 +257,7 @@ fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let run = |case: &BenchCase| {
         run_case(&model, &terms, schedule, case, LandmarkUse::All)
-            .map_or(f64::INFINITY, |(row, _)| row.errors.rmse + row.errors.off)
+            .map_or(f64::INFINITY, |(score, ..)| score.errors.rmse + score.errors.off)
     };
     let errors: Vec<f64> = cases.par_iter().map(run).collect();
     errors.iter().sum::<f64>() / errors.len() as f64
@@ -266,7 +266,7 @@ fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 
 /// What to search.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "Example: a short search for one model\n  \
-    experiments search-schedules --models graph --budget 4 --vertices 1000 --out out/short-search")]
+    experiments dev search-schedules --models graph --budget 4 --vertices 1000 --out out/short-search")]
 pub struct Options {
     /// Models to search
     #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::io::{Npz, ReadError};
@@ -27,8 +27,8 @@ use serde_json::json;
 /// What to solve, and how.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples, on a case of your own:\n  \
-    experiments solver-case case.npz --report\n  \
-    experiments solver-case case.npz --linearisation reference --algorithm gauss-newton --json")]
+    experiments dev solver-case case.npz --report\n  \
+    experiments dev solver-case case.npz --linearisation reference --algorithm gauss-newton --json")]
 pub struct Arguments {
     /// The case: neutral, delta, target, normal, node, influence, weight, edge and the scalars alpha_data, lambda_graph,
     /// lambda_blend, huber_delta

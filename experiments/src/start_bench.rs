@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::mesh::io::{self, Landmark, Scan};
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
@@ -22,8 +22,8 @@ use crate::tables::table;
 /// What to run.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example, on what `data-gen --seed 7 --out out/data` makes:\n  \
-    experiments start-bench out/data/cases --rig out/data/rig --turns 0,90 --shift 100\n  \
-    experiments start-bench out/data/cases --rig out/data/rig --kinds all --poses 4")]
+    experiments dev start-bench out/data/cases --rig out/data/rig --turns 0,90 --shift 100\n  \
+    experiments dev start-bench out/data/cases --rig out/data/rig --kinds all --poses 4")]
 pub struct Arguments {
     /// Folders of cases, and scans (.ply or .obj); landmarks.json beside a scan is its reference
     #[arg(value_name = "DIR_OR_SCAN", required = true)]

@@ -5,43 +5,11 @@ use std::path::Path;
 
 use anyhow::Result;
 use comfy_table::{CellAlignment, Table, presets};
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::nlls::{Convergence, StopReason};
 pub use nonrigid::page::csv_text;
 use serde_json::Value;
-
-use crate::scan_bench::{BenchRow, summarize};
-
-/// Writes `name`.csv with all rows, `name`.json with `json`, and `name`.timing.csv with their times.
-///
-/// # Errors
-/// When a file cannot be written.
-pub fn write_tables(out: &Path, name: &str, rows: &[BenchRow], json: &Value) -> Result<()> {
-    let header = "case,model,rmse,off,slide,median,p95,max,unobserved,flips,self_intersections,\
-                  self_intersections_at_rest,stretch_p1,stretch_p99,iterations";
-    let lines = rows.iter().map(|r| {
-        let (e, m) = (&r.errors, &r.mesh);
-        let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(|x| format!("{x:.6}"));
-        format!(
-            "{},{},{},{},{},{},{:.6},{:.6},{}",
-            r.case,
-            r.model,
-            numbers.join(","),
-            e.flipped,
-            m.self_intersections,
-            m.self_intersections_at_rest,
-            m.stretch.p1,
-            m.stretch.p99,
-            r.iterations
-        )
-    });
-    write_csv(&out.join(format!("{name}.csv")), header, lines)?;
-    write_json(&out.join(format!("{name}.json")), json)?;
-    let threads = rayon::current_num_threads();
-    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", r.case, r.model, r.seconds));
-    write_csv(&out.join(format!("{name}.timing.csv")), "case,model,seconds,threads", times)
-}
 
 /// Writes a header and lines that are separated by commas already.
 ///
@@ -86,65 +54,4 @@ pub fn stop_word(stop: &StopReason) -> &'static str {
         StopReason::StoppedByObserver => "observer",
         StopReason::InvalidBounds(_) => "bounds",
     }
-}
-
-/// Every row of [`scan_bench`](crate::scan_bench::scan_bench): errors in millimetres, seconds.
-#[must_use]
-pub fn table_of(rows: &[BenchRow]) -> Table {
-    let header = [
-        "case / mm",
-        "model",
-        "rmse",
-        "off",
-        "slide",
-        "median",
-        "p95",
-        "unobserved",
-        "flips",
-        "self-int.",
-        "(at rest)",
-        "stretch 1 %",
-        "99 %",
-        "steps",
-        "s",
-    ];
-    table(
-        &header,
-        rows.iter().map(|r| {
-            let e = &r.errors;
-            let mut cells = vec![r.case.clone(), r.model.clone()];
-            cells.extend([e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved].map(|x| format!("{x:.3}")));
-            cells.extend(
-                [e.flipped, r.mesh.self_intersections, r.mesh.self_intersections_at_rest].map(|n| n.to_string()),
-            );
-            cells.extend([r.mesh.stretch.p1, r.mesh.stretch.p99].map(|x| format!("{x:.2}")));
-            cells.extend([r.iterations.to_string(), format!("{:.2}", r.seconds)]);
-            cells
-        }),
-    )
-}
-
-/// One line for each model: means and worst over its rows.
-#[must_use]
-pub fn summary_table(rows: &[BenchRow]) -> Table {
-    let header = [
-        "model / mm",
-        "mean rmse",
-        "worst rmse",
-        "mean off",
-        "mean slide",
-        "worst unobserved",
-        "worst self-int.",
-        "mean s",
-    ];
-    table(
-        &header,
-        summarize(rows).into_iter().map(|s| {
-            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.worst_unobserved];
-            let mut cells = vec![s.model];
-            cells.extend(numbers.map(|x| format!("{x:.3}")));
-            cells.extend([s.worst_self_intersections.to_string(), format!("{:.2}", s.mean_seconds)]);
-            cells
-        }),
-    )
 }

@@ -9,8 +9,8 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::PathBuf;
 
-use anyhow::{Context as _, Result};
-use nonrigid::cli::{Failure, say, tell};
+use anyhow::Result;
+use nonrigid::console::{Failure, say, tell};
 use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
 use nonrigid::mesh::closest_point::ClosestVertices;
 use nonrigid::mesh::io::write_polygon_mesh;
@@ -19,7 +19,7 @@ use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
 use serde::Serialize;
 
-use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, fit_case};
+use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, fit_case, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// What to run.
@@ -130,11 +130,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
-    let config = a.config.as_ref().map(|path| {
-        let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        Schedule::from_toml(&text).with_context(|| path.display().to_string())
-    });
-    let config = config.transpose().map_err(unread)?;
+    let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let mut rows = Vec::new();
     for case in &cases {

@@ -1,7 +1,7 @@
 //! What is asked of every reader, whatever bytes it gets: no panic, no hang, no more memory than the bytes are worth, and
 //! either an error that names the file or something that keeps the reader's promises.
 //!
-//! The fuzz targets and the test `tests/corpus.rs` run these functions.
+//! The fuzz targets and the test `tests/project/corpus.rs` run these functions.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -4,13 +4,11 @@ mod batch;
 mod completions;
 mod doctor;
 mod eval;
-mod failure;
 mod inputs;
 mod interrupt;
 mod landmarks;
 mod measure;
 mod morph;
-mod output;
 mod register;
 mod rig;
 mod rig_convert;
@@ -26,11 +24,10 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
-use crate::mesh::io::{FilePlan, files_of_mesh, write_atomically};
+use crate::mesh::io::{files_of_mesh, write_atomically};
 use crate::text;
 
-pub use failure::{Failure, Stage};
-pub use output::{answer, say, say_to, tell};
+use crate::console::{Failure, Stage, answer, bounded, check_plan, say, tell, warn};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
@@ -107,18 +104,6 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The number that was asked for with `option`, of threads or processes, but at most what this machine has a use for, with a
-/// warning: four for each core, and sixteen. More only wait for each other, for minutes.
-#[must_use]
-pub fn bounded(option: &str, asked: usize) -> usize {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let most = (4 * cores).max(16);
-    if asked > most {
-        warn(format_args!("{option} {asked}: this machine has {cores} cores, so {most} are used"));
-    }
-    asked.min(most)
-}
-
 /// Runs `work` on `threads` threads, or on all cores.
 fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
     let threads = threads.map_or(0, |asked| bounded("--threads", asked));
@@ -149,14 +134,6 @@ fn same_place(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Refuses a plan that would do harm, before anything is written.
-///
-/// # Errors
-/// As [`FilePlan::check`], by stage.
-pub fn check_plan(plan: &FilePlan) -> Result<(), Failure> {
-    plan.check().map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))
-}
-
 /// The files of meshes that are read, each as one thing.
 fn meshes<'r, 'p>(meshes: impl IntoIterator<Item = (&'r str, Option<&'p PathBuf>)>) -> Vec<(&'r str, PathBuf)> {
     let given = meshes.into_iter().filter_map(|(role, path)| Some((role, path?)));
@@ -185,11 +162,6 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Writing, message));
     }
     Ok(())
-}
-
-/// Prints a warning.
-fn warn(message: impl std::fmt::Display) {
-    tell(format_args!("warning: {}", text::message(&message.to_string())));
 }
 
 /// Writes a value as JSON.

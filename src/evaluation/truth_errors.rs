@@ -137,6 +137,7 @@ fn root_mean_square(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::io::{read_npy_mask, read_npy_points};
 
     /// A unit square in the plane z = 0, facing +Z.
     fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
@@ -194,10 +195,6 @@ mod tests {
         assert_eq!((e.rmse, e.median, e.observed_vertices), (0.0, 0.0, 0));
     }
 
-    fn npy<T: npyz::Deserialize>(path: &std::path::Path) -> Vec<T> {
-        npyz::NpyFile::new(std::fs::File::open(path).unwrap()).unwrap().into_vec().unwrap()
-    }
-
     /// What numpy makes of the same perturbation of two simulated scans' truth (4 decimals), where those are at hand:
     /// `truth + a_i sin((0.7 i, 1.3 i + 1, 0.11 i + 2))`, a_i = 3 mm for every 50th vertex and 0.4 mm for the others.
     #[test]
@@ -223,11 +220,8 @@ mod tests {
         ];
         for (case, expected, flipped) in reference {
             let folder = data.join("scanner-bench").join(case);
-            let truth: Vec<Vec3> = npy::<f32>(&folder.join("truth.npy"))
-                .chunks_exact(3)
-                .map(|c| Vec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2])))
-                .collect();
-            let observed: Vec<bool> = npy(&folder.join("observed.npy"));
+            let truth = read_npy_points(&folder.join("truth.npy")).unwrap();
+            let observed = read_npy_mask(&folder.join("observed.npy"), None).unwrap();
             let perturbed = |(i, t): (usize, &Vec3)| {
                 let (amplitude, i) = (if i % 50 == 0 { 3.0 } else { 0.4 }, i as f64);
                 t + Vec3::new((0.7 * i).sin(), (1.3 * i + 1.0).sin(), (0.11 * i + 2.0).sin()) * amplitude

@@ -24,6 +24,7 @@ pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
 pub use likeness::Unlike;
 pub use pca::{COMPONENT_FILES, ShapePca};
 pub use population::{Population, PopulationError};
+#[cfg(feature = "cli")]
 pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
 pub use regions::Regions;

@@ -2,7 +2,7 @@
 #![allow(dead_code)] // every test binary uses its own part of this
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::mesh::io::{NpyArray, PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
+use nonrigid::mesh::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
 
@@ -122,44 +122,25 @@ pub fn command_line(command: &str, changes: &str) -> String {
 pub fn broken() -> Bench {
     let bench = Bench::new();
     bench.write("new/.keep", "");
-    for name in [
-        "r.obj",
-        "r.json",
-        "r.timing.json",
-        "r.png",
-        "h.png",
-        "m.json",
-        "m.csv",
-        "morphed.obj",
-        "points.csv",
-        "carried.json",
-        "rig.glb",
-        "me.npz",
-        "weights.csv",
-    ] {
+    for name in
+        "r.obj r.json r.timing.json r.png h.png m.json m.csv morphed.obj points.csv carried.json rig.glb me.npz \
+                 weights.csv"
+            .split_whitespace()
+    {
         bench.write(&format!("old/{name}"), "from last week");
     }
     bench.write("schedule.toml", SCHEDULE);
-    bench.write("empty.ply", "");
     bench.write("empty.obj", "");
     bench.write("empty.json", "");
     bench.write("empty.toml", "");
-    bench.write("garbage.ply", [0u8, 159, 146, 150, 10, 255, 0, 1]);
     bench.write("garbage.obj", [0u8, 159, 146, 150, 10, 255, 0, 1]);
-    bench.write("garbage.npy", [7u8; 200]);
-    bench.write("garbage.json", "{\"1\": [oops");
     bench.write("garbage.toml", "steps == many\n");
-    bench.write("scan.stl", "solid\n");
     let scan = bench.read("case/scan.ply");
     bench.write("truncated.ply", &scan[..scan.len() / 2]);
 
     let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
                   element face 1\nproperty list uchar int vertex_indices\nend_header\n";
-    bench.write("nan.ply", format!("{header}0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n"));
-    bench.write("past.ply", format!("{header}0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"));
     bench.write("no_faces.ply", header.replace("face 1", "face 0") + "0 0 0\n1 0 0\n0 1 0\n");
-    bench.write("no_vertices.ply", header.replace("vertex 3", "vertex 0").replace("face 1", "face 0"));
-    bench.write("past.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n");
     bench.write("nan.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n");
     bench.write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
     bench.write("triangle.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n");
@@ -176,9 +157,6 @@ pub fn broken() -> Bench {
 
     let marks = &bench.case.landmarks;
     bench.write("two.json", landmarks_json(&marks[..2]));
-    let mut past = marks.clone();
-    past[3].0 = 99_999;
-    bench.write("past.json", landmarks_json(&past));
     let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
     bench.write("line.json", landmarks_json(&line));
     bench.write("scans.csv", "target\ncase/scan.ply\n");
@@ -197,8 +175,6 @@ pub fn broken() -> Bench {
         bench.write(&format!("two_units/{name}.keep"), "");
         write_obj(&bench.path(&format!("two_units/{name}.obj")), &bench.rig.mesh.with_positions(positions)).unwrap();
     }
-    bench.write("nan.json", "{\"1\": [1, 2, 3], \"2\": [1, NaN, 3], \"5\": [0, 0, 1.5]}");
-    bench.write("huge.json", "{\"1\": [1, 2, 3], \"2\": [1, 1e999, 3], \"5\": [0, 0, 1.5]}");
     bench.write("named.json", "{\"nose_tip\": [1.5, 2, 3], \"chin\": [0, -9.5, 1], \"wart\": [2, 0, 1.5]}");
     bench.write("wrap.json", "{\"nose_tip\": [999999, 0.2, 0.3]}");
     bench.write("nosion.json", "{\"nasion\": 1, \"nosion\": 2}");
@@ -215,11 +191,8 @@ pub fn broken() -> Bench {
     )
     .unwrap();
 
-    bench.write("nan.csv", "nose_tip,1,2,3\nchin,4,nan,6\n");
     bench.write("mm.json", "{\"unit\": \"mm\", \"landmarks\": [{\"name\": \"left eye\", \"position\": [1, 2, 3]}]}");
     bench.write("sharp.json", "{\"#nose_tip\": [1.5, 2, 3]}");
-    bench.write("garbage.pp", "<PickedPoints><point x=\"1\"");
-    bench.write("few.pts", "version: 1\nn_points: 4\n{\n1 2 3\n}\n");
     write_obj(&bench.path("subject.obj"), &bench.rig.mesh.with_positions(bench.case.truth.clone())).unwrap();
     broken_rigs_and_frames(&bench);
 
@@ -237,7 +210,6 @@ pub fn broken() -> Bench {
     bench.write("vertices.json", "{\"nose_tip\": 99999, \"chin\": 3, \"wart\": 5}");
 
     let vertices = bench.rig.neutral.len();
-    write_npy(&bench.path("flat.npy"), &[vertices, 2], &vec![0.0f32; 2 * vertices]).unwrap();
     write_npy(&bench.path("short_mask.npy"), &[vertices - 1], &vec![true; vertices - 1]).unwrap();
     write_npy_points(&bench.path("short.npy"), &bench.rig.neutral[1..]).unwrap();
     for (name, value) in [("nan", f64::NAN), ("negative", -0.25), ("large", 1.5)] {
@@ -251,9 +223,6 @@ pub fn broken() -> Bench {
         let normal = "property float nx\nproperty float ny\nproperty float nz\nelement face 0";
         header.replace("element face 1", normal) + "0 0 0 0 0 0\n1 0 0 0 0 0\n0 1 0 0 0 nan\n"
     });
-    let mut nan = bench.rig.neutral.clone();
-    nan[7].y = f64::NAN;
-    write_npy_points(&bench.path("nan.npy"), &nan).unwrap();
 
     let other = FaceRig::generate(&FaceOptions { vertices: 1300, identity_modes: 0 });
     write_rig(&bench.path("other_rig"), &other).unwrap();
@@ -267,11 +236,6 @@ pub fn broken() -> Bench {
         bench.write(&format!("{name}/regions.json"), regions);
     }
     bench.write("nameless/expression_names.json", "[\"jawOpen\"]");
-    write_rig(&bench.path("nan_rig"), &bench.rig).unwrap();
-    let path = bench.path("nan_rig/expression_deltas.npy");
-    let mut deltas = NpyArray::open(&path).unwrap().read_f32().unwrap();
-    deltas[3 * vertices + 4] = f32::NAN;
-    write_npy(&path, &[bench.rig.expressions.len(), vertices, 3], &deltas).unwrap();
     let person = |weights: [f64; 2]| -> String {
         let vertex = |i: u32| {
             let (x, y) = (f64::from(i % 3), f64::from(i / 3));
@@ -294,9 +258,7 @@ pub fn broken() -> Bench {
         ("odd_vertices", format!("v 1 2 3\n{odd}")),
         ("odd_polygons", odd.replace("f 2 3 6 5\n", "f 2 3 6\nf 2 6 5\n")),
         ("odd_order", odd.replace("f 2 3 6 5\n", "f 3 6 5 2\n")),
-        ("odd_nan", odd.replace("v 0 10 ", "v 0 nan ")),
         ("odd_huge", odd.replace("v 0 10 ", "v 0 1e200 ")),
-        ("odd_empty", String::new()),
         ("odd_line", (0..9).map(|i| format!("v {i} 0 0\n")).collect::<String>() + &odd[odd.find('f').unwrap()..]),
     ] {
         bench.write(&format!("{folder}/a.obj"), person([1.0, 0.0]));
@@ -306,20 +268,7 @@ pub fn broken() -> Bench {
     for name in ["folder.obj", "folder.json", "folder.png", "folder.csv", "folder.glb"] {
         bench.write(&format!("{name}/.keep"), "");
     }
-    let vertices = "element vertex 1000000000000";
-    bench.write("huge.ply", header.replace("element vertex 3", vertices));
-    bench.write(
-        "huge_binary.ply",
-        header.replace("element vertex 3", vertices).replace("ascii", "binary_little_endian"),
-    );
-    bench.write("huge.npy", {
-        let shape = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3), }\n";
-        [b"\x93NUMPY\x01\x00", &(shape.len() as u16).to_le_bytes()[..], shape.as_bytes()].concat()
-    });
     bench.write("nothing/readme.txt", "no rig here");
-    bench.write("mixed/readme.txt", "");
-    write_obj(&bench.path("mixed/neutral.obj"), &bench.rig.mesh).unwrap();
-    bench.write("mixed/smile.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     bench.write("odd_kind/rig.json", "{\"kind\": \"halves\"}");
     write_obj(&bench.path("odd_kind/neutral.obj"), &bench.rig.mesh).unwrap();
 
@@ -333,9 +282,7 @@ pub fn broken() -> Bench {
         ("unknown_bounds", "[graph]", "[bounds]\nexpresion = [0.0, 1.0]\n[graph]"),
         ("no_steps", "steps = 2", "steps = 0"),
         ("huge_steps", "steps = 2", "steps = 1000001"),
-        ("huge_nodes", "nodes = 60", "nodes = 9000000000000000000"),
         ("huge_influences", "nodes = 60", "influences = 9000000000000000000"),
-        ("negative_steps", "steps = 2", "steps = -2"),
         ("nan_cap", "distance_cap = 25.0", "distance_cap = nan"),
         ("infinite_weight", "point_to_plane = 1.0", "point_to_plane = inf"),
         ("wide_angle", "normal_angle = 60.0", "normal_angle = 200.0"),
@@ -367,13 +314,10 @@ pub fn broken() -> Bench {
     let in_last = |from: &str, to: &str| format!("{}{}", &then[..last], then[last..].replace(from, to));
     for (name, then) in [
         ("then_negative", in_last("lambda_graph = 1.0", "lambda_graph = -1.0")),
-        ("then_kernel", in_last("delta = 3.0", "delta = -3.0")),
-        ("then_unknown_key", in_last("steps = 2", "stepps = 2")),
         ("then_no_levels", "[then]\nmodel = \"graph\"\nlevel = []\n".to_owned()),
         ("then_no_model", then.replace("model = \"graph\"\n", "")),
         ("then_unknown_model", then.replace("\"graph\"", "\"grahp\"")),
         ("then_shapes", then.replace("\"graph\"", "\"hybrid\"")),
-        ("then_no_nodes", then.replace("nodes = 60", "nodes = 0")),
         ("then_start", then.replace("[then.graph]", "start = \"rigid\"\n[then.graph]")),
         ("then_then_no_steps", then.clone() + &then.replace("[then", "[then.then").replace("steps = 2", "steps = 0")),
         ("unknown_node", String::new()),
@@ -391,23 +335,6 @@ fn broken_rigs_and_frames(bench: &Bench) {
     let (rig, _) = Rig::read(&bench.path("rig"), &RigReadOptions::default()).unwrap();
     rig.write_gltf(&bench.path("me.glb")).unwrap();
     rig.write_npz(&bench.path("me.npz")).unwrap();
-    for name in ["me.glb", "me.npz"] {
-        let bytes = bench.read(name);
-        bench.write(&format!("truncated_{name}"), &bytes[..bytes.len() / 2]);
-    }
-    bench.write("empty.glb", "");
-    bench.write("empty.npz", "");
-    bench.write("garbage.gltf", "{\"asset\": {\"version\": \"2.0\"}, oops");
-    bench.write(
-        "draco.gltf",
-        "{\"asset\": {\"version\": \"2.0\"}, \"extensionsRequired\": [\"KHR_draco_mesh_compression\"]}",
-    );
-    bench.write(
-        "gigabytes.gltf",
-        "{\"asset\": {\"version\": \"2.0\"}, \"nodes\": [{\"mesh\": 0}],
-        \"meshes\": [{\"primitives\": [{\"attributes\": {\"POSITION\": 0}}]}],
-        \"accessors\": [{\"componentType\": 5126, \"type\": \"VEC3\", \"count\": 1000000000}]}",
-    );
     bench.write("plain_file", "no folder");
     let positions = rig.neutral().to_vec();
     let shape = |name: &str| vec![Shape { name: name.into(), family: Family::Expression }];
@@ -429,10 +356,6 @@ fn broken_rigs_and_frames(bench: &Bench) {
     let frame = String::from_utf8(bench.read("frames/000.obj")).unwrap();
     bench.write("frames_twice/000.obj", &frame);
     bench.write("frames_twice/000.ply", "ply\n");
-    bench.write("frames_nan/000.obj", &frame);
-    bench.write("frames_nan/001.obj", frame.replacen("v ", "v nan ", 1));
-    bench.write("frames_empty/000.obj", "");
-    bench.write("frames_garbage/000.ply", [0u8, 159, 146, 150, 10, 255, 0, 1]);
     bench.write("frames_short/000.obj", &frame);
     bench.write("frames_short/001.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
 }

@@ -1,9 +1,6 @@
-//! [`Axis`] as the caller states it, its range as a coordinate of plotters, and numbers as labels.
-
-use std::ops::Range;
+//! [`Axis`] as the caller states it, its range, and numbers as labels.
 
 use anyhow::{Result, bail};
-use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
 /// What an axis shows.
 #[derive(Debug, Clone)]
@@ -105,21 +102,8 @@ impl Span {
         }
     }
 
-    /// The value at a fraction.
-    pub fn value(&self, fraction: f64) -> f64 {
-        if self.axis.log {
-            (self.from.ln() + (self.to.ln() - self.from.ln()) * fraction).exp()
-        } else {
-            self.from + (self.to - self.from) * fraction
-        }
-    }
-
     pub fn label(&self) -> &str {
         &self.axis.label
-    }
-
-    pub fn from(&self) -> f64 {
-        self.from
     }
 
     pub fn to(&self) -> f64 {
@@ -162,36 +146,6 @@ impl Span {
         let decades = (self.from.log10().floor() as i32..=self.to.log10().floor() as i32).filter(|d| d % stride == 0);
         let values = decades.flat_map(|d| of.iter().map(move |m| m * 10f64.powi(d)));
         values.filter(|v| (-1e-9..=1.0 + 1e-9).contains(&self.fraction(*v))).collect()
-    }
-}
-
-impl Ranged for Span {
-    type FormatOption = NoDefaultFormatting;
-    type ValueType = f64;
-
-    /// Far beyond the axis at a thousand times its length, so that pixels can be computed with.
-    fn map(&self, v: &f64, (from, to): (i32, i32)) -> i32 {
-        (f64::from(from) + self.fraction(*v).clamp(-1e3, 1e3) * f64::from(to - from)).round() as i32
-    }
-
-    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
-        if !hint.weight().allow_light_points() {
-            self.ticks(hint.max_num_points()).into_iter().map(|t| t.0).collect()
-        } else if self.axis.log && self.to.log10() - self.from.log10() < 8.0 {
-            self.multiples(1, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0])
-        } else {
-            Vec::new()
-        }
-    }
-
-    fn range(&self) -> Range<f64> {
-        self.from..self.to
-    }
-}
-
-impl ValueFormatter<f64> for Span {
-    fn format_ext(&self, v: &f64) -> String {
-        short(*v)
     }
 }
 
@@ -256,7 +210,10 @@ mod tests {
 
     #[test]
     fn a_range_holds_its_values_up_to_its_top() {
-        let span = |axis: &Axis, values: &[f64], top| Span::new(axis, values.iter().copied(), top).unwrap().range();
+        let span = |axis: &Axis, values: &[f64], top| {
+            let span = Span::new(axis, values.iter().copied(), top).unwrap();
+            span.from..span.to
+        };
         let (linear, log) = (Axis::linear(""), Axis::log(""));
         assert_eq!(span(&linear, &[1.0, 50.0, f64::NAN], Some(20.0)).end, 20.0);
         assert!((2.0..2.2).contains(&span(&linear, &[1.0, 2.0], Some(20.0)).end));

@@ -1,4 +1,4 @@
-//! Plots as SVG text that can stand inline in an HTML page, drawn by plotters, and the laws fitted to what they show.
+//! Plots as SVG text that can stand inline in an HTML page, and the laws fitted to what they show.
 //!
 //! [`Plot`] has points and laws over two axes; [`Grid`] several plots side by side; [`StackedBars`] and [`GroupedBars`] compare named
 //! things. Each has `svg()`, and [`write_svg`] writes the text to a file. [`PowerLaw`] and [`LinearFit`] are fitted to points (x, y).
@@ -10,24 +10,19 @@ use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::io::write_atomically;
 
 mod axis;
 mod bars;
-mod draw;
+mod canvas;
 mod fit;
-mod grid;
-mod legend;
-mod log_log;
 mod plot;
 
 pub use axis::Axis;
 pub use bars::{Bar, GroupedBars, StackedBars};
 pub use fit::{Curvature, LinearFit, PowerLaw};
-pub use grid::Grid;
-pub use log_log::{Line, LogLog, write_log_log};
-pub use plot::{Mark, Plot, Point, Series};
+pub use plot::{Grid, Mark, Plot, Point, Series};
 
 /// Writes a picture.
 ///

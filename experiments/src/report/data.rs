@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::{Pose, PoseKind, Vec3, closest_pose};
 use nonrigid::registration::InputFile;
 

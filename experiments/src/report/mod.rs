@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use nonrigid::cli::{Failure, Stage, say_to};
+use nonrigid::console::{Failure, Stage, say_to};
 use nonrigid::self_test::Machine;
 use serde_json::json;
 

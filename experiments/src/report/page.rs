@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::page::{self, escaped};
 

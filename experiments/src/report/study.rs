@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use indicatif::ProgressBar;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::registration::{RegistrationResult, TermFactory, TermKind};
 use nonrigid::render::{RgbImage, draw_text, save_png};
 use rayon::prelude::*;
@@ -12,9 +12,8 @@ use rayon::prelude::*;
 use super::data::Data;
 use super::effort::Effort;
 use super::table::{Table, number};
-use crate::compare::Variant;
 use crate::plots::{Point, write_svg};
-use crate::scan_bench::{BenchCase, BenchRow, run_case};
+use crate::scan_bench::{BenchCase, Score, Variant, run_case};
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]
@@ -111,11 +110,11 @@ impl Setting<'_> {
     }
 }
 
-/// Registers a case with a variant.
+/// Registers a case with a variant: score, result, seconds.
 ///
 /// # Errors
 /// When the registration fails.
-pub fn register_variant(variant: &Variant, case: &BenchCase) -> Result<(BenchRow, RegistrationResult)> {
+pub fn register_variant(variant: &Variant, case: &BenchCase) -> Result<(Score, RegistrationResult, f64)> {
     let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks)
 }
@@ -131,12 +130,12 @@ pub fn labelled(mut picture: RgbImage, words: &str) -> RgbImage {
 pub const ERROR_COLUMNS: [&str; 9] =
     ["rmse", "off", "slide", "median", "p95", "unobserved", "flips", "self_intersections", "iterations"];
 
-/// The errors of a row, millimetres; of a failure none.
+/// The errors of a result, millimetres; of a failure none.
 #[must_use]
-pub fn error_cells(row: &Result<BenchRow>) -> Vec<String> {
-    let Ok(row) = row else { return vec![String::new(); ERROR_COLUMNS.len()] };
-    let e = &row.errors;
-    let counts = [e.flipped, row.mesh.self_intersections, row.iterations];
+pub fn error_cells(score: Option<&Score>) -> Vec<String> {
+    let Some(score) = score else { return vec![String::new(); ERROR_COLUMNS.len()] };
+    let e = &score.errors;
+    let counts = [e.flipped, score.mesh.self_intersections, score.iterations.unwrap_or(0)];
     let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved];
     numbers.into_iter().chain(counts.map(|n| n as f64)).map(number).collect()
 }

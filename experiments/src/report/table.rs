@@ -54,7 +54,7 @@ impl Table {
         let text: String = std::iter::once(&self.header).chain(&self.rows).map(|r| line(r)).collect();
         let path = folder.join(format!("{name}.csv"));
         write_atomically(&path, |file| std::io::Write::write_all(file, text.as_bytes()))
-            .map_err(nonrigid::cli::Failure::writing)?;
+            .map_err(nonrigid::console::Failure::writing)?;
         let value = |cell: &String| match cell.parse::<f64>() {
             Ok(v) if v.is_finite() => serde_json::json!(v),
             _ if cell.is_empty() => Value::Null,

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Linearisation, NodeGraph, Stiffness, hybrid};

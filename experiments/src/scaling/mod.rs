@@ -12,13 +12,13 @@ use std::process::{Command, Stdio};
 use std::str::FromStr;
 
 use anyhow::Result;
-use nonrigid::cli::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
 use crate::generated::shapes_at_most;
 use crate::output::make_output_folder;
-use crate::plots::{Line, LogLog, PowerLaw, write_log_log};
+use crate::plots::{Axis, Plot, Point, PowerLaw, Series, write_svg};
 use crate::tables::{csv_text, table, write_csv};
 use crate::this_program;
 
@@ -304,13 +304,12 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
             }
             if lines.iter().any(|l| l.points.iter().any(|p| p[1] > 0.0)) {
                 let stem = quantity.key.trim_end_matches("_seconds").trim_end_matches("_bytes");
-                let plot = LogLog {
-                    title: &format!("{title}: {}", quantity.name),
-                    x: &format!("{x} of the {}", if study == "solver" { "template" } else { "scan" }),
-                    y: quantity.unit,
-                    lines: &lines,
-                };
-                write_log_log(&a.out.join(format!("{study}-{stem}.svg")), &plot)?;
+                let x = format!("{x} of the {}", if study == "solver" { "template" } else { "scan" });
+                let point = |p: &[f64; 2]| Point { x: p[0], y: p[1], spread: None };
+                let series = |l: &Line| Series::line(&l.name, l.points.iter().map(point).collect()).with_power_law();
+                let plot = Plot::new(&format!("{title}: {}", quantity.name), Axis::log(&x), Axis::log(quantity.unit));
+                let plot = plot.series(lines.iter().map(series).collect()).with_proportional();
+                write_svg(&a.out.join(format!("{study}-{stem}.svg")), &plot.svg()?)?;
             }
         }
     }
@@ -327,6 +326,13 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
     }
     tell(format_args!("tables and plots are in {}", a.out.display()));
     Ok(())
+}
+
+/// Points that belong together.
+struct Line {
+    name: String,
+    /// (x, y), x ascending.
+    points: Vec<[f64; 2]>,
 }
 
 /// One line for each solver, linearisation and number of threads: what was repeated counts by its median.

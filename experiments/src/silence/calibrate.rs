@@ -15,7 +15,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::mesh::io::write_atomically;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
 

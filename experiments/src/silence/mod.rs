@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
-use nonrigid::cli::{Failure, say};
+use nonrigid::console::{Failure, say};
 use nonrigid::registration::{
     Handedness, ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, Schedule, StepRecord, register,
 };
@@ -24,8 +24,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generated::{ScanOptions, Shot, Studio};
-use crate::scan_bench::{BenchCase, BenchRig, case_folders};
-use crate::scan_bench_command::read_schedule;
+use crate::scan_bench::{BenchCase, BenchRig, case_folders, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
 pub use degradation::{KINDS, Kind, Trial};
 
@@ -337,7 +336,7 @@ pub fn run(a: &Arguments) -> Result<()> {
         if !KINDS.iter().any(|kind| kind.name == name) {
             let names = KINDS.map(|kind| kind.name).join("; ");
             let message = format!("--kinds: no kind {name:?}; there are {names}");
-            return Err(Failure::new(nonrigid::cli::Stage::Arguments, message).into());
+            return Err(Failure::new(nonrigid::console::Stage::Arguments, message).into());
         }
     }
     std::fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;

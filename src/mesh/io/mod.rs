@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 pub use atomic::write_atomically;
 pub use error::{Place, ReadError, WriteError, read_text};
 pub(crate) use error::{check_side_file, read_file};
+#[cfg(feature = "cli")]
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};

@@ -4,8 +4,8 @@
 use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::zip::write::{FileOptions, ZipWriter};
-use npyz::zip::{CompressionMethod, DateTime};
+use zip::write::{SimpleFileOptions, ZipWriter};
+use zip::{CompressionMethod, DateTime, ZipArchive};
 
 use super::gzip::most_unpacked;
 use super::npy::{NpyArray, NpyItem, npy_start, points};
@@ -15,7 +15,7 @@ use crate::mesh::Vec3;
 /// An NPZ archive: named arrays.
 pub struct Npz<R: Read + Seek = Cursor<Vec<u8>>> {
     path: PathBuf,
-    archive: npyz::npz::NpzArchive<R>,
+    archive: ZipArchive<R>,
     /// Bytes that the arrays still to be read may unpack to.
     left: u64,
 }
@@ -43,7 +43,7 @@ impl<R: Read + Seek> Npz<R> {
     /// As [`Npz::open`].
     pub fn from_reader(mut reader: R, path: &Path) -> Result<Self, ReadError> {
         let length = reader.seek(SeekFrom::End(0)).map_err(|source| ReadError::io(path, source))?;
-        match npyz::npz::NpzArchive::new(reader) {
+        match ZipArchive::new(reader) {
             Ok(archive) => Ok(Self { path: path.to_owned(), archive, left: most_unpacked(length) }),
             Err(e) => Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", e.to_string())),
         }
@@ -52,7 +52,8 @@ impl<R: Read + Seek> Npz<R> {
     /// Names of the arrays, sorted.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = self.archive.array_names().map(str::to_owned).collect();
+        let mut names: Vec<String> =
+            self.archive.file_names().filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect();
         names.sort_unstable();
         names
     }
@@ -72,7 +73,7 @@ impl<R: Read + Seek> Npz<R> {
         let mut inside = self.path.clone().into_os_string();
         inside.push(format!("/{name}.npy"));
         let inside = PathBuf::from(inside);
-        match self.archive.zip_archive().by_name(&npyz::npz::file_name_from_array_name(name)) {
+        match self.archive.by_name(&format!("{name}.npy")) {
             Ok(entry) => {
                 let size = entry.size(); // more is not read, whatever the entry unpacks to
                 let Some(left) = self.left.checked_sub(size) else {
@@ -142,7 +143,7 @@ impl NpzContents {
         write_atomically(path, |w| {
             let mut zip = ZipWriter::new(w);
             for (name, bytes) in &self.arrays {
-                let options = FileOptions::default()
+                let options = SimpleFileOptions::default()
                     .compression_method(CompressionMethod::Stored)
                     .last_modified_time(DateTime::default())
                     .large_file(bytes.len() > u32::MAX as usize);

@@ -3,14 +3,13 @@
 use anyhow::Result;
 use nonrigid::registration::{GraphDistance, ModelKind, NodeKind, RotationKind, Schedule, StepAlgorithm};
 
-use crate::compare::Variant;
 use crate::plots::{Bar, GroupedBars};
 use crate::report::effort::Effort;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, register_variant, spread,
 };
 use crate::report::table::{Table, number};
-use crate::scan_bench::LandmarkUse;
+use crate::scan_bench::{LandmarkUse, Variant};
 
 pub const STUDY: Study = Study {
     name: "ablations",
@@ -35,7 +34,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let cases = &setting.data.cases[..setting.effort.ablation_cases.min(setting.data.cases.len())];
     let jobs: Vec<_> = variants.iter().flat_map(|v| cases.iter().map(move |c| (v, c))).collect();
     let outcomes = setting.run_all(&jobs, |(variant, case)| {
-        let (row, result) = register_variant(variant, case)?;
+        let (row, result, _) = register_variant(variant, case)?;
         let largest = result.weights.iter().map(|w| w.value.abs()).fold(0.0, f64::max);
         Ok((row, largest))
     });
@@ -48,7 +47,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             Err(e) => (Err(e), f64::NAN),
         };
         let mut cells = vec![variant.group.clone(), variant.name.clone(), case.name.clone()];
-        cells.extend(error_cells(&row));
+        cells.extend(error_cells(row.as_ref().ok()));
         cells.extend([number(largest), error_text(&row)]);
         table.push(cells);
     }

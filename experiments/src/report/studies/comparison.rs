@@ -1,13 +1,12 @@
 //! The comparison table: every model, kernel and data term on the same scans.
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use nonrigid::registration::ModelKind;
 
-use crate::compare::{CompareRow, Variant, measure, summarize};
 use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, spread};
 use crate::report::table::{Table, number};
-use crate::scan_bench::BenchRow;
+use crate::scan_bench::{CaseSource, Variant, measure, summarize};
 
 pub const STUDY: Study = Study {
     name: "comparison",
@@ -33,7 +32,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     setting.progress.set_length((variants.len() * data.cases.len()) as u64);
     let threads = rayon::current_num_threads();
-    let rows = measure(setting.program, &data.cases_folder, &data.rig_folder, &variants, threads, &mut |_| {
+    let source = CaseSource::new(&data.cases_folder, &data.rig_folder);
+    let rows = measure(setting.program, &source, &variants, threads, None, &mut |_| {
         setting.progress.inc(1);
         Ok(())
     })?;
@@ -41,9 +41,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut table = Table::new(&[&["group", "name", "case"][..], &ERROR_COLUMNS, &["error"]].concat());
     let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mib", "threads"]);
     for row in &rows {
-        let of = [row.group.clone(), row.name.clone(), row.case.clone()];
+        let of = [row.group.clone(), row.model.clone(), row.case.clone()];
         let mut cells = of.to_vec();
-        cells.extend(error_cells(&bench_row(row)));
+        cells.extend(error_cells(row.score.as_ref()));
         cells.push(row.error.clone().unwrap_or_default());
         table.push(cells);
         let mut cells = of.to_vec();
@@ -74,12 +74,12 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     for s in summarize(&rows) {
         let of: Vec<f64> = rows
             .iter()
-            .filter(|r| (&r.group, &r.name) == (&s.group, &s.name))
+            .filter(|r| (&r.group, &r.model) == (&s.group, &s.model))
             .filter_map(|r| Some(r.score.as_ref()?.errors.rmse))
             .collect();
-        bars.push((s.group.clone(), Bar { name: s.name.clone(), value: s.mean_rmse, spread: Some(spread(&of).1) }));
+        bars.push((s.group.clone(), Bar { name: s.model.clone(), value: s.mean_rmse, spread: Some(spread(&of).1) }));
         let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
-        let mut cells = vec![s.group, s.name];
+        let mut cells = vec![s.group, s.model];
         cells.extend([s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.mean_p95].map(number));
         cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));
         let missing = f64::NAN;
@@ -98,17 +98,4 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     );
     let shown = Block::Table { table: shown, caption, file: "comparison.csv and comparison.timing.csv".into() };
     Ok(Section { blocks: vec![figure, shown] })
-}
-
-/// What the columns of errors are taken from.
-fn bench_row(row: &CompareRow) -> Result<BenchRow> {
-    let score = row.score.clone().ok_or_else(|| anyhow!(row.error.clone().unwrap_or_default()))?;
-    Ok(BenchRow {
-        case: row.case.clone(),
-        model: row.name.clone(),
-        errors: score.errors,
-        mesh: score.mesh,
-        iterations: score.iterations.unwrap_or(0),
-        seconds: row.seconds.unwrap_or(f64::NAN),
-    })
 }

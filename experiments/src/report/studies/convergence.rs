@@ -7,11 +7,10 @@ use nonrigid::evaluation::TruthErrors;
 use nonrigid::mesh::Vec3;
 use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
 
-use crate::compare::Variant;
 use crate::plots::{Axis, Grid, Mark, Plot, Point, Series};
 use crate::report::study::{Section, Setting, Study};
 use crate::report::table::{Table, number};
-use crate::scan_bench::BenchCase;
+use crate::scan_bench::{BenchCase, Variant};
 
 pub const STUDY: Study = Study {
     name: "convergence",

@@ -3,20 +3,19 @@
 use std::fs;
 
 use anyhow::Result;
-use nonrigid::cli::Failure;
+use nonrigid::console::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
 use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourScale, Frame, RgbImage, Scene, Sheet, Style, View, render};
 
-use crate::compare::Variant;
 use crate::report::data::upright;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, register_variant,
 };
 use crate::report::table::{Table, number};
-use crate::scan_bench::{BenchCase, BenchRow};
+use crate::scan_bench::{BenchCase, Score, Variant};
 
 pub const STUDY: Study = Study {
     name: "extreme",
@@ -53,7 +52,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut results = Vec::new();
     for (variant, outcome) in variants.iter().zip(outcomes) {
         let (row, positions) = match outcome {
-            Ok((row, result)) => (Ok(row), Some(result.positions)),
+            Ok((row, result, _)) => (Ok(row), Some(result.positions)),
             Err(e) => (Err(e), None),
         };
         let errors = positions
@@ -63,14 +62,14 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let near =
             regions.each_ref().map(|r| errors.as_ref().map_or_else(String::new, |e| number(rmse_of(&e.distance, r))));
         let mut cells = vec![variant.name.clone()];
-        cells.extend(error_cells(&row));
+        cells.extend(error_cells(row.as_ref().ok()));
         cells.extend(near);
         cells.push(error_text(&row));
         table.push(cells);
         if let (Ok(row), Some(positions), Some(errors)) = (row, positions, errors) {
             let mesh = case.template.with_positions(positions);
             write_polygon_mesh(&folder.join(format!("{}.obj", variant.name)), &mesh).map_err(Failure::writing)?;
-            results.push((row, mesh, errors));
+            results.push((variant.name.as_str(), row, mesh, errors));
         }
     }
     table.write(setting.out, "extreme")?;
@@ -102,7 +101,7 @@ fn rmse_of(distance: &[f64], vertices: &[usize]) -> f64 {
 }
 
 /// First template, truth and scan; then a row for each model.
-fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(BenchRow, PolygonMesh, VertexErrors)]) -> RgbImage {
+fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, PolygonMesh, VertexErrors)]) -> RgbImage {
     let pose = upright(case);
     let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
     let truth = case.template.with_positions(stand(&case.truth));
@@ -124,8 +123,8 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(BenchRow, PolygonMe
         values.iter().zip(&case.observed).map(|(v, o)| if *o { *v } else { f64::NAN }).collect()
     };
     // Models that cannot deform would leave no colour for the others.
-    let nonrigid = results.iter().filter(|r| r.0.model != "rigid" && r.0.model != "similarity");
-    let all: Vec<f64> = nonrigid.flat_map(|r| seen(&r.2.distance)).collect();
+    let nonrigid = results.iter().filter(|r| r.0 != "rigid" && r.0 != "similarity");
+    let all: Vec<f64> = nonrigid.flat_map(|r| seen(&r.3.distance)).collect();
     let scale = ColourScale::for_magnitudes(&all, "error, off or along the surface", "mm");
 
     let first = vec![
@@ -135,7 +134,7 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(BenchRow, PolygonMe
         labelled(panel(&clay(&scan), &open, View::Front), "its mouth"),
     ];
     let mut sheet = Sheet::new("").colour_bar(&scale).row("", first);
-    for (row, mesh, errors) in results {
+    for (model, row, mesh, errors) in results {
         let mesh = mesh.with_positions(stand(&mesh.positions));
         let heat = |values: &[f64]| {
             panel(
@@ -145,10 +144,7 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(BenchRow, PolygonMe
             )
         };
         let panels = vec![
-            labelled(
-                panel(&clay(&mesh.triangulate()), &face, angle),
-                &format!("{} {:.2} mm", row.model, row.errors.rmse),
-            ),
+            labelled(panel(&clay(&mesh.triangulate()), &face, angle), &format!("{model} {:.2} mm", row.errors.rmse)),
             labelled(panel(&wired(&mesh), &open, View::Front), "mouth"),
             labelled(heat(&errors.off), "off"),
             labelled(heat(&errors.slide), "slide"),

@@ -2,14 +2,13 @@
 
 use anyhow::Result;
 
-use crate::compare::Variant;
 use crate::generated::Studio;
 use crate::plots::{Axis, Grid, Plot, Series};
 use crate::report::study::{
     ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
 };
 use crate::report::table::Table;
-use crate::scan_bench::LandmarkUse;
+use crate::scan_bench::{LandmarkUse, Variant};
 use nonrigid::registration::ModelKind;
 
 pub const STUDY: Study = Study {
@@ -72,7 +71,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut table = Table::new(&columns);
     for (job, outcome) in jobs.iter().zip(&outcomes) {
         let mut row = vec![job.study.to_owned(), job.size.to_string(), job.variant.name.clone(), job.case.to_string()];
-        row.extend(error_cells(outcome));
+        row.extend(error_cells(outcome.as_ref().ok()));
         row.push(error_text(outcome));
         table.push(row);
     }

@@ -10,14 +10,13 @@ use rand::SeedableRng as _;
 use rand::seq::SliceRandom as _;
 use rand_chacha::ChaCha8Rng;
 
-use crate::compare::Variant;
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, LinearFit, Plot, Point, Series};
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, mean_point, register_variant, spread,
 };
 use crate::report::table::{Table, number};
-use crate::scan_bench::{BenchCase, LandmarkUse};
+use crate::scan_bench::{BenchCase, LandmarkUse, Variant};
 
 pub const STUDY: Study = Study {
     name: "shapes",
@@ -82,15 +81,15 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             landmarks: LandmarkUse::All,
             ..Variant::of_model(ModelKind::Hybrid)?
         };
-        let row = register_variant(&variant, &case).map(|r| r.0)?;
+        let (score, result, seconds) = register_variant(&variant, &case)?;
         let of = [
             run.family.into(),
             run.components.to_string(),
             run.scan.to_string(),
             if run.paper { "paper" } else { "ours" }.into(),
         ];
-        times.push([&of[..], &[number(row.seconds), number(row.seconds / row.iterations as f64)]].concat());
-        table.push([&of[..], &error_cells(&Ok(row))].concat());
+        times.push([&of[..], &[number(seconds), number(seconds / result.history.len() as f64)]].concat());
+        table.push([&of[..], &error_cells(Some(&score))].concat());
         setting.progress.inc(1);
     }
     table.write(setting.out, "shapes")?;

@@ -4,7 +4,6 @@ use anyhow::Result;
 use nonrigid::mesh::Vec3;
 use nonrigid::registration::ModelKind;
 
-use crate::compare::Variant;
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, Plot, Point, Series};
 use crate::random_pose::random_pose;
@@ -12,7 +11,7 @@ use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
 };
 use crate::report::table::{Table, number};
-use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse};
+use crate::scan_bench::{BenchCase, LandmarkUse, Score, Variant};
 
 pub const STUDY: Study = Study {
     name: "sweeps",
@@ -131,7 +130,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         .flat_map(scans)
         .collect();
 
-    let outcomes = setting.run_all(&jobs, |&(sweep, value, scan)| -> Result<Vec<Result<BenchRow>>> {
+    let outcomes = setting.run_all(&jobs, |&(sweep, value, scan)| -> Result<Vec<Result<Score>>> {
         let mut trial = Trial::moderate(effort.sweep_triangles, setting.seed + scan);
         (SWEEPS[sweep].set)(&mut trial, value);
         let case = trial.make(&studio)?;
@@ -143,7 +142,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     for (&(sweep, value, scan), rows) in jobs.iter().zip(outcomes) {
         for (variant, row) in variants.iter().zip(rows?) {
             let mut cells = vec![SWEEPS[sweep].name.to_owned(), number(value), variant.name.clone(), scan.to_string()];
-            cells.extend(error_cells(&row));
+            cells.extend(error_cells(row.as_ref().ok()));
             cells.push(error_text(&row));
             table.push(cells);
         }

@@ -1,0 +1,91 @@
+//! What people get wrong with `data-gen`.
+
+use crate::refusal::{ARGUMENTS, COMPUTATION, WRITING, all_hold, refuses};
+
+/// One row: options besides `--out data`, exit code, words of the message.
+type Row = (&'static str, i32, &'static [&'static str]);
+
+#[rustfmt::skip]
+const ROWS: &[Row] = &[
+    // the rig
+    ("--vertices 999", ARGUMENTS, &["--vertices", "1000 to 500000"]),
+    ("--vertices 500001", ARGUMENTS, &["--vertices", "1000 to 500000"]),
+    ("--vertices 99999999999999999999", ARGUMENTS, &["--vertices", "1000 to 500000"]),
+    ("--vertices -5000", ARGUMENTS, &["--vertices", "1000 to 500000"]),
+    ("--identity-modes 201", ARGUMENTS, &["--identity-modes", "0 to 200"]),
+    ("--seed -1", ARGUMENTS, &["--seed", "-1"]),
+    ("--seed one", ARGUMENTS, &["--seed", "one"]),
+    ("--threads 0", ARGUMENTS, &["--threads", "0"]),
+    ("--threads 1025", ARGUMENTS, &["--threads", "1025"]),
+    // cases
+    ("--case ../x", ARGUMENTS, &["--case", "../x", "folder"]),
+    ("--case .hidden", ARGUMENTS, &["--case", ".hidden"]),
+    ("--case a --case a", ARGUMENTS, &["--case \"a\" twice"]),
+    ("--cases 100001", ARGUMENTS, &["--cases", "0 to 100000"]),
+    ("--cases 2 --case a", ARGUMENTS, &["cannot be used with"]),
+    ("--frames 0", ARGUMENTS, &["--frames", "1 to 100000"]),
+    ("--frames 2 --case same_open", ARGUMENTS, &["cannot be used with"]),
+    ("--frames 2 --cases 2", ARGUMENTS, &["cannot be used with"]),
+    ("--population 0", ARGUMENTS, &["--population", "1 to 100000"]),
+    ("--fps 0 --frames 2", ARGUMENTS, &["--fps", "0.001"]),
+    ("--fps NaN --frames 2", ARGUMENTS, &["--fps", "NaN"]),
+    ("--expression jawOpen", ARGUMENTS, &["--expression", "NAME=WEIGHT"]),
+    ("--expression jawOpen=wide", ARGUMENTS, &["--expression", "NAME=WEIGHT"]),
+    ("--vertices 1000 --expression jawOpne=1", ARGUMENTS, &["jawOpne", "jawOpen"]),
+    ("--vertices 1000 --expression jawOpen=NaN", ARGUMENTS, &["weight", "NaN"]),
+    ("--vertices 1000 --expression jawOpen=101", ARGUMENTS, &["weight", "101"]),
+    ("--preset grin", ARGUMENTS, &["--preset", "grin", "smile"]),
+    ("--preset smile --expression jawOpen=1", ARGUMENTS, &["cannot be used with"]),
+    ("--identity 1,x", ARGUMENTS, &["--identity", "x"]),
+    ("--vertices 1000 --identity 1,inf", ARGUMENTS, &["weight", "inf"]),
+    ("--vertices 1000 --identity-modes 2 --identity 1,2,3", ARGUMENTS, &["identity", "3 weights", "of 2 modes"]),
+    ("--vertices 1000 --identity-sigma -1", ARGUMENTS, &["identity sigma", "-1"]),
+    ("--vertices 1000 --rotation 181", ARGUMENTS, &["rotation", "181"]),
+    ("--vertices 1000 --translation inf", ARGUMENTS, &["translation", "inf"]),
+    ("--vertices 1000 --manner 2", ARGUMENTS, &["manner", "0 to 1"]),
+    // the scanner
+    ("--triangles 4999", ARGUMENTS, &["--triangles", "5000 to 5000000"]),
+    ("--triangles 5000001", ARGUMENTS, &["--triangles", "5000 to 5000000"]),
+    ("--camera 0", ARGUMENTS, &["--camera", "azimuth"]),
+    ("--camera 0,NaN", ARGUMENTS, &["--camera", "azimuth"]),
+    ("--vertices 1000 --camera 0,90", ARGUMENTS, &["camera", "elevation"]),
+    ("--vertices 1000 --camera 0,0,10", ARGUMENTS, &["distance of a camera", "250"]),
+    ("--camera-at 1,2", ARGUMENTS, &["--camera-at", "3 numbers"]),
+    ("--vertices 1000 --camera-at 1e9,0,0", ARGUMENTS, &["camera", "100,000 mm"]),
+    ("--see-all --camera 0,0", ARGUMENTS, &["cannot be used with"]),
+    ("--vertices 1000 --grazing 91", ARGUMENTS, &["grazing angle", "91"]),
+    ("--vertices 1000 --detail 6", ARGUMENTS, &["detail", "0 to 5"]),
+    ("--wrinkles 1,1,1", ARGUMENTS, &["--wrinkles", "4 numbers"]),
+    ("--vertices 1000 --wrinkles 1,1,1,11", ARGUMENTS, &["skin structure", "11"]),
+    ("--vertices 1000 --triangles 5000 --case same_open --camera 180,0", COMPUTATION, &["camera"]),
+    // its faults
+    ("--vertices 1000 --noise -1", ARGUMENTS, &["noise", "-1"]),
+    ("--vertices 1000 --noise=-1", ARGUMENTS, &["noise", "-1"]),
+    ("--vertices 1000 --noise NaN", ARGUMENTS, &["noise", "NaN"]),
+    ("--noise much", ARGUMENTS, &["--noise", "much"]),
+    ("--vertices 1000 --holes 1001", ARGUMENTS, &["holes", "1001"]),
+    ("--hole-radius 4", ARGUMENTS, &["--hole-radius", "2 numbers"]),
+    ("--vertices 1000 --hole-radius 9,4", ARGUMENTS, &["hole radius", "9"]),
+    ("--vertices 1000 --spikes 1.5", ARGUMENTS, &["spikes", "1.5"]),
+    ("--vertices 1000 --outliers 0.6", ARGUMENTS, &["outliers", "0.6"]),
+    ("--vertices 1000 --landmark-noise -0.1", ARGUMENTS, &["landmark noise", "-0.1"]),
+    // the folder
+    ("--out file", WRITING, &["file"]),
+    ("--out file/below", WRITING, &["file/below"]),
+    ("--nosuch", ARGUMENTS, &["--nosuch"]),
+    ("stray", ARGUMENTS, &["stray"]),
+];
+
+#[test]
+fn every_row_is_one_clear_error_and_leaves_no_trace() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let check =
+        |options: &str, code, words| refuses(env!("CARGO_BIN_EXE_data-gen"), folder.path(), options, code, words).err();
+    let mut faults: Vec<String> = check("", ARGUMENTS, &["--out"]).into_iter().collect();
+    faults.extend(ROWS.iter().filter_map(|&(options, code, words)| {
+        let out = if options.contains("--out ") { "" } else { "--out data " };
+        check(&format!("{out}{options}"), code, words)
+    }));
+    all_hold(ROWS.len() + 1, &faults);
+}

@@ -1,0 +1,125 @@
+//! The program: what it writes, what it refuses, and how it says so.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use nonrigid::mesh::io::{read_npy_mask, read_npy_points, read_scan};
+use nonrigid::rig::{Rig, RigReadOptions};
+
+use crate::repeats::leaves_equal_files;
+
+fn run(folder: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_data-gen"));
+    command.current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
+}
+
+fn done(folder: &Path, arguments: &str) -> String {
+    let output = run(folder, arguments);
+    assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+const SMALL: &str = "--seed 7 --out data --vertices 1000 --identity-modes 6 --triangles 5000";
+
+#[test]
+fn six_cases_by_default_and_one_of_them_alone_is_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = done(folder.path(), SMALL);
+    assert!(said.starts_with("seed 7\n") && said.contains("[6/6]"), "{said}");
+    let data = folder.path().join("data");
+    let (rig, warnings) = Rig::read(&data.join("rig"), &RigReadOptions::default()).unwrap();
+    assert!(warnings.is_empty() && rig.landmarks().unwrap().len() == 68);
+    let vertices = rig.mesh().unwrap().positions.len();
+    for name in ["same_blink", "same_open", "same_smile", "new_asym", "new_neutral", "new_open"] {
+        let case = data.join("cases").join(name);
+        assert_eq!(read_npy_points(&case.join("truth.npy")).unwrap().len(), vertices);
+        assert_eq!(case.join("neutral.npy").exists(), name.starts_with("same"));
+        let observed = read_npy_mask(&case.join("observed.npy"), Some(vertices)).unwrap();
+        let file = json(&case.join("case.json"));
+        assert_eq!(file["observed"].as_u64().unwrap() as usize, observed.iter().filter(|o| **o).count());
+        let scan = read_scan(&case.join("scan.ply")).unwrap().mesh;
+        assert_eq!(file["triangles"].as_u64().unwrap() as usize, scan.triangles.len());
+        assert_eq!(file["rig_identity_modes"], if name.starts_with("same") { 0 } else { 2 });
+    }
+    let open = json(&data.join("cases/same_open/case.json"));
+    assert_eq!(open["expression"]["eyeWide_R"], 0.8);
+    assert!(open["withhold"].as_array().unwrap().iter().any(|n| n == "mouthStretch_L"));
+    assert!(!open["rig_expressions"].as_array().unwrap().iter().any(|n| n == "mouthStretch_L" || n == "jawForward"));
+
+    let alone = SMALL.replace("data", "alone") + " --case new_asym --threads 3";
+    done(folder.path(), &alone);
+    let file = |root: &str, name: &str| {
+        let case = if name.ends_with("deltas.npy") { "rig" } else { "cases/new_asym" };
+        std::fs::read(folder.path().join(root).join(case).join(name)).unwrap()
+    };
+    for name in ["scan.ply", "truth.npy", "case.json", "landmarks.json", "expression_deltas.npy"] {
+        assert!(file("data", name) == file("alone", name), "{name}");
+    }
+}
+
+#[test]
+fn sequences_are_cases_with_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    done(folder.path(), &format!("{SMALL} --frames 3 --fps 5 --preset smile"));
+    let sequence = folder.path().join("data/sequence");
+    let table = std::fs::read_to_string(sequence.join("weights.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), 4);
+    assert!(rows.iter().all(|r| r.len() == rows[0].len()) && rows[0][..2] == ["frame", "time"]);
+    let smile = rows[0].iter().position(|n| *n == "mouthSmile_L").unwrap();
+    let weights: Vec<f64> = rows[1..].iter().map(|r| r[smile].parse().unwrap()).collect();
+    assert!(weights[0] == 0.0 && weights[0] < weights[1] && weights[1] < weights[2] && weights[2] < 1.0, "{weights:?}");
+    let neutral = |frame: &str| std::fs::read(sequence.join(frame).join("neutral.npy")).unwrap();
+    assert_eq!(neutral("frame_0000"), neutral("frame_0002"));
+    let scan = |frame: &str| std::fs::read(sequence.join(frame).join("scan.ply")).unwrap();
+    assert_ne!(scan("frame_0000"), scan("frame_0001"));
+    assert_eq!(json(&sequence.join("frame_0002/case.json"))["expression"]["mouthSmile_L"], weights[2]);
+}
+
+#[test]
+fn help_has_examples_and_exit_codes() {
+    let folder = tempfile::tempdir().unwrap();
+    let help = done(folder.path(), "--help");
+    assert!(help.contains("Examples:") && help.contains("Exit codes") && help.contains("--camera"));
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let into = |stdout: Stdio, arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_data-gen"));
+        command.current_dir(folder.path()).args(arguments.split_whitespace()).stdout(stdout);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let small = format!("{SMALL} --case same_open");
+    for arguments in [small.as_str(), "--help"] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(into(writer.into(), arguments), (Some(0), String::new()), "{arguments}");
+        // Linux has a file that is always full.
+        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+            let (code, said) = into(full.into(), arguments);
+            assert_eq!(code, Some(3), "{arguments}: {said}");
+            assert!(said.starts_with("error: stdout: "), "{arguments}: {said}");
+        }
+    }
+    // The files were still wanted.
+    assert!(folder.path().join("data/cases/same_open/truth.npy").exists());
+}
+
+#[test]
+fn equal_runs_leave_equal_files_at_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_data-gen");
+    let small = "--seed 7 --out OUT --vertices 1000 --identity-modes 6 --triangles 5000 --threads THREADS";
+    for (options, files) in
+        [("--population 3 --contact-sheet --case same_open --case new_asym", 27), ("--frames 2 --preset smile", 25)]
+    {
+        assert_eq!(leaves_equal_files(program, folder.path(), &format!("{small} {options}"), false), files);
+    }
+}

@@ -1,0 +1,269 @@
+//! Runs of one variant over all cases in a process of its own, so that its memory is its own. The process prints a line of JSON
+//! as it finishes a case; where it ends before its time, that case has failed and another process goes on with the next.
+
+use std::io::{self, BufRead as _, BufReader, Read as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+
+use anyhow::{Context, Result, bail};
+use nonrigid::console::{Failure, Stage};
+use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::registration::{TermFactory, TermKind};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_case};
+use crate::random_pose::random_pose;
+use crate::scaling::{peak_bytes, reset_peak};
+
+/// Cases in a folder, and what is done to their scans.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct CaseSource {
+    /// Folder of cases.
+    pub cases: PathBuf,
+    /// Rig folder; its polygons are the template.
+    pub rig: PathBuf,
+    /// Degrees that each scan is turned by about a random axis.
+    pub turn: f64,
+    /// Millimetres that it is moved by in a random direction.
+    pub shift: f64,
+    /// Seed of both.
+    pub seed: u64,
+}
+
+impl CaseSource {
+    /// The cases as they are.
+    #[must_use]
+    pub fn new(cases: &Path, rig: &Path) -> Self {
+        Self { cases: cases.into(), rig: rig.into(), turn: 0.0, shift: 0.0, seed: 7 }
+    }
+
+    /// Reads all cases; no two have the same name.
+    ///
+    /// # Errors
+    /// A [`Failure`] of loading.
+    pub fn read(&self) -> Result<Vec<BenchCase>> {
+        let read = || self.from(0)?.collect::<Result<Vec<BenchCase>>>();
+        let read = read().map_err(|e| Failure::loading(format!("{e:#}")))?;
+        for (i, case) in read.iter().enumerate() {
+            if read[..i].iter().any(|other| other.name == case.name) {
+                let message = format!("{}: two cases are called {:?}; rename one", self.cases.display(), case.name);
+                return Err(Failure::loading(message).into());
+            }
+        }
+        Ok(read)
+    }
+
+    /// The cases from the `first`, each read when its turn comes.
+    fn from(&self, first: usize) -> Result<impl Iterator<Item = Result<BenchCase>>> {
+        let rig = BenchRig::read(&self.rig)?;
+        let folders = case_folders(&self.cases)?.into_iter().enumerate().skip(first);
+        Ok(folders.map(move |(k, folder)| {
+            let case = BenchCase::read(&folder, &rig)?;
+            let still = self.turn == 0.0 && self.shift == 0.0;
+            Ok(if still { case } else { case.moved(&random_pose(self.turn, self.shift, self.seed, k as u64)) })
+        }))
+    }
+}
+
+/// Runs every variant on every case of `source`, each variant in a process of its own, one after the other, on so many threads.
+/// `program` is the `experiments` whose processes they are; results go to `results/CASE/NAME.obj`, whose folders are there.
+/// `on_row` sees each row as it arrives and ends everything with an error.
+///
+/// # Errors
+/// A [`Failure`]: of loading when rig or cases cannot be read; of the computation when no process can be started or every run
+/// fails. The run that fails beside others says so in its row. Whatever `on_row` returns.
+pub fn measure(
+    program: &Path,
+    source: &CaseSource,
+    variants: &[Variant],
+    threads: usize,
+    results: Option<&Path>,
+    on_row: &mut dyn FnMut(&BenchRow) -> Result<()>,
+) -> Result<Vec<BenchRow>> {
+    let names = source.read()?.into_iter().map(|case| case.name).collect::<Vec<_>>();
+    let mut rows = Vec::with_capacity(variants.len() * names.len());
+    for variant in variants {
+        let mut first = 0;
+        while first < names.len() {
+            let run =
+                Run { source: source.clone(), first, variant: variant.clone(), results: results.map(Path::to_owned) };
+            run_apart(program, &run, threads, &names[first..], &mut |row| {
+                on_row(&row)?;
+                rows.push(row);
+                first += 1;
+                Ok(())
+            })?;
+        }
+    }
+    if let Some(row) = rows.first().filter(|_| rows.iter().all(|r| r.score.is_none())) {
+        let reason = row.error.as_deref().unwrap_or_default();
+        let message = format!("every run failed; the first, {} {} on {}: {reason}", row.group, row.model, row.case);
+        return Err(Failure::computation(message).into());
+    }
+    Ok(rows)
+}
+
+/// What a process is told to do: the variant on all cases from the `first`.
+#[derive(Serialize, Deserialize)]
+struct Run {
+    source: CaseSource,
+    first: usize,
+    variant: Variant,
+    results: Option<PathBuf>,
+}
+
+/// What it says of a case.
+#[derive(Serialize, Deserialize)]
+struct Line {
+    row: BenchRow,
+    seconds: Option<f64>,
+    peak_bytes: Option<u64>,
+}
+
+/// Runs in this process what `configuration` says, one line a case on standard output.
+///
+/// # Errors
+/// When the configuration, the rig or a case cannot be read, or nobody reads the lines. A registration that fails is a line.
+pub(super) fn run_here(configuration: &str) -> Result<()> {
+    let run: Run = from_exact(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e:#}")))?;
+    let mut out = io::stdout().lock();
+    for case in run.source.from(run.first)? {
+        let line = run.variant.run(&case?, run.results.as_deref());
+        writeln!(out, "{}", to_exact(&line)?).and_then(|()| out.flush()).context("standard output")?;
+    }
+    Ok(())
+}
+
+impl Variant {
+    fn run(&self, case: &BenchCase, results: Option<&Path>) -> Line {
+        let (mut seconds, mut peak) = (None, None);
+        let mut fit = || -> Result<Score> {
+            let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+            reset_peak();
+            let (score, result, wall) = run_case(&self.model, &terms, &self.schedule, case, self.landmarks)?;
+            (seconds, peak) = (Some(wall), peak_bytes());
+            if !score.errors.finite {
+                bail!("the result is not finite");
+            }
+            if let Some(results) = results {
+                let mesh = case.template.with_positions(result.positions);
+                write_polygon_mesh(&results.join(&case.name).join(format!("{}.obj", self.file_stem())), &mesh)?;
+            }
+            Ok(score)
+        };
+        let row = BenchRow::new(&self.group, &self.name, &case.name, fit().map_err(|e| format!("{e:#}")));
+        Line { row, seconds, peak_bytes: peak }
+    }
+}
+
+/// Ends with its owner.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only when it has ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Runs a variant on the cases `names` in a process of its own, at least on the first of them: what ends it early is that case's
+/// row, the last one.
+fn run_apart(
+    program: &Path,
+    run: &Run,
+    threads: usize,
+    names: &[String],
+    on_row: &mut dyn FnMut(BenchRow) -> Result<()>,
+) -> Result<()> {
+    let failed = |what: String| Failure::computation(format!("{}: {what}", program.display()));
+    let mut command = Command::new(program);
+    command.args(["scan-bench", "--threads", &threads.to_string(), "--run", &to_exact(run)?]);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut process = Process(command.spawn().map_err(|e| failed(format!("cannot be started: {e}")))?);
+    let (Some(out), Some(mut err)) = (process.0.stdout.take(), process.0.stderr.take()) else {
+        return Err(failed("has no output".to_owned()).into());
+    };
+    // Read beside the lines: a process whose standard error is full would wait for ever.
+    let said = thread::spawn(move || {
+        let mut said = Vec::new();
+        err.read_to_end(&mut said).map(|_| said)
+    });
+    let mut lines = BufReader::new(out).lines();
+    for name in names {
+        let reason = match lines.next().map(|line| line.context("its output").and_then(|line| from_exact(&line))) {
+            Some(Ok(Line { row, seconds, peak_bytes })) if row.case == *name => {
+                on_row(BenchRow { seconds, peak_bytes, ..row })?;
+                continue;
+            }
+            Some(Ok(line)) => format!("another case came, {:?}: have the cases changed meanwhile?", line.row.case),
+            Some(Err(e)) => format!("{e:#}"),
+            None => {
+                let status = process.0.wait().context("the process' end")?;
+                let said = said.join().map_or_else(|_| Vec::new(), Result::unwrap_or_default);
+                let said = String::from_utf8_lossy(&said);
+                let words: Vec<&str> = said.trim_start_matches("error: ").split_whitespace().collect();
+                format!("the process ended early ({status}) {}", words.join(" ")).trim_end().to_owned()
+            }
+        };
+        return on_row(BenchRow::new(&run.variant.group, &run.variant.name, name, Err(reason)));
+    }
+    Ok(())
+}
+
+/// JSON in one line whose numbers come back bit for bit. (`serde_json` reads a long decimal to the unit in the last place.)
+fn to_exact(value: &impl Serialize) -> Result<String> {
+    fn exact(value: Value) -> Value {
+        match value {
+            Value::Number(n) if n.is_f64() => json!({ BITS: n.as_f64().map(f64::to_bits) }),
+            Value::Array(items) => items.into_iter().map(exact).collect(),
+            Value::Object(fields) => fields.into_iter().map(|(key, v)| (key, exact(v))).collect(),
+            other => other,
+        }
+    }
+    Ok(exact(serde_json::to_value(value)?).to_string())
+}
+
+/// What [`to_exact`] wrote.
+fn from_exact<T: DeserializeOwned>(text: &str) -> Result<T> {
+    fn number(value: Value) -> Value {
+        match value {
+            Value::Array(items) => items.into_iter().map(number).collect(),
+            Value::Object(fields) => match fields.get(BITS).and_then(Value::as_u64) {
+                Some(bits) => f64::from_bits(bits).into(),
+                None => fields.into_iter().map(|(key, v)| (key, number(v))).collect(),
+            },
+            other => other,
+        }
+    }
+    let value = serde_json::from_str(text).with_context(|| format!("not a line of this program: {text:.80}"))?;
+    Ok(serde_json::from_value(number(value))?)
+}
+
+/// Key of the one field that stands for a number.
+const BITS: &str = "bits";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_come_back_bit_for_bit() {
+        let mut variant = Variant::of_model(nonrigid::registration::ModelKind::Sequential).unwrap();
+        // A decimal of 17 digits, a power of ten beyond the exact ones, the least number, negative zero.
+        variant.schedule.reference_size = 67.000_000_000_000_01 / 3.0;
+        variant.schedule.levels[0].landmarks = 1.234_567_890_123_456_7e-200;
+        variant.schedule.levels[1].landmarks = 5e-324;
+        variant.schedule.levels[2].landmarks = -0.0;
+        let text = to_exact(&variant).unwrap();
+        let back: Variant = from_exact(&text).unwrap();
+        assert_eq!(back, variant);
+        assert!(back.schedule.levels[2].landmarks.is_sign_negative());
+        assert_eq!(text.lines().count(), 1);
+        let error = from_exact::<Variant>("thread panicked").unwrap_err();
+        assert!(error.to_string().contains("thread panicked"), "{error}");
+    }
+}

@@ -1,0 +1,176 @@
+//! What is compared: a model with a schedule. Each group varies one thing and holds all else.
+
+use nonrigid::nlls::Kernel;
+use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule, ScheduleError};
+use serde::{Deserialize, Serialize};
+
+use super::{LandmarkUse, each_level};
+
+/// A model with its schedule: one line of the summary, one row for each case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Variant {
+    /// What is varied: `model`, `kernel`, `term`, or your own word.
+    pub group: String,
+    /// Its name in the group.
+    pub name: String,
+    /// The model.
+    pub model: ModelKind,
+    /// The schedule.
+    pub schedule: Schedule,
+    /// How landmarks take part.
+    pub landmarks: LandmarkUse,
+}
+
+impl Variant {
+    /// A model with its default schedule and all landmarks, in the group `model`.
+    ///
+    /// # Errors
+    /// When the default schedule cannot be read.
+    pub fn of_model(model: ModelKind) -> Result<Self, ScheduleError> {
+        let (name, schedule) = (model.to_string(), model.schedule()?);
+        Ok(Self { group: "model".to_owned(), name, model, schedule, landmarks: LandmarkUse::All })
+    }
+
+    /// Models with their default schedules.
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn models(models: &[ModelKind]) -> Result<Vec<Self>, ScheduleError> {
+        models.iter().copied().map(Self::of_model).collect()
+    }
+
+    /// The hybrid with each robust [`Kernel`] in place of its schedule's at every level, at that one's scale; `huber` is the default.
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn kernels() -> Result<Vec<Self>, ScheduleError> {
+        let (delta, eps) = (1.0, 1.0);
+        let kernels = [
+            ("none", Kernel::None),
+            ("l1", Kernel::L1 { eps }),
+            ("lp 0.5", Kernel::Lp { p: 0.5, eps }),
+            ("huber", Kernel::Huber { delta }),
+            ("cauchy", Kernel::Cauchy { delta }),
+            ("geman_mcclure", Kernel::GemanMcClure { delta }),
+            ("welsch", Kernel::Welsch { delta }),
+            ("tukey", Kernel::Tukey { delta }),
+        ];
+        let with = |(name, kernel): (&str, Kernel)| {
+            Self::hybrid("kernel", name, |s| {
+                each_level(s, |l| l.kernel = l.kernel.scale().map_or(l.kernel, |scale| kernel.with_scale(scale)));
+            })
+        };
+        kernels.into_iter().map(with).collect()
+    }
+
+    /// The hybrid with other data terms, weights as in its schedule:
+    ///
+    /// | name | what |
+    /// |---|---|
+    /// | `default` | its schedule: point-to-plane |
+    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel |
+    /// | `with scan_to_template` | the default, and scan points towards the template at point-to-plane's weight |
+    /// | `without landmarks`, `without seam` | the default with that weight zero; the start still takes landmarks |
+    /// | `without lambda_unseen` | the default with a graph as stiff where nothing is seen as where something is |
+    /// | `with prediction` | the same, and unseen vertices held to where the blendshapes in one rigid pose predict them |
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn terms() -> Result<Vec<Self>, ScheduleError> {
+        let changes: [(&str, Change); 9] = [
+            ("default", |_| ()),
+            ("point_to_plane", |s| each_level(s, |l| l.point_to_point = 0.0)),
+            ("symmetric", |s| {
+                each_level(s, |l| (l.symmetric, l.point_to_plane, l.point_to_point) = (l.point_to_plane, 0.0, 0.0));
+            }),
+            ("point_to_point", |s| {
+                each_level(s, |l| {
+                    (l.point_to_point, l.point_to_plane) = (l.point_to_plane, 0.0);
+                });
+            }),
+            ("with scan_to_template", |s| each_level(s, |l| l.scan_to_template = l.point_to_plane)),
+            ("without landmarks", |s| each_level(s, |l| l.landmarks = 0.0)),
+            ("without lambda_unseen", |s| s.graph.lambda_unseen = 0.0),
+            ("with prediction", |s| {
+                s.graph.lambda_unseen = 0.0;
+                each_level(s, |l| l.prediction = 0.01);
+            }),
+            ("without seam", |s| each_level(s, |l| l.seam = 0.0)),
+        ];
+        changes.into_iter().map(|(name, change)| Self::hybrid("term", name, change)).collect()
+    }
+
+    /// Name of its results' files: the model's, or what differs.
+    pub(super) fn file_stem(&self) -> String {
+        if self.group == "model" {
+            self.name.clone()
+        } else {
+            format!("{} {}", self.group, self.name).replace(' ', "-")
+        }
+    }
+
+    fn hybrid(group: &str, name: &str, change: impl FnOnce(&mut Schedule)) -> Result<Self, ScheduleError> {
+        let mut variant = Self { group: group.to_owned(), name: name.to_owned(), ..Self::of_model(ModelKind::Hybrid)? };
+        change(&mut variant.schedule);
+        Ok(variant)
+    }
+}
+
+/// What makes another schedule of the default.
+type Change = fn(&mut Schedule);
+
+#[cfg(test)]
+mod tests {
+    use nonrigid::registration::Level;
+
+    use super::*;
+
+    #[test]
+    fn a_kernel_is_in_place_at_every_level_at_its_scale() {
+        let default = ModelKind::Hybrid.schedule().unwrap();
+        let kernels = Variant::kernels().unwrap();
+        assert_eq!(kernels.len(), 8);
+        for v in &kernels {
+            let mut back = v.schedule.clone();
+            back.levels.iter_mut().zip(&default.levels).for_each(|(l, d)| l.kernel = d.kernel);
+            assert_eq!(back, default, "{}: something else than the kernel differs", v.name);
+            for (level, of) in v.schedule.levels.iter().zip(&default.levels) {
+                let word = serde_json::to_value(level.kernel).unwrap();
+                let word = word.as_str().or_else(|| word.as_object()?.keys().next().map(String::as_str)).unwrap();
+                assert_eq!(word, v.name.split(' ').next().unwrap());
+                assert_eq!(level.kernel.scale(), if v.name == "none" { None } else { of.kernel.scale() });
+            }
+            v.schedule.validate().unwrap();
+        }
+        assert_eq!(kernels.iter().find(|v| v.name == "huber").unwrap().schedule, default);
+    }
+
+    #[test]
+    fn terms_change_what_they_name() {
+        let default = ModelKind::Hybrid.schedule().unwrap();
+        let terms = Variant::terms().unwrap();
+        let levels = |name: &str| &terms.iter().find(|v| v.name == name).unwrap().schedule.levels;
+        for (i, d) in default.levels.iter().enumerate() {
+            let data = |name: &str| {
+                let l = &levels(name)[i];
+                [l.point_to_plane, l.symmetric, l.point_to_point, l.scan_to_template]
+            };
+            let w = d.point_to_plane;
+            assert!(w > 0.0 && d.landmarks > 0.0 && default.graph.lambda_unseen > 0.0 && d.seam > 0.0, "{d:?}");
+            assert_eq!(data("default"), [w, 0.0, d.point_to_point, 0.0]);
+            assert_eq!(data("point_to_plane"), [w, 0.0, 0.0, 0.0]);
+            assert_eq!(data("symmetric"), [0.0, w, 0.0, 0.0]);
+            assert_eq!(data("point_to_point"), [0.0, 0.0, w, 0.0]);
+            assert_eq!(data("with scan_to_template"), [w, 0.0, d.point_to_point, w]);
+            assert_eq!(levels("without landmarks")[i], Level { landmarks: 0.0, ..*d });
+            assert_eq!(levels("without lambda_unseen")[i], *d);
+            assert_eq!(levels("with prediction")[i], Level { prediction: 0.01, ..*d });
+            assert_eq!(levels("without seam")[i], Level { seam: 0.0, ..*d });
+        }
+        for v in &terms {
+            let stiffer = v.name != "without lambda_unseen" && v.name != "with prediction";
+            assert_eq!(v.schedule.graph.lambda_unseen > 0.0, stiffer, "{}", v.name);
+            v.schedule.validate().unwrap();
+        }
+    }
+}

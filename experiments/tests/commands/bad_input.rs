@@ -1,0 +1,178 @@
+//! What people get wrong with `experiments`, over all its subcommands.
+
+use std::fs;
+use std::path::Path;
+
+use crate::refusal::{ARGUMENTS, LOADING, WRITING, all_hold, refuses};
+use experiments::generated::write_standard_cases;
+
+/// One row: command line, exit code, words of the message.
+type Row = (&'static str, i32, &'static [&'static str]);
+
+#[rustfmt::skip]
+const ROWS: &[Row] = &[
+    // the report
+    ("--only fig9", ARGUMENTS, &["--only fig9", "sweeps"]),
+    ("--only real", ARGUMENTS, &["--only real", "--scans"]),
+    ("--only inputs,fig9", ARGUMENTS, &["--only fig9", "inputs"]),
+    ("--quick --full", ARGUMENTS, &["--full"]),
+    ("--rig rig", ARGUMENTS, &["--scans"]),
+    ("--scans cases", ARGUMENTS, &["--rig"]),
+    ("--threads 0", ARGUMENTS, &["--threads", "0"]),
+    ("--seed -1", ARGUMENTS, &["-1"]),
+    ("--seed 1 scan-bench cases --rig rig", ARGUMENTS, &["--seed"]),
+    ("--quick --only inputs --out file/below", WRITING, &["file/below"]),
+    ("--only inputs --rig nowhere --scans nowhere", LOADING, &["nowhere"]),
+    ("--only inputs --rig rig --scans empty --out old", WRITING, &["old/index.html", "move it away"]),
+    ("--only inputs --rig empty --scans cases --out fresh", LOADING, &["empty", "neutral"]),
+    ("regsiter", ARGUMENTS, &["regsiter"]),
+    // scan-bench
+    ("scan-bench", ARGUMENTS, &["--rig"]),
+    ("scan-bench cases", ARGUMENTS, &["--rig"]),
+    ("scan-bench nowhere --rig rig", LOADING, &["nowhere"]),
+    ("scan-bench empty --rig rig", LOADING, &["empty", "case.json"]),
+    ("scan-bench cases --rig nowhere", LOADING, &["nowhere"]),
+    ("scan-bench cases --rig empty", LOADING, &["empty", "neutral"]),
+    ("scan-bench bad_case --rig rig", LOADING, &["bad_case/one/case.json", "rig_identity_modes"]),
+    ("scan-bench no_truth --rig rig", LOADING, &["no_truth/one/truth.npy"]),
+    ("scan-bench short_truth --rig rig", LOADING, &["short_truth/one/truth.npy", "2 points", "template has"]),
+    ("scan-bench odd_shape --rig rig", LOADING, &["odd_shape/one/case.json", "jawOpne"]),
+    ("scan-bench cases --rig rig --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("scan-bench cases --rig rig --landmarks 2", ARGUMENTS, &["--landmarks", "at least 3"]),
+    ("scan-bench cases --rig rig --landmarks some", ARGUMENTS, &["--landmarks", "some", "align"]),
+    ("scan-bench cases --rig rig --turn NaN", ARGUMENTS, &["--turn", "finite"]),
+    ("scan-bench cases --rig rig --turn far", ARGUMENTS, &["--turn", "finite"]),
+    ("scan-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "finite"]),
+    ("scan-bench cases --rig rig --config nowhere.toml", LOADING, &["nowhere.toml"]),
+    ("scan-bench cases --rig rig --config bad.toml", LOADING, &["bad.toml", "stepps"]),
+    ("scan-bench cases --rig rig --models rigid --out file", WRITING, &["file"]),
+    ("scan-bench cases --rig rig --threads 0", ARGUMENTS, &["--threads", "0"]),
+    ("scan-bench cases --rig in_metres", LOADING, &["in_metres", "millimetres", "a face in m"]),
+    ("scan-bench twins --rig rig --models rigid", LOADING, &["two cases are called \"one\""]),
+    ("scan-bench cases --rig rig --models none", ARGUMENTS, &["leaves nothing to run"]),
+    ("scan-bench cases --rig rig --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
+    ("scan-bench cases --rig rig --external empty", ARGUMENTS, &["\"empty\" is not NAME=DIR"]),
+    ("scan-bench cases --rig rig --external a=empty --external a=cases", ARGUMENTS, &["--external names a twice"]),
+    ("scan-bench cases --rig rig --external a=nowhere", LOADING, &["--external a=nowhere: there is no such folder"]),
+    ("scan-bench cases --rig rig --external a=empty", LOADING, &["--external a=empty: no result of any case; looked for same_smile.obj"]),
+    ("scan-bench --run {}", ARGUMENTS, &["--run"]),
+    ("scan-bench scan_in_metres --rig rig", LOADING, &["scan_in_metres/one/scan.ply", "a face in m"]),
+    // start-bench
+    ("dev start-bench --rig rig", ARGUMENTS, &["DIR_OR_SCAN"]),
+    ("dev start-bench cases", ARGUMENTS, &["--rig"]),
+    ("dev start-bench cases --rig nowhere", LOADING, &["nowhere"]),
+    ("dev start-bench empty --rig rig", LOADING, &["empty", "case.json"]),
+    ("dev start-bench nowhere.ply --rig rig", LOADING, &["nowhere.ply"]),
+    ("dev start-bench garbage.ply --rig rig", LOADING, &["garbage.ply", "line 1"]),
+    ("dev start-bench cases --rig rig --turns 0,NaN", ARGUMENTS, &["--turns", "NaN"]),
+    ("dev start-bench cases --rig rig --turns 0;90", ARGUMENTS, &["--turns", "0;90"]),
+    ("dev start-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "inf"]),
+    ("dev start-bench scan_in_metres/one/scan.ply --rig rig", LOADING, &["scan.ply", "a face in m"]),
+    // real-scans
+    ("real-scans --rig rig --scans nowhere", LOADING, &["nowhere", "--scans"]),
+    ("real-scans --rig rig --scans empty", LOADING, &["empty", "none of the scans"]),
+    ("real-scans --rig nowhere --scans empty", LOADING, &["--rig", "nowhere"]),
+    ("real-scans --rig rig --scans empty --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("real-scans --rig rig --scans empty --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
+    // silence
+    ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
+    ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),
+    ("silence --vertices 999", ARGUMENTS, &["--vertices", "999"]),
+    ("silence --out file/below", WRITING, &["file/below"]),
+    // search-schedules
+    ("dev search-schedules --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("dev search-schedules --vertices 999", ARGUMENTS, &["--vertices", "999"]),
+    ("dev search-schedules --budget 0", ARGUMENTS, &["--budget", "0"]),
+    ("dev search-schedules --seeds one", ARGUMENTS, &["--seeds", "one"]),
+    ("dev search-schedules --models rigid --vertices 1000 --budget 1 --out file", WRITING, &["file"]),
+    // solver-case
+    ("dev solver-case", ARGUMENTS, &["CASE.npz"]),
+    ("dev solver-case nowhere.npz", LOADING, &["nowhere.npz"]),
+    ("dev solver-case garbage.npz", LOADING, &["garbage.npz", "NPZ"]),
+    ("dev solver-case empty", LOADING, &["empty"]),
+    ("dev solver-case garbage.npz --linear-solver magic", ARGUMENTS, &["magic"]),
+    ("dev solver-case garbage.npz --algorithm magic", ARGUMENTS, &["--algorithm", "dogleg"]),
+    ("dev solver-case garbage.npz --max-iterations 0", ARGUMENTS, &["--max-iterations"]),
+    ("dev solver-case garbage.npz --json --report", ARGUMENTS, &["--report"]),
+    // scaling
+    ("scaling --sizes 5000,999", ARGUMENTS, &["--sizes: 999, expected 1000 to 500000"]),
+    ("scaling --sizes none", ARGUMENTS, &["leave nothing to run"]),
+    ("scaling --sizes ten", ARGUMENTS, &["--sizes", "ten"]),
+    ("scaling --sizes 1000,2000 --nodes 50", ARGUMENTS, &["--nodes: 1 numbers for 2 --sizes"]),
+    ("scaling --sizes 1000 --nodes 1001", ARGUMENTS, &["--nodes: 1001, expected 1 to 1000"]),
+    ("scaling --threads 0", ARGUMENTS, &["--threads: 0"]),
+    ("scaling --shapes 100000", ARGUMENTS, &["--shapes: 100000"]),
+    ("scaling --scan-triangles 10", ARGUMENTS, &["--scan-triangles: 10"]),
+    ("scaling --scan-template 10", ARGUMENTS, &["--scan-template: 10"]),
+    ("scaling --iterations 0", ARGUMENTS, &["--iterations"]),
+    ("scaling --linear-solver magic", ARGUMENTS, &["no linear solver is called \"magic\""]),
+    ("scaling --linear-solver auto,dense", ARGUMENTS, &["--linear-solver dense with 5000 nodes: 30050 unknowns, a square of 7.2 GB"]),
+    ("scaling --sizes 1000 --threads 1 --out file", WRITING, &["file"]),
+    ("scaling --run {}", ARGUMENTS, &["--run"]),
+    // compare-rigs
+    ("compare-rigs", ARGUMENTS, &["DIR"]),
+    ("compare-rigs rig nowhere", LOADING, &["nowhere"]),
+    ("compare-rigs empty", LOADING, &["empty", "neutral"]),
+    ("compare-rigs in_metres", LOADING, &["in_metres", "a face in m"]),
+    // nist and more-garbow-hillstrom
+    ("dev nist --data nowhere", LOADING, &["nowhere"]),
+    ("dev nist --data empty", LOADING, &["empty"]),
+    ("dev nist --data bad_nist", LOADING, &["bad_nist"]),
+    ("dev more-garbow-hillstrom --problem 1", ARGUMENTS, &["--problem"]),
+];
+
+/// A rig, a case, and cases and files that are broken.
+fn data(folder: &Path) {
+    write_standard_cases(folder, 1000, 5000, &["same_smile"], 7).unwrap();
+    let case = folder.join("cases/same_smile");
+    let copy = |to: &str| {
+        let to = folder.join(to);
+        fs::create_dir_all(&to).unwrap();
+        for file in fs::read_dir(&case).unwrap().map(|entry| entry.unwrap().path()) {
+            fs::copy(&file, to.join(file.file_name().unwrap())).unwrap();
+        }
+        to
+    };
+    fs::write(copy("bad_case/one").join("case.json"), "{\"rig_expressions\": []}").unwrap();
+    fs::write(
+        copy("odd_shape/one").join("case.json"),
+        "{\"rig_expressions\": [\"jawOpne\"], \"rig_identity_modes\": 0}",
+    )
+    .unwrap();
+    fs::remove_file(copy("no_truth/one").join("truth.npy")).unwrap();
+    let points = [nonrigid::mesh::Vec3::zeros(); 2];
+    nonrigid::mesh::io::write_npy_points(&copy("short_truth/one").join("truth.npy"), &points).unwrap();
+    let path = copy("scan_in_metres/one").join("scan.ply");
+    let mut scan = nonrigid::mesh::io::read_scan(&path).unwrap().mesh;
+    scan.positions.iter_mut().for_each(|p| *p *= 1e-3);
+    nonrigid::mesh::io::write_ply(&path, &scan, nonrigid::mesh::io::PlyOptions::default()).unwrap();
+    let (mut rig, _) =
+        nonrigid::rig::Rig::read(&folder.join("rig"), &nonrigid::rig::RigReadOptions::default()).unwrap();
+    rig.scale(1e-3);
+    fs::create_dir_all(folder.join("in_metres")).unwrap();
+    rig.write(&folder.join("in_metres")).unwrap();
+    copy("twins/one");
+    copy("twins/again/one");
+    let write = |name: &str, text: &[u8]| {
+        fs::create_dir_all(folder.join(name).parent().unwrap()).unwrap();
+        fs::write(folder.join(name), text).unwrap();
+    };
+    write("file", b"");
+    write("empty/readme.txt", b"nothing here");
+    write("garbage.ply", &[0, 159, 146, 150, 10, 255]);
+    write("garbage.npz", b"PK\x03\x04 and no more");
+    write("bad.toml", b"stepps = 3\n");
+    write("bad_nist/Misra1a.dat", b"NIST/ITL StRD\nDataset Name:  Misra1a\n");
+    for name in ["old/index.html", "old/extreme.csv", "old/claims.json"] {
+        write(name, b"from last week");
+    }
+}
+
+#[test]
+fn every_row_is_one_clear_error_and_leaves_no_trace() {
+    let folder = tempfile::tempdir().unwrap();
+    data(folder.path());
+    let check =
+        |&(line, code, words): &Row| refuses(env!("CARGO_BIN_EXE_experiments"), folder.path(), line, code, words).err();
+    all_hold(ROWS.len(), &ROWS.iter().filter_map(check).collect::<Vec<_>>());
+}

@@ -1,0 +1,16 @@
+//! The program `experiments`: what its commands leave, promise and refuse.
+
+#[path = "../../../tests/support/real_data.rs"]
+mod real_data;
+#[path = "../../../tests/support/refusal.rs"]
+mod refusal;
+#[path = "../../../tests/support/repeats.rs"]
+mod repeats;
+
+mod bad_input;
+mod determinism;
+mod reference_problems;
+mod report;
+mod scaling;
+mod scan_bench;
+mod solver_case;

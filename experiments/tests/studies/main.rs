@@ -1,0 +1,8 @@
+//! Studies on small generated cases, called as a library.
+
+#[path = "../../../tests/support/real_data.rs"]
+mod real_data;
+
+mod real_scans;
+mod scan_bench;
+mod silence;

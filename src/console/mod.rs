@@ -1,0 +1,38 @@
+//! What every program of this project has in common: one clear error with the exit code of its stage, and what is said on stdout and
+//! stderr.
+
+mod failure;
+mod output;
+
+use crate::mesh::io::FilePlan;
+use crate::text;
+
+pub use failure::{Failure, Stage};
+#[cfg(feature = "cli")]
+pub use output::answer;
+pub use output::{say, say_to, tell};
+
+/// The number that was asked for with `option`, of threads or processes, but at most what this machine has a use for, with a
+/// warning: four for each core, and sixteen. More only wait for each other, for minutes.
+#[must_use]
+pub fn bounded(option: &str, asked: usize) -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = (4 * cores).max(16);
+    if asked > most {
+        warn(format_args!("{option} {asked}: this machine has {cores} cores, so {most} are used"));
+    }
+    asked.min(most)
+}
+
+/// Refuses a plan that would do harm, before anything is written.
+///
+/// # Errors
+/// As [`FilePlan::check`], by stage.
+pub fn check_plan(plan: &FilePlan) -> Result<(), Failure> {
+    plan.check().map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))
+}
+
+/// Prints a warning.
+pub fn warn(message: impl std::fmt::Display) {
+    tell(format_args!("warning: {}", text::message(&message.to_string())));
+}

@@ -1,0 +1,540 @@
+//! `nonrigid batch`: what fails stays alone, what is done stays done, and nothing depends on who does it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use crate::support::{Bench, files_in, landmarks_json};
+use data_gen::{Motion, ScanOptions, Subject, simulate_scan, write_case};
+use nonrigid::mesh::io::{
+    PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh,
+};
+use nonrigid::mesh::{Pose, Vec3};
+use serde_json::Value;
+
+const OPTIONS: &str = "--template rig/template.obj --rig rig --identity-modes 5";
+
+/// A bench with a sequence of frames `f0/` to `f3/` besides its case.
+fn bench() -> Bench {
+    let bench = Bench::new();
+    let options = ScanOptions { triangles: 8000, ..ScanOptions::default() };
+    let motion = Motion::new(&bench.rig, &options, 1.0, 3).unwrap();
+    for frame in 0..4 {
+        let options = motion.options(f64::from(frame) / 15.0);
+        let case = simulate_scan(&bench.rig, &options, 3).unwrap();
+        write_case(&bench.path(&format!("f{frame}")), &bench.rig, &case, &Subject::same(&bench.rig, &case), 3).unwrap();
+    }
+    bench
+}
+
+fn list(bench: &Bench, rows: &[&str]) {
+    bench.write("scans.csv", format!("target,landmarks,sequence,name,model\n{}\n", rows.join("\n")));
+}
+
+const FRAMES: [&str; 4] = [
+    "f0/scan.ply,f0/landmarks.json,walk,,",
+    "f1/scan.ply,f1/landmarks.json,walk,,",
+    "f2/scan.ply,f2/landmarks.json,walk,,",
+    "f3/scan.ply,f3/landmarks.json,walk,,",
+];
+
+/// Rows of summary.csv by name: status and start.
+fn summary(bench: &Bench, folder: &str) -> BTreeMap<String, (String, String)> {
+    let text = String::from_utf8(bench.read(&format!("{folder}/summary.csv"))).unwrap();
+    let cells = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+    text.lines().skip(1).map(cells).map(|c| (c[0].clone(), (c[1].clone(), c[2].clone()))).collect()
+}
+
+/// Everything that a batch left but times and logs, which hold times.
+fn left(bench: &Bench, folder: &str) -> BTreeMap<String, Vec<u8>> {
+    let mut left = BTreeMap::new();
+    for sub in ["", "log/", "state/"] {
+        let folder = format!("{folder}/{sub}");
+        for name in files_in(&bench.path(&folder)) {
+            let times = name.ends_with(".timing.json") || name.ends_with(".txt");
+            if !times && bench.path(&format!("{folder}{name}")).is_file() {
+                left.insert(format!("{sub}{name}"), bench.read(&format!("{folder}{name}")));
+            }
+        }
+    }
+    left
+}
+
+fn steps(bench: &Bench, report: &str) -> usize {
+    let report: Value = serde_json::from_slice(&bench.read(report)).unwrap();
+    report["history"].as_array().unwrap().len()
+}
+
+#[test]
+fn one_failing_scan_never_stops_the_rest() {
+    let bench = bench();
+    bench.write("empty.ply", "");
+    let mut rows = vec!["missing.ply,,,,", "case/scan.ply,case/landmarks.json,,person,", "empty.ply,,walk,,"];
+    rows.extend(FRAMES);
+    rows.extend(["case/scan.ply,,,clay,clay", "case/scan.ply,case/landmarks.json,,stiff,rigid"]);
+    list(&bench, &rows);
+    let run = bench.run(&format!("batch scans.csv --out out {OPTIONS} --pictures"));
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(run.stderr.lines().last().unwrap().starts_with("error: 3 of 9 scans failed; "), "{}", run.stderr);
+    assert!(run.stderr.contains("[9/9] ") && run.stderr.contains(" left"), "{}", run.stderr);
+    assert!(run.stdout.contains("9 scans in ") && run.stdout.contains("scans per core-minute"), "{}", run.stdout);
+    let summary = summary(&bench, "out");
+    for (name, status, start) in [
+        ("missing", "failed", "cold"),
+        ("person", "done", "cold"),
+        ("empty", "failed", "cold"),
+        ("f0_scan", "done", "cold"), // the frame before it has failed
+        ("f1_scan", "done", "warm"),
+        ("f3_scan", "done", "warm"),
+        ("clay", "failed", "cold"),
+        ("stiff", "doubtful", "cold"), // a smile
+    ] {
+        assert_eq!(summary[name], (status.to_owned(), start.to_owned()), "{name}");
+    }
+    let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+    let note = |name: &str| text.lines().find(|l| l.starts_with(&format!("{name},"))).unwrap().to_owned();
+    assert!(note("missing").contains("missing.ply: cannot be read") && note("clay").contains("unknown model 'clay'"));
+    assert!(note("empty").contains("empty.ply"));
+    for name in ["missing", "empty", "clay"] {
+        assert!(!bench.path(&format!("out/{name}.obj")).exists() && !bench.path(&format!("out/{name}.json")).exists());
+    }
+    let page = String::from_utf8(bench.read("out/index.html")).unwrap();
+    assert!(page.contains("<td>person</td>") && page.contains("src=\"f2_scan.png\"") && !page.contains("clay.png"));
+
+    // each is what `register` makes of it
+    bench.done(&format!(
+        "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out r.obj --report r.json"
+    ));
+    assert!(bench.read("r.obj") == bench.read("out/stiff.obj") && bench.read("r.json") == bench.read("out/stiff.json"));
+    assert!(steps(&bench, "out/f2_scan.json") * 2 < steps(&bench, "out/f0_scan.json"));
+}
+
+#[test]
+fn what_is_done_is_known_and_a_change_goes_through_a_sequence() {
+    let bench = bench();
+    let mut rows = FRAMES.to_vec();
+    rows.push("case/scan.ply,case/landmarks.json,,person,");
+    list(&bench, &rows);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    // What was done, by name, in the order of the names.
+    let ran = |command: &str| -> Vec<String> {
+        let run = bench.run(command);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let line = |line: &str| {
+            Some(line.split_once("] ")?.1.split_once(": ")?)
+                .filter(|l| !l.1.starts_with("done before"))
+                .map(|l| l.0.to_owned())
+        };
+        let mut names: Vec<String> = run.stderr.lines().filter_map(line).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(ran(&command), ["f0_scan", "f1_scan", "f2_scan", "f3_scan", "person"]);
+    let first = left(&bench, "out");
+    assert_eq!(ran(&command), [""; 0]);
+    assert!(left(&bench, "out") == first);
+    // in another folder, in another order, another way of saying the same
+    fs::rename(bench.path("case"), bench.path("moved")).unwrap();
+    rows[4] = "moved/scan.ply,moved/landmarks.json,,person,";
+    rows.rotate_right(1);
+    list(&bench, &rows);
+    assert_eq!(ran(&format!("{command} --jobs 1 --threads 1")), [""; 0]);
+    // an output that is gone or was changed
+    fs::remove_file(bench.path("out/person.obj")).unwrap();
+    bench.write("out/f3_scan.json", "{}");
+    assert_eq!(ran(&command), ["f3_scan", "person"]);
+    let mut again = left(&bench, "out");
+    for name in ["summary.csv", "index.html"] {
+        again.remove(name); // in the order of the manifest
+    }
+    assert!(again.iter().all(|(name, bytes)| first[name] == *bytes) && again.len() + 2 == first.len());
+    // another frame: those after it follow
+    fs::copy(bench.path("f3/scan.ply"), bench.path("f1/scan.ply")).unwrap();
+    assert_eq!(ran(&command), ["f1_scan", "f2_scan", "f3_scan"]);
+    assert_eq!(ran(&format!("{command} --again")).len(), 5);
+    assert_eq!(ran(&format!("{command} --identity-bounds=-2,2")).len(), 5);
+    // the template decides everything
+    bench.write("rig/regions.json", "{}");
+    assert_eq!(ran(&format!("{command} --identity-bounds=-2,2")).len(), 5);
+}
+
+#[test]
+fn parts_give_what_the_whole_gives_also_by_the_recipe_for_gnu_parallel() {
+    let bench = bench();
+    let mut rows = FRAMES.to_vec();
+    rows.extend(["case/scan.ply,case/landmarks.json,,a,rigid", "case/scan.ply,case/landmarks.json,,b,graph"]);
+    list(&bench, &rows);
+    bench.done(&format!("batch scans.csv --out whole {OPTIONS} --jobs 1 --threads 2"));
+    let whole = left(&bench, "whole");
+    for part in 1..=3 {
+        let run = bench.run(&format!("batch scans.csv --out parts {OPTIONS} --shard {part}/3"));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+    }
+    assert!(bench.path("parts/summary.2-of-3.timing.json").exists());
+    assert!(left(&bench, "parts") == whole, "the last part wrote the summary of all");
+
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/batch.md")).unwrap();
+    let recipe = page.split("### GNU parallel").nth(1).unwrap().split("```").nth(1).unwrap().trim_start_matches("sh\n");
+    let recipe = recipe.replace("--template face.obj --rig rig", OPTIONS).replace("--out wrapped", "--out by_parallel");
+    assert!(recipe.matches(OPTIONS).count() == 2 && recipe.contains("::: 1 2 3 4"), "{recipe}");
+    if Command::new("parallel").arg("--version").output().map_or(true, |o| !o.stdout.starts_with(b"GNU parallel")) {
+        println!("skipped: GNU parallel is not installed");
+        return;
+    }
+    let program = Path::new(env!("CARGO_BIN_EXE_nonrigid")).parent().unwrap();
+    let path = std::env::join_paths(
+        [program.to_owned()].into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
+    );
+    let mut shell = Command::new("bash");
+    shell
+        .args(["-euc", &recipe])
+        .current_dir(bench.path(""))
+        .env("PATH", path.unwrap())
+        .env("PARALLEL_HOME", bench.path(""));
+    let output = shell.output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("done before"), "{said}");
+    assert!(left(&bench, "by_parallel") == whole);
+}
+
+#[test]
+fn an_interrupted_batch_goes_on_to_the_same_end() {
+    let bench = bench();
+    list(&bench, &FRAMES);
+    bench.done(&format!("batch scans.csv --out whole {OPTIONS}"));
+    for signal in ["INT", "KILL"] {
+        let folder = format!("by_{signal}");
+        let mut child = Command::new(env!("CARGO_BIN_EXE_nonrigid"))
+            .args(format!("batch scans.csv --out {folder} {OPTIONS}").split_whitespace())
+            .current_dir(bench.path(""))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        while !bench.path(&format!("{folder}/log/f0_scan.json")).exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before anything was done");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Command::new("kill").args([format!("-{signal}"), child.id().to_string()]).status().unwrap();
+        let status = child.wait().unwrap();
+        if signal == "INT" {
+            assert_eq!(status.code(), Some(130));
+            let summary = summary(&bench, &folder);
+            assert_eq!((&summary["f0_scan"].0[..], &summary["f3_scan"].0[..]), ("done", "pending"));
+        }
+        std::thread::sleep(Duration::from_millis(500)); // what a killed batch had started, ends
+        bench.done(&format!("batch scans.csv --out {folder} {OPTIONS}"));
+        assert!(left(&bench, &folder) == left(&bench, "whole"), "{signal}");
+    }
+}
+
+#[test]
+fn warm_frames_are_as_good_as_cold_ones() {
+    let bench = bench();
+    let rms = |folder: &str| -> f64 {
+        let of_frame = |frame: usize| {
+            let truth = read_npy_points(&bench.path(&format!("f{frame}/truth.npy"))).unwrap();
+            let result = read_polygon_mesh(&bench.path(&format!("{folder}/f{frame}_scan.obj"))).unwrap().positions;
+            truth.iter().zip(&result).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64
+        };
+        ((1..4).map(of_frame).sum::<f64>() / 3.0).sqrt()
+    };
+    list(&bench, &FRAMES);
+    bench.done(&format!("batch scans.csv --out warm {OPTIONS}"));
+    list(&bench, &FRAMES.map(|row| row.replace("walk", "")).each_ref().map(String::as_str));
+    bench.done(&format!("batch scans.csv --out cold {OPTIONS}"));
+    let (warm, cold) = (rms("warm"), rms("cold"));
+    assert!(warm < 1.05 * cold && cold < 3.0, "{warm} {cold}");
+}
+
+#[test]
+fn a_frame_that_cannot_go_on_starts_cold() {
+    let bench = bench();
+    // a cut: the head is elsewhere and looks away, and nobody has set landmarks
+    let turn = Pose::rigid(Vec3::new(0.2, 1.2, -0.1), Vec3::new(200.0, 50.0, -80.0));
+    let mut scan = read_scan(&bench.path("f1/scan.ply")).unwrap().mesh;
+    scan.positions.iter_mut().for_each(|p| *p = turn.apply(*p));
+    write_ply(&bench.path("far.ply"), &scan, PlyOptions::default()).unwrap();
+    let rows = [
+        FRAMES[0],
+        "far.ply,,walk,,",
+        "f2/scan.ply,far_marks.json,walk,,",
+        "f3/scan.ply,f3/landmarks.json,walk,,graph",
+    ];
+    list(&bench, &rows);
+    let text: Value = serde_json::from_slice(&bench.read("f2/landmarks.json")).unwrap();
+    let marks: Vec<(u32, Vec3)> = text
+        .as_object()
+        .unwrap()
+        .iter()
+        .map(|(v, p)| (v.parse().unwrap(), Vec3::from_fn(|i, _| p[i].as_f64().unwrap())))
+        .collect();
+    bench.write("far_marks.json", landmarks_json(&marks));
+    bench.run(&format!("batch scans.csv --out out {OPTIONS}"));
+    let summary = summary(&bench, "out");
+    assert_eq!(summary["far"].1, "cold", "{summary:?}");
+    // the end of another model is no start
+    assert_eq!(summary["f3_scan"], ("done".to_owned(), "cold again".to_owned()), "{summary:?}");
+    // landmarks carry the warm start over the way back
+    assert_eq!(summary["f2_scan"], ("done".to_owned(), "warm".to_owned()), "{summary:?}");
+    let truth = read_npy_points(&bench.path("f2/truth.npy")).unwrap();
+    let result = read_polygon_mesh(&bench.path("out/f2_scan.obj")).unwrap().positions;
+    let rms = (truth.iter().zip(&result).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64).sqrt();
+    assert!(rms < 3.0, "{rms}");
+}
+
+/// What `batch` says of each scan, by name.
+fn said(stderr: &str) -> BTreeMap<String, String> {
+    let line =
+        |line: &str| line.split_once("] ")?.1.split_once(": ").map(|(name, what)| (name.to_owned(), what.to_owned()));
+    stderr.lines().filter_map(line).collect()
+}
+
+#[test]
+fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
+    let bench = bench();
+    let rows = [FRAMES[0], FRAMES[1], "case/scan.ply,case/landmarks.json,,person,"];
+    list(&bench, &rows);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    bench.done(&format!("{command} --pictures"));
+    let results = |folder: &str| -> BTreeMap<String, Vec<u8>> {
+        let ours = |name: &String| !name.starts_with("log/") && !["summary.csv", "index.html"].contains(&name.as_str());
+        left(&bench, folder).into_iter().filter(|(name, _)| ours(name)).collect()
+    };
+    let finished = results("out");
+    assert_eq!(finished.len(), 3 * 4, "{:?}", finished.keys());
+    let all_done = || {
+        let run = bench.run(&format!("{command} --pictures"));
+        assert!(
+            run.code == 0 && said(&run.stderr).values().all(|what| what.starts_with("done before")),
+            "{}",
+            run.stderr
+        );
+        assert!(results("out") == finished);
+        assert!(summary(&bench, "out").values().all(|row| row.0 != "failed"));
+    };
+    let in_the_way = |from: &str| {
+        let hidden = format!("{from}_hidden");
+        fs::rename(bench.path(from), bench.path(&hidden)).unwrap();
+        let run = bench.run(&format!("{command} --pictures"));
+        assert_eq!(run.code, 2, "{from}: {}", run.stderr);
+        assert!(run.stderr.contains("cannot be read"), "{}", run.stderr);
+        let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+        assert!(text.contains("is still there"), "{text}");
+        assert!(results("out") == finished, "{from} cannot be reached");
+        fs::rename(bench.path(&hidden), bench.path(from)).unwrap();
+        all_done();
+    };
+    ["rig", "case", "f0", "f1/landmarks.json"].into_iter().for_each(in_the_way);
+    for option in ["--model clay", "--identity-modes 99", "--again --identity-modes 99", "--regions nosee"] {
+        let run = bench.run(&format!("{} --pictures", command.replace("--identity-modes 5", option)));
+        assert_eq!(run.code, 2, "{option}: {}", run.stderr);
+        assert!(results("out") == finished, "{option}");
+        all_done();
+    }
+    // another format takes the place of what it replaces, and of nothing else
+    bench.write("out/notes.txt", "mine");
+    bench.write("out/f0_scan.obj", "changed by hand");
+    bench.done(&format!("{command} --format ply"));
+    let names: Vec<String> =
+        files_in(&bench.path("out")).into_iter().filter(|n| !n.contains("summary") && n.contains('.')).collect();
+    assert_eq!(
+        names,
+        [
+            ".nonrigid",
+            "f0_scan.json",
+            "f0_scan.obj",
+            "f0_scan.ply",
+            "f0_scan.timing.json",
+            "f1_scan.json",
+            "f1_scan.ply",
+            "f1_scan.timing.json",
+            "index.html",
+            "notes.txt",
+            "person.json",
+            "person.ply",
+            "person.timing.json"
+        ]
+    );
+    assert_eq!(bench.read("out/f0_scan.obj"), b"changed by hand");
+}
+
+#[test]
+fn what_is_no_result_is_not_replaced() {
+    let bench = bench();
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    for name in [
+        "f0_scan.obj",
+        "f0_scan.timing.json",
+        "log/f0_scan.txt",
+        "log/f0_scan.json",
+        "state/f0_scan.json",
+        "index.html",
+    ] {
+        bench.write(&format!("out/{name}"), "mine");
+        let run = bench.run(&command);
+        assert_eq!(run.code, 3, "{name}: {}", run.stderr);
+        let words = format!("out/{name}: is there, and no record of an earlier batch lists it");
+        assert!(run.stderr.contains(&words), "{}", run.stderr);
+        assert_eq!(bench.read(&format!("out/{name}")), b"mine");
+        fs::remove_dir_all(bench.path("out")).unwrap();
+    }
+    // beside the scans, which have other names
+    bench.write("f0/scans.csv", "target,landmarks,name\nscan.ply,landmarks.json,wrapped\n");
+    let before = bench.read("f0/scan.ply");
+    bench.done(&format!("batch f0/scans.csv --out f0 {OPTIONS}"));
+    bench.done(&format!("batch f0/scans.csv --out f0 {OPTIONS} --again"));
+    assert!(bench.read("f0/scan.ply") == before && bench.path("f0/wrapped.obj").exists());
+    // a result that is the template of the next batch is none of its outputs
+    bench.write("next.csv", "target,name\nf1/scan.ply,wrapped\n");
+    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj");
+    assert!(
+        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read (template of"),
+        "{}",
+        run.stderr
+    );
+    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj --format ply");
+    assert!(
+        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read"),
+        "{}",
+        run.stderr
+    );
+}
+
+/// Processes that a process has started and that run.
+fn children(pid: u32) -> Vec<String> {
+    let found = Command::new("pgrep").args(["-P", &pid.to_string()]).output().unwrap().stdout;
+    String::from_utf8(found).unwrap().split_whitespace().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_folder_has_one_batch_and_survives_its_end() {
+    let bench = bench();
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
+    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[graph]\nnodes = 60\n\
+                 [[level]]\nsteps = 1000000\nlambda_graph = 1.0\nlandmarks = 1.0\nkernel = \"none\"\n\
+                 distance_cap = 25.0\nnormal_angle = 60.0\n";
+    bench.write("endless.toml", steps);
+    let start = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+        command.args(format!("batch scans.csv --out out {OPTIONS} --config endless.toml").split_whitespace());
+        command.current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        while children(child.id()).is_empty() {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        child
+    };
+    let mut child = start();
+    let second = format!("batch scans.csv --out out {OPTIONS} --model rigid");
+    let run = bench.run(&second);
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    let words = format!("out: another batch writes here, process {} on ", child.id());
+    assert!(run.stderr.contains(&words), "{}", run.stderr);
+    assert!(!bench.path("out/f0_scan.obj").exists());
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let run = bench.run(&second);
+    let words = format!("warning: out: taken over from process {} on ", child.id());
+    assert!(run.code == 0 && run.stderr.contains(&words), "{}", run.stderr);
+    let hidden = files_in(&bench.path("out/.nonrigid"));
+    assert_eq!(hidden, ["wrote-1-of-1.json"], "nothing of either stays");
+    let result = bench.read("out/f0_scan.obj");
+    // SIGTERM, as Slurm sends it, to all processes
+    let mut child = start();
+    let all = [child.id().to_string()].into_iter().chain(children(child.id()));
+    Command::new("kill").arg("-TERM").args(all).status().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(143));
+    assert!(bench.read("out/f0_scan.obj") == result, "an interrupted scan leaves the earlier result");
+    assert!(bench.run(&second).stderr.contains("done before"));
+}
+
+#[test]
+fn the_end_of_one_process_alone_is_a_failure_of_its_scan() {
+    let bench = bench();
+    list(&bench, &["f0/scan.ply,f0/landmarks.json,,,", "f1/scan.ply,f1/landmarks.json,,,"]);
+    // `register` is asked to end by a signal that does not reach the batch
+    let mut child = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
+    let line = format!("batch scans.csv --out out {OPTIONS} --jobs 1");
+    let mut child = child
+        .args(line.split_whitespace())
+        .current_dir(bench.path(""))
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    loop {
+        if let Some(pid) = children(child.id()).first() {
+            Command::new("kill").args(["-TERM", pid]).status().unwrap();
+            break;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(2));
+    let summary = summary(&bench, "out");
+    assert_eq!((&summary["f0_scan"].0[..], &summary["f1_scan"].0[..]), ("failed", "done"));
+    assert!(String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("told to end from outside"));
+}
+
+#[test]
+fn buffers_of_gltf_belong_to_what_is_read() {
+    let bench = bench();
+    let scan = read_polygon_mesh(&bench.path("f0/scan.ply")).unwrap();
+    write_polygon_mesh(&bench.path("scan.glb"), &scan).unwrap();
+    let glb = bench.read("scan.glb");
+    let json_length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let mut json: Value = serde_json::from_slice(&glb[20..20 + json_length]).unwrap();
+    json["buffers"][0]["uri"] = "points%20of.bin".into();
+    let buffer = glb[28 + json_length..].to_vec();
+    bench.write("scan.gltf", json.to_string());
+    bench.write("points of.bin", &buffer);
+    list(&bench, &["scan.gltf,f0/landmarks.json,,,rigid"]);
+    let command = format!("batch scans.csv --out out {OPTIONS} --unit landmarks=mm");
+    let done_before = |is: bool| {
+        let run = bench.run(&command);
+        assert_eq!(said(&run.stderr)["scan"].starts_with("done before"), is, "{}", run.stderr);
+    };
+    done_before(false);
+    done_before(true);
+    let report: Value = serde_json::from_slice(&bench.read("out/scan.json")).unwrap();
+    let inputs: Vec<(&str, &str)> = report["inputs"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|i| (i["name"].as_str().unwrap(), i["sha256"].as_str().unwrap()))
+        .collect();
+    assert!(inputs.contains(&("points of.bin", &sha256(&buffer))), "{inputs:?}");
+    let mut other = buffer.clone();
+    other.push(0);
+    bench.write("points of.bin", &other);
+    done_before(false);
+    bench.write("points of.bin", &buffer);
+    done_before(false);
+    done_before(true);
+}
+
+#[test]
+fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
+    let bench = bench();
+    assert!(Command::new("mkfifo").arg(bench.path("pipe.ply")).status().unwrap().success());
+    list(&bench, &["pipe.ply,,,,", "case/scan.ply,case/landmarks.json,,person,rigid"]);
+    let run = bench.run(&format!("batch scans.csv --out out {OPTIONS}"));
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    let said = said(&run.stderr);
+    assert!(said["pipe"].contains("pipe.ply: cannot be read: it is no regular file"), "{said:?}");
+    assert!(!said["person"].contains("failed"), "{said:?}");
+    let name = "n".repeat(249);
+    list(&bench, &[&format!("case/scan.ply,case/landmarks.json,,{name},rigid")]);
+    let run = bench.run(&format!("batch scans.csv --out long {OPTIONS}"));
+    assert!(
+        run.code == 3 && run.stderr.contains(&name) && run.stderr.contains("give a shorter name"),
+        "{}",
+        run.stderr
+    );
+    assert!(!bench.path("long").exists());
+}

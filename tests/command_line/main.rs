@@ -1,0 +1,26 @@
+//! The program `nonrigid`, run as people run it.
+
+#[path = "../support/broken.rs"]
+mod broken;
+#[path = "../support/help.rs"]
+mod help;
+#[path = "../support/refusal.rs"]
+mod refusal;
+#[path = "../support/repeats.rs"]
+mod repeats;
+#[path = "../support/mod.rs"]
+mod support;
+
+mod bad_input;
+mod batch;
+mod determinism;
+mod doctor;
+mod examples_in_help;
+mod faults;
+mod hostile_input;
+mod landmarks;
+mod measure;
+mod morph;
+mod odd_input;
+mod register;
+mod rig;

@@ -1,0 +1,87 @@
+//! `nonrigid measure` on generated data: what it prints and writes.
+
+use crate::support::{Bench, files_in};
+use nonrigid::mesh::io::{write_npy, write_obj};
+use nonrigid::mesh::{Pose, Vec3};
+use serde_json::Value;
+
+const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
+
+#[test]
+fn numbers_are_the_same_in_the_table_the_json_and_the_csv() {
+    let bench = Bench::new();
+    let printed = bench.done(&format!("{MEASURE} --after case/truth.npy --rig rig --json m.json --csv m.csv"));
+    let json: Value = serde_json::from_slice(&bench.read("m.json")).unwrap();
+    let csv = String::from_utf8(bench.read("m.csv")).unwrap();
+    assert_eq!(json["units"]["volume"], "mm^3");
+    let measurements = json["measurements"].as_array().unwrap();
+    assert!(measurements.len() > 50);
+    for m in measurements {
+        let (name, number) = (m["name"].as_str().unwrap(), |key: &str| m[key].as_f64().unwrap());
+        assert!((number("after") - number("before") - number("difference")).abs() < 1e-9, "{name}");
+        let group = m["group"].as_str().unwrap();
+        let row = csv.lines().find(|l| l.starts_with(&format!("{group},{name},"))).unwrap();
+        let cells: Vec<&str> = row.split(',').collect();
+        let written: f64 = cells[3].parse().unwrap();
+        assert!((written - number("before")).abs() <= 1e-12 * written.abs(), "{row}");
+        let line = printed.lines().find(|l| l.starts_with(&format!("{}  ", name.replace('_', " "))));
+        let line = line.unwrap_or_else(|| panic!("no line {name} in\n{printed}"));
+        let shown = format!("{:.2}", number("before"));
+        assert!(line.contains(shown.trim_start_matches('-')), "{line}: {shown}");
+    }
+    let regions = json["regions"].as_array().unwrap();
+    assert_eq!(regions.len(), 1 + bench.rig.regions.len());
+    let volume = |k: usize| regions[k]["change"]["volume"].as_f64().unwrap();
+    let sum: f64 = (1..regions.len()).map(volume).sum();
+    assert!((sum - volume(0)).abs() < 1e-6 * volume(0).abs().max(1.0), "{sum} {}", volume(0));
+    let lines = csv.lines().map(|l| l.matches(',').count());
+    assert!(lines.clone().count() > measurements.len() + 8 * regions.len() && lines.into_iter().all(|n| n >= 6));
+}
+
+#[test]
+fn a_report_holds_everything_and_threads_change_nothing() {
+    let bench = Bench::new();
+    let vertices = bench.rig.neutral.len();
+    write_npy(&bench.path("mask.npy"), &[vertices], &vec![0.5f64; vertices]).unwrap();
+    let options = "--after case/truth.npy --mask mask.npy --landmarks rig/landmarks_multipie68.json";
+    for threads in [1, 2] {
+        bench.done(&format!("{MEASURE} {options} --threads {threads} --report page{threads} --json {threads}.json"));
+    }
+    let names = ["index.html", "measurements.csv", "measurements.json", "pictures.png", "symmetry.png"];
+    assert_eq!(files_in(&bench.path("page1")), names);
+    for name in names {
+        assert!(bench.read(&format!("page1/{name}")) == bench.read(&format!("page2/{name}")), "{name}");
+    }
+    assert!(bench.read("1.json") == bench.read("page2/measurements.json"));
+    let page = String::from_utf8(bench.read("page1/index.html")).unwrap();
+    for part in
+        ["template.obj", "mask.npy", "<h2>angles</h2>", "<h2>symmetry</h2>", "<h2>change</h2>", "canthal tilt left"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn a_moved_head_is_brought_back() {
+    let bench = Bench::new();
+    let pose = Pose::rigid(Vec3::new(0.1, -0.4, 0.2), Vec3::new(30.0, 5.0, -12.0));
+    let moved: Vec<Vec3> = bench.rig.neutral.iter().map(|p| pose.apply(*p)).collect();
+    write_obj(&bench.path("moved.obj"), &bench.rig.mesh.with_positions(moved)).unwrap();
+    let change = |options: &str| -> f64 {
+        bench.done(&format!("{MEASURE} --after moved.obj {options} --json m.json"));
+        let json: Value = serde_json::from_slice(&bench.read("m.json")).unwrap();
+        json["regions"][0]["change"]["displacement_max"].as_f64().unwrap()
+    };
+    assert!(change("") > 20.0 && change("--align") < 1e-9);
+}
+
+#[test]
+fn one_shape_and_some_landmarks_are_enough() {
+    let bench = Bench::new();
+    let printed = bench.done("measure --mesh rig/template.obj --landmarks rig/landmarks_multipie68.json");
+    assert!(printed.contains("not given: trichion") && !printed.contains("difference"), "{printed}");
+    assert!(printed.lines().any(|l| l.starts_with("nose ")), "the groups of the mesh are regions:\n{printed}");
+    let list = bench.done("measure --list");
+    assert!(list.contains("at nasion between glabella and pronasale, in the mid-sagittal plane"), "{list}");
+    assert!(list.contains("62 and 66") && list.contains("hairline"), "{list}");
+}

@@ -1,0 +1,9 @@
+//! Meshes: awkward ones made by code, and real ones.
+
+#[path = "../support/awkward.rs"]
+mod awkward;
+#[path = "../support/real_data.rs"]
+mod real_data;
+
+mod awkward_meshes;
+mod real_meshes;

@@ -1,0 +1,20 @@
+//! Deformation models: laws, references, linearisations, determinism, allocations.
+
+#[path = "../support/dense_covariance.rs"]
+mod dense_covariance;
+#[path = "../support/projected_gradient.rs"]
+mod projected_gradient;
+#[path = "../support/reference.rs"]
+mod reference;
+#[path = "../support/stated_graph.rs"]
+mod stated_graph;
+#[path = "../support/zoo.rs"]
+mod zoo;
+
+mod affine_reference;
+mod allocations;
+mod arap_reference;
+mod blendshape_weights;
+mod determinism;
+mod laws;
+mod linearisations;

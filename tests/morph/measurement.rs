@@ -1,0 +1,400 @@
+//! Laws of measurements: what is turned measures the same, what is its own mirror image is found to be, what moves sweeps its volume.
+
+use std::path::Path;
+
+use data_gen::{Eyeball, FaceOptions, FaceRig};
+use nalgebra::Rotation3;
+use nonrigid::measurement::{
+    DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Subject,
+    Symmetry, SymmetryOptions, WHOLE, report,
+};
+use nonrigid::mesh::io::{LengthUnit, TemplatePoint, read_obj};
+use nonrigid::mesh::{MirrorPlane, PolygonMesh, Pose, TriangleMesh, Vec3};
+
+fn rig(vertices: usize) -> FaceRig {
+    FaceRig::generate(&FaceOptions { vertices, identity_modes: 20 })
+}
+
+fn named(landmarks: &[data_gen::Landmark]) -> Landmarks {
+    let points: Vec<(String, TemplatePoint)> =
+        landmarks.iter().map(|l| (l.name.clone(), TemplatePoint::Vertex(l.vertex))).collect();
+    let mut named = Landmarks::default();
+    named.add(&points).unwrap();
+    named
+}
+
+fn regions(rig: &FaceRig) -> Vec<NamedRegion<'_>> {
+    rig.regions.iter().map(|(name, vertices)| NamedRegion { name, vertices }).collect()
+}
+
+fn turn() -> Pose {
+    Pose::rigid(Vec3::new(0.4, -1.9, 0.7), Vec3::new(30.0, -200.0, 55.0))
+}
+
+fn posed(pose: &Pose, positions: &[Vec3]) -> Vec<Vec3> {
+    positions.iter().map(|p| pose.apply(*p)).collect()
+}
+
+/// A smooth bump along the normal of the face's front, on the subject's left cheek.
+fn with_bump(positions: &[Vec3], height: f64) -> Vec<Vec3> {
+    let centre = Vec3::new(45.0, -35.0, -20.0);
+    let out = Vec3::new(0.5, 0.0, 0.87).normalize();
+    let bump = |p: &Vec3| height * (-(p - centre).norm_squared() / (2.0 * 9.0 * 9.0)).exp();
+    positions.iter().map(|p| p + out * bump(p)).collect()
+}
+
+#[test]
+fn a_turned_face_measures_the_same() {
+    let rig = rig(3000);
+    let landmarks = named(&rig.anthropometric);
+    let (before, after) = (rig.pose(&[], &[1.0, -1.5, 0.7]), rig.pose(&[], &[-0.5, 1.0, 0.0, 1.2]));
+    let regions = regions(&rig);
+    let measure = |pose: &Pose| -> Measurements {
+        let mesh = rig.mesh.with_positions(posed(pose, &before));
+        let after = posed(pose, &after);
+        Subject { mesh: &mesh, after: Some(&after), landmarks: &landmarks, regions: &regions }.measure().unwrap()
+    };
+    let (here, there) = (measure(&Pose::identity()), measure(&turn()));
+    assert_eq!(here.values.len(), DEFINITIONS.len());
+    for (a, b) in here.values.iter().zip(&there.values) {
+        assert_eq!(a.missing, None, "{}", a.definition.name);
+        for (a, b) in [(a.before, b.before), (a.after, b.after)] {
+            approx::assert_abs_diff_eq!(a.unwrap(), b.unwrap(), epsilon = 1e-9);
+        }
+    }
+    for (a, b) in here.regions.iter().zip(&there.regions) {
+        let all = |r: &nonrigid::measurement::RegionMeasurement| {
+            let (before, after, change) = (r.before, r.after.unwrap(), r.change.unwrap());
+            [
+                before.area,
+                after.area,
+                before.asymmetry.rms,
+                after.asymmetry.p95,
+                change.volume,
+                change.displacement_mean,
+            ]
+        };
+        for (x, y) in all(a).into_iter().zip(all(b)) {
+            assert!((x - y).abs() < 1e-6 * x.abs().max(1.0), "{}: {x} {y}", a.name);
+        }
+    }
+    let (plane, turned) = (here.before.symmetry.plane, there.before.symmetry.plane);
+    approx::assert_abs_diff_eq!(turned.normal, turn().rotation * plane.normal, epsilon = 1e-9);
+    approx::assert_abs_diff_eq!(turned.height(turn().apply(plane.point)), 0.0, epsilon = 1e-7);
+}
+
+#[test]
+fn the_numbers_are_those_of_their_formulas() {
+    let rig = rig(5000);
+    let landmarks = named(&rig.anthropometric);
+    let measured = Subject { landmarks: &landmarks, ..Subject::new(&rig.mesh) }.measure().unwrap();
+    let value = |name: &str| measured.value(name).unwrap();
+    let at = |name: &str| rig.neutral[rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex as usize];
+    // The midline lies in x = 0: the profile is (z, y).
+    let direction = |from: &str, to: &str| {
+        let d = at(to) - at(from);
+        d.y.atan2(d.z).to_degrees()
+    };
+    let between = |a: &str, b: &str, c: &str| {
+        let angle = (direction(b, a) - direction(b, c)).abs();
+        angle.min(360.0 - angle)
+    };
+    approx::assert_abs_diff_eq!(value("nasofrontal"), between("glabella", "nasion", "pronasale"), epsilon = 1e-9);
+    approx::assert_abs_diff_eq!(
+        value("nasolabial"),
+        between("pronasale", "subnasale", "labiale_superius"),
+        epsilon = 1e-9
+    );
+    approx::assert_abs_diff_eq!(
+        value("mentolabial"),
+        between("labiale_inferius", "sublabiale", "pogonion"),
+        epsilon = 1e-9
+    );
+    approx::assert_abs_diff_eq!(value("mouth_width"), 2.0 * at("cheilion_left").x, epsilon = 1e-9);
+    let height = (at("nasion") - at("menton")).norm();
+    approx::assert_abs_diff_eq!(value("facial_index"), 50.0 * height / at("zygion_left").x, epsilon = 1e-9);
+    let up = (at("nasion") - at("menton")) / height;
+    let eye = at("exocanthion_left") - at("endocanthion_left");
+    approx::assert_abs_diff_eq!(value("canthal_tilt_left"), eye.dot(&up).atan2(eye.x).to_degrees(), epsilon = 1e-9);
+    // A symmetric face.
+    for pair in ["canthal_tilt", "eye_width", "outer_fifth", "eye_fifth_share"] {
+        let stem = pair.strip_suffix("_share").unwrap_or(pair);
+        let end = &pair[stem.len()..];
+        approx::assert_abs_diff_eq!(
+            value(&format!("{stem}_left{end}")),
+            value(&format!("{stem}_right{end}")),
+            epsilon = 1e-9
+        );
+    }
+    approx::assert_abs_diff_eq!(value("mouth_cant"), 0.0, epsilon = 1e-9);
+    for shares in [
+        ["upper_third_share", "middle_third_share", "lower_third_share"].as_slice(),
+        &[
+            "outer_fifth_right_share",
+            "eye_fifth_right_share",
+            "middle_fifth_share",
+            "eye_fifth_left_share",
+            "outer_fifth_left_share",
+        ],
+    ] {
+        let sum: f64 = shares.iter().map(|name| value(name)).sum();
+        approx::assert_abs_diff_eq!(sum, 100.0, epsilon = 1e-9);
+    }
+    // The face is a human one.
+    for (name, low, high) in [
+        ("face_height", 95.0, 135.0),
+        ("face_width", 115.0, 160.0),
+        ("nasofrontal", 110.0, 165.0),
+        ("nasolabial", 80.0, 130.0),
+        ("mentolabial", 90.0, 160.0),
+        ("canthal_tilt_left", -2.0, 12.0),
+        ("nose_width", 25.0, 45.0),
+    ] {
+        assert!((low..high).contains(&value(name)), "{name}: {}", value(name));
+    }
+}
+
+#[test]
+fn the_table_is_sound() {
+    for (k, d) in DEFINITIONS.iter().enumerate() {
+        assert!(!DEFINITIONS[..k].iter().any(|e| e.name == d.name), "{} twice", d.name);
+        let names: &[&str] = match &d.formula {
+            Formula::Distance(a, b) | Formula::Extent(_, a, b) | Formula::Slope(a, b) => &[a, b],
+            Formula::Angle(a, b, c) | Formula::ProfileAngle(a, b, c) => &[a, b, c],
+            Formula::Percent(a, b) => {
+                assert!([a, b].iter().all(|name| DEFINITIONS[..k].iter().any(|d| d.name == **name)), "{}", d.name);
+                &[]
+            }
+        };
+        assert!(names.iter().all(|name| LANDMARKS.iter().any(|l| l.name == *name)), "{}", d.name);
+        assert!(d.typical.is_none_or(|t| t.low < t.high && t.source.len() > 20));
+    }
+}
+
+#[test]
+fn what_is_missing_is_named_and_nothing_is_made_up() {
+    let rig = rig(1000);
+    let points: Vec<(String, TemplatePoint)> =
+        rig.landmarks.iter().enumerate().map(|(n, l)| (n.to_string(), TemplatePoint::Vertex(l.vertex))).collect();
+    let mut landmarks = Landmarks::default();
+    landmarks.add(&points).unwrap();
+    let measured = Subject { landmarks: &landmarks, ..Subject::new(&rig.mesh) }.measure().unwrap();
+    let missing = |name: &str| measured.measurement(name).unwrap().missing.clone();
+    assert_eq!(missing("mouth_width"), None);
+    assert_eq!(missing("nasofrontal"), Some(Missing::Landmarks(vec!["glabella"])));
+    assert_eq!(missing("upper_third_share"), Some(Missing::Landmarks(vec!["trichion", "glabella"])));
+    assert_eq!(measured.value("upper_third_share"), None);
+
+    let of = |names: &[&str]| {
+        let mut some = Landmarks::default();
+        let all = |name: &str| rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex;
+        some.add(&names.iter().map(|n| ((*n).to_owned(), TemplatePoint::Vertex(all(n)))).collect::<Vec<_>>()).unwrap();
+        Subject { landmarks: &some, ..Subject::new(&rig.mesh) }.measure()
+    };
+    let lone = of(&["nasion", "pronasale"]).unwrap();
+    assert!(lone.value("nose_length").is_some());
+    // One point each side of no plane: the profile is not known, a distance is.
+    let profile = of(&["endocanthion_left", "exocanthion_left", "nasion", "menton"]).unwrap();
+    assert_eq!(profile.measurement("canthal_tilt_left").unwrap().missing, Some(Missing::Plane));
+    let message = of(&["trichion"]).unwrap_err().to_string();
+    assert!(message.contains("nothing can be measured") && message.contains("trichion"), "{message}");
+    // Without any landmarks there is still a surface.
+    let surface = Subject::new(&rig.mesh).measure().unwrap();
+    assert!(surface.values.is_empty() && surface.regions[0].before.area > 1e4);
+}
+
+#[test]
+fn the_plane_of_a_symmetric_face_is_found_to_rounding_from_a_bad_start() {
+    let rig = rig(4000);
+    for pose in [Pose::identity(), turn()] {
+        let mesh = TriangleMesh { positions: posed(&pose, &rig.neutral), ..rig.mesh.triangulate() };
+        // 25 degrees and 15 mm off; and none at all.
+        let tilt = Rotation3::new(Vec3::new(0.0, 0.3, 0.316)).into_inner();
+        let bad =
+            MirrorPlane { point: pose.apply(Vec3::new(15.0, 0.0, 0.0)), normal: pose.rotation * (tilt * Vec3::x()) };
+        for start in [Some(bad), None] {
+            let found = Symmetry::find(&mesh, start, &SymmetryOptions::default(), "the face").unwrap();
+            let truth = pose.rotation * Vec3::x();
+            assert!(found.converged);
+            let off = found.plane.towards(truth).normal - truth;
+            assert!(off.norm() < 1e-12, "{start:?}: normal off by {}", off.norm());
+            let origin = pose.apply(Vec3::zeros());
+            assert!(found.plane.height(origin).abs() < 1e-10, "{start:?}: {}", found.plane.height(origin));
+            let all = found.of(0..mesh.positions.len());
+            assert!(all.max < 1e-10 && all.vertices > 3 * mesh.positions.len() / 4, "{all:?}");
+        }
+    }
+}
+
+#[test]
+fn a_known_asymmetry_is_measured_and_does_not_draw_the_plane() {
+    let rig = rig(8000);
+    let regions = regions(&rig);
+    for height in [0.5, 3.0] {
+        let after = with_bump(&rig.neutral, height);
+        let subject = Subject { after: Some(&after), regions: &regions, ..Subject::new(&rig.mesh) };
+        let measured = subject.measure().unwrap();
+        let symmetry = &measured.after.as_ref().unwrap().symmetry;
+        let normal = symmetry.plane.towards(Vec3::x()).normal;
+        let (tilt, shift) = ((normal - Vec3::x()).norm().to_degrees(), symmetry.plane.height(Vec3::zeros()).abs());
+        assert!(tilt < 0.02 && shift < 0.02, "{height}: {tilt} degrees, {shift} mm");
+        // Along the bump's own direction it is `height`; the distance to the surface is a little less.
+        let region = |name: &str| measured.regions.iter().find(|r| r.name == name).unwrap();
+        let cheeks = region("cheeks").after.unwrap().asymmetry;
+        assert!((0.9 * height..1.01 * height).contains(&cheeks.max), "{height}: {cheeks:?}");
+        assert!(region("chin").after.unwrap().asymmetry.max < 0.05 * height);
+        assert!(region(WHOLE).before.asymmetry.max < 1e-9);
+        // It stands out on the left and the right falls behind it.
+        let extreme = |pick: fn(f64, f64) -> f64, right: bool| {
+            let side = rig.neutral.iter().zip(&symmetry.offsets).filter(|(p, o)| (p.x < 0.0) == right && !o.is_nan());
+            side.map(|s| *s.1).fold(0.0, pick)
+        };
+        assert!(extreme(f64::max, false) > 0.9 * height && extreme(f64::min, true) < -0.9 * height);
+        assert!(extreme(f64::min, false) > -0.1 * height && extreme(f64::max, true) < 0.1 * height);
+        // The bump's volume: its mean height times area, to first order.
+        let change = region(WHOLE).change.unwrap();
+        let area = measured.regions[0].before.area;
+        assert!((change.displacement_max - height).abs() < 0.1 * height && change.volume > 0.0);
+        assert!(change.volume < change.displacement_mean * area);
+    }
+}
+
+/// Volume inside a closed surface: that of the tetrahedra to the origin.
+fn enclosed(positions: &[Vec3], triangles: &[[u32; 3]]) -> f64 {
+    let corner = |v: u32| positions[v as usize];
+    triangles.iter().map(|t| corner(t[0]).dot(&corner(t[1]).cross(&corner(t[2]))) / 6.0).sum()
+}
+
+#[test]
+fn the_swept_volume_of_a_closed_surface_is_the_change_of_what_it_encloses() {
+    let ball = Eyeball { centre: Vec3::new(5.0, -3.0, 40.0), radius: 12.0 }.surface();
+    let mesh = PolygonMesh::from(ball.clone());
+    let wild = |p: &Vec3| {
+        let q = Vec3::new(1.3 * p.x + 0.1 * p.y * p.y, 0.8 * p.y - 4.0 * (0.3 * p.x).sin(), p.z + 0.02 * p.x * p.z);
+        turn().apply(q)
+    };
+    let halves = [false, true].map(|upper| {
+        let side = |v: &usize| (ball.positions[*v].y > -3.0) == upper;
+        (0..ball.positions.len()).filter(side).map(|v| v as u32).collect::<Vec<u32>>()
+    });
+    let regions =
+        [NamedRegion { name: "lower", vertices: &halves[0] }, NamedRegion { name: "upper", vertices: &halves[1] }];
+    for (what, after) in [
+        ("wild", ball.positions.iter().map(wild).collect::<Vec<_>>()),
+        ("shift", ball.positions.iter().map(|p| p + Vec3::new(7.0, -1.0, 2.0)).collect()),
+        ("double", ball.positions.iter().map(|p| p * 2.0).collect()),
+    ] {
+        let subject = Subject { after: Some(&after), regions: &regions, ..Subject::new(&mesh) };
+        let measured = subject.measure().unwrap();
+        let [whole, lower, upper] = [0, 1, 2].map(|k| measured.regions[k].change.unwrap());
+        let (before, expected) = (enclosed(&ball.positions, &ball.triangles), enclosed(&after, &ball.triangles));
+        assert!(
+            (whole.volume - (expected - before)).abs() < 1e-9 * expected.abs(),
+            "{what}: {} {}",
+            whole.volume,
+            expected - before
+        );
+        assert!((lower.volume + upper.volume - whole.volume).abs() < 1e-9 * expected.abs(), "{what}");
+        let area = |k: usize| measured.regions[k].after.unwrap().area;
+        assert!((area(1) + area(2) - area(0)).abs() < 1e-9 * area(0), "{what}");
+        if what == "double" {
+            approx::assert_relative_eq!(area(0), 4.0 * measured.regions[0].before.area, max_relative = 1e-12);
+        }
+    }
+}
+
+#[test]
+fn a_report_is_the_same_bytes_at_any_number_of_threads() {
+    let rig = rig(1500);
+    let landmarks = named(&rig.anthropometric);
+    let regions = regions(&rig);
+    let after = with_bump(&rig.neutral, 4.0);
+    let mask: Vec<f64> = rig.neutral.iter().zip(&after).map(|(b, a)| ((a - b).norm() / 4.0).min(1.0)).collect();
+    let subject = Subject { mesh: &rig.mesh, after: Some(&after), landmarks: &landmarks, regions: &regions };
+    let about = [("recipe".to_owned(), "a <bump>".to_owned())];
+    let full = report::Report {
+        about: &about,
+        mask: Some(&mask),
+        panel: 120,
+        ..report::Report::new("Before & after", subject)
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let write = |threads: usize| {
+        let path = folder.path().join(threads.to_string());
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| report::write(&path, &full)).unwrap();
+        let names = ["measurements.json", "measurements.csv", "pictures.png", "symmetry.png", "index.html"];
+        names.map(|name| std::fs::read(path.join(name)).unwrap())
+    };
+    let (one, two) = (write(1), write(2));
+    assert!(one == two);
+    let page = String::from_utf8(one[4].clone()).unwrap();
+    assert!(page.contains("Before &amp; after") && page.contains("a &lt;bump&gt;") && page.contains("nasofrontal"));
+    assert!(page.matches("src=\"data:image/png;base64,").count() == 2 && !page.contains("src=\"http"));
+    let picture = image::load_from_memory(&one[2]).unwrap().to_rgb8();
+    // Five columns, three rows; the mask is red and nothing else is.
+    assert!(picture.width() > 5 * 120 && picture.height() > 3 * 120);
+    let red = picture.pixels().filter(|p| p.0[0] > 220 && p.0[1] < 90 && p.0[2] < 90).count();
+    assert!(red > 20, "{red} red pixels");
+    let without = report::Report { mask: None, ..full.clone() };
+    report::write(&folder.path().join("no_mask"), &without).unwrap();
+    let plain = image::open(folder.path().join("no_mask/pictures.png")).unwrap().to_rgb8();
+    assert!(plain.width() < picture.width());
+
+    let refused = |report: &report::Report<'_>| report::write(&folder.path().join("none"), report).unwrap_err();
+    assert!(matches!(
+        refused(&report::Report { mask: Some(&mask[1..]), ..full.clone() }),
+        MeasurementError::VertexCount { .. }
+    ));
+    let odd = vec![1.5; mask.len()];
+    assert!(matches!(refused(&report::Report { mask: Some(&odd), ..full }), MeasurementError::Mask { vertex: 0, .. }));
+    assert!(!folder.path().join("none").exists());
+}
+
+#[test]
+fn bad_meshes_are_refused() {
+    let rig = rig(1000);
+    let message = |subject: Subject<'_>| subject.measure().unwrap_err().to_string();
+    let mut nan = rig.neutral.clone();
+    nan[7].y = f64::NAN;
+    let landmarks = named(&rig.anthropometric);
+    let subject = Subject { landmarks: &landmarks, ..Subject::new(&rig.mesh) };
+    assert!(message(Subject { after: Some(&nan), ..subject }).contains("the mesh after: vertex 7"));
+    assert!(message(Subject { after: Some(&nan[1..]), ..subject }).contains("they must correspond"));
+    assert!(message(Subject { mesh: &rig.mesh.with_positions(nan), ..subject }).contains("the mesh: vertex 7"));
+    let past = [NamedRegion { name: "nose", vertices: &[3, 99_999] }];
+    assert!(message(Subject { regions: &past, ..subject }).contains("region \"nose\" has vertex 99999"));
+    let points = PolygonMesh { positions: rig.neutral.clone(), ..PolygonMesh::default() };
+    assert!(message(Subject { mesh: &points, ..subject }).contains("no faces"));
+    let flat = rig.mesh.with_positions(vec![Vec3::zeros(); rig.neutral.len()]);
+    assert!(message(Subject { mesh: &flat, ..subject }).contains("no faces, or none with an area"));
+    let small = PolygonMesh {
+        positions: vec![Vec3::zeros(); 3],
+        starts: vec![0, 3],
+        corners: vec![0, 1, 2],
+        ..PolygonMesh::default()
+    };
+    assert!(message(Subject { mesh: &small, ..subject }).contains("expected one below 3"));
+    assert!(message(Subject::new(&PolygonMesh::default())).contains("no faces"));
+}
+
+#[test]
+fn the_landmarks_of_ict_facekit_lie_in_mirrored_pairs() {
+    let Some(path) = crate::real_data::real_data("ict-facekit/head/template.obj") else { return };
+    let mesh = read_obj(&path).unwrap();
+    let files = ["ict-facekit.json", "ict-facekit-head.json"]
+        .map(|f| Path::new(env!("CARGO_MANIFEST_DIR")).join("landmarks").join(f));
+    let landmarks = Landmarks::read(&files, &mesh, LengthUnit::Millimetre).unwrap();
+    let measured = Subject { landmarks: &landmarks, ..Subject::new(&mesh) }.measure().unwrap();
+    assert!(measured.values.iter().all(|v| v.missing.is_none()));
+    let at = |name: &str| measured.before.landmarks.iter().find(|l| l.0 == name).unwrap().1;
+    for l in LANDMARKS {
+        let twin = l.name.strip_suffix("_right").map_or(l.name.to_owned(), |stem| format!("{stem}_left"));
+        let p = at(l.name);
+        if !l.name.ends_with("_left") {
+            approx::assert_abs_diff_eq!(at(&twin), Vec3::new(-p.x, p.y, p.z), epsilon = 0.01);
+        }
+    }
+    assert!(measured.before.symmetry.converged && measured.before.symmetry.plane.normal.x > 1.0 - 1e-9);
+    assert!(measured.regions[0].before.asymmetry.rms < 0.01);
+}

@@ -1,0 +1,11 @@
+//! Whole registrations: laws, starts, random cases, the self-test.
+
+#[path = "../support/awkward.rs"]
+mod awkward;
+#[path = "../support/mod.rs"]
+mod support;
+
+mod laws;
+mod random;
+mod self_test;
+mod start;

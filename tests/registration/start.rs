@@ -1,0 +1,421 @@
+//! Laws of the start that is searched without landmarks, on generated faces and scans.
+
+use std::ops::ControlFlow;
+
+use crate::support::{Bench, farthest};
+use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
+use nonrigid::mesh::io::{Landmark, PlyOptions, TemplatePoint, write_ply};
+use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
+use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3};
+use nonrigid::registration::{
+    ModelKind, RegistrationError, RegistrationInput, RegistrationResult, ScanFacing, ScanFlip, Schedule, StartSearch,
+    StepRecord, find_start, register,
+};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn rig() -> FaceRig {
+    FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 })
+}
+
+fn case(rig: &FaceRig, seed: u64) -> ScanCase {
+    simulate_scan(rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, seed).unwrap()
+}
+
+fn schedule(kind: PoseKind) -> Schedule {
+    Schedule { start: kind, ..Schedule::default_for("hybrid").unwrap() }
+}
+
+fn search(rig: &FaceRig, scan: &TriangleMesh) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    find_start(&RegistrationInput::new(&rig.mesh, scan), &schedule(PoseKind::Rigid))
+}
+
+fn found(rig: &FaceRig, scan: &TriangleMesh) -> (Pose, StartSearch) {
+    let (pose, search) = search(rig, scan).unwrap();
+    (pose, search.unwrap())
+}
+
+fn any_pose(rng: &mut ChaCha8Rng) -> Pose {
+    let mut direction = || Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0f64)).normalize();
+    let (turn, shift) = (direction(), direction() * 300.0);
+    Pose::rigid(turn * rng.random_range(0.0..std::f64::consts::PI), shift)
+}
+
+fn moved(scan: &TriangleMesh, pose: &Pose) -> TriangleMesh {
+    TriangleMesh {
+        positions: scan.positions.iter().map(|&p| pose.apply(p)).collect(),
+        triangles: scan.triangles.clone(),
+    }
+}
+
+fn joined(parts: &[&TriangleMesh]) -> TriangleMesh {
+    let mut all = TriangleMesh::default();
+    for part in parts {
+        let first = all.positions.len() as u32;
+        all.positions.extend(&part.positions);
+        all.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
+    }
+    all
+}
+
+/// `f(u, v)` over the unit square in steps of one in `steps`, its front where `d/du x d/dv` points.
+fn sheet(steps: u32, f: impl Fn(f64, f64) -> Vec3) -> TriangleMesh {
+    let at = |i: u32| f64::from(i) / f64::from(steps);
+    let positions = (0..=steps).flat_map(|j| (0..=steps).map(move |i| (i, j))).map(|(i, j)| f(at(i), at(j))).collect();
+    let corner = |i: u32, j: u32| j * (steps + 1) + i;
+    let cells = (0..steps).flat_map(|j| (0..steps).map(move |i| (i, j)));
+    let triangles = cells.flat_map(|(i, j)| {
+        let [a, b, c, d] = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+        [[a, b, c], [a, c, d]]
+    });
+    TriangleMesh { positions, triangles: triangles.collect() }
+}
+
+/// The scan of `case` with shoulders, a neck and a wall behind, and a fifth of the face missing in holes.
+fn bust(rig: &FaceRig, case: &ScanCase, rng: &mut ChaCha8Rng) -> TriangleMesh {
+    let tau = std::f64::consts::TAU;
+    let lowest = rig.neutral.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
+    let neck = sheet(30, |u, v| {
+        let (sin, cos) = (-tau * u).sin_cos();
+        Vec3::new(60.0 * sin, lowest - 10.0 - 90.0 * v, 60.0 * cos - 10.0)
+    });
+    let shoulders = sheet(40, |u, v| {
+        let (sin, cos) = (tau * u).sin_cos();
+        Vec3::new(400.0 * v - 200.0, lowest - 150.0 - 65.0 * sin, 65.0 * cos - 20.0)
+    });
+    let wall = sheet(20, |u, v| Vec3::new(500.0 * u - 250.0, 500.0 * v - 250.0, -150.0));
+    let centres: Vec<Vec3> = (0..12).map(|_| case.truth[rng.random_range(0..case.truth.len())]).collect();
+    let mut face = case.scan.clone();
+    let kept = |t: &[u32; 3]| centres.iter().all(|c| (face.positions[t[0] as usize] - c).norm() > 14.0);
+    let triangles = face.triangles.iter().copied().filter(kept).collect();
+    face.triangles = triangles;
+    let here = [&neck, &shoulders, &wall].map(|m| moved(m, &case.pose));
+    joined(&[&face, &here[0], &here[1], &here[2]])
+}
+
+/// Turn in degrees, and distance at the middle of the face.
+fn off(rig: &FaceRig, found: &Pose, truth: &Pose) -> (f64, f64) {
+    let cosine = 0.5 * ((found.rotation.transpose() * truth.rotation).trace() - 1.0);
+    let centre = rig.neutral.iter().sum::<Vec3>() / rig.neutral.len() as f64;
+    (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (found.apply(centre) - truth.apply(centre)).norm())
+}
+
+fn after(outer: &Pose, inner: &Pose) -> Pose {
+    Pose {
+        scale: outer.scale * inner.scale,
+        rotation: outer.rotation * inner.rotation,
+        translation: outer.apply(inner.translation),
+    }
+}
+
+/// Largest distance between the template in two poses.
+fn apart(rig: &FaceRig, a: &Pose, b: &Pose) -> f64 {
+    let place = |pose: &Pose| rig.neutral.iter().map(|&p| pose.apply(p)).collect::<Vec<_>>();
+    farthest(&place(a), &place(b))
+}
+
+#[test]
+fn any_pose_is_found() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for seed in 0..8 {
+        let (case, place) = (case(&rig, seed), any_pose(&mut rng));
+        let (pose, search) = found(&rig, &moved(&case.scan, &place));
+        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
+        assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
+        assert!(search.fit.share > 0.5 && search.tried > 1000, "seed {seed}: {search:?}");
+    }
+}
+
+#[test]
+fn shoulders_a_wall_and_holes_do_not_lead_away_from_the_face() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for seed in 10..14 {
+        let (case, place) = (case(&rig, seed), any_pose(&mut rng));
+        let scan = moved(&bust(&rig, &case, &mut rng), &place);
+        let (pose, search) = found(&rig, &scan);
+        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
+        assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
+    }
+}
+
+#[test]
+fn stray_parts_far_away_decide_nothing() {
+    let rig = rig();
+    let case = case(&rig, 20);
+    let stray = sheet(2, |u, v| Vec3::new(1e7 + 1e6 * u, 1e6 * v, -3e8));
+    let (pose, _) = found(&rig, &joined(&[&case.scan, &stray]));
+    let (turn, distance) = off(&rig, &pose, &case.pose);
+    assert!(turn < 6.0 && distance < 10.0, "{turn} degrees, {distance} mm");
+}
+
+#[test]
+fn the_start_moves_with_the_scan() {
+    let rig = rig();
+    let case = case(&rig, 21);
+    let (here, _) = found(&rig, &case.scan);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..3 {
+        let place = any_pose(&mut rng);
+        let (there, _) = found(&rig, &moved(&case.scan, &place));
+        let distance = apart(&rig, &there, &after(&place, &here));
+        assert!(distance < 0.01, "{distance} mm");
+    }
+}
+
+#[test]
+fn the_same_bits_at_one_two_and_four_threads() {
+    let rig = rig();
+    let case = case(&rig, 22);
+    let place = any_pose(&mut ChaCha8Rng::seed_from_u64(4));
+    let scan = moved(&case.scan, &place);
+    let [one, two, four] = [1, 2, 4].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| found(&rig, &scan))
+    });
+    assert_eq!(one, two);
+    assert_eq!(one, four);
+}
+
+#[test]
+fn the_given_pose_wins_if_it_is_as_good_and_a_landmark_decides_between_two() {
+    let rig = rig();
+    let truth =
+        simulate_scan(&rig, &ScanOptions { pose: Some(Pose::identity()), ..ScanOptions::default() }, 23).unwrap();
+    let aside = Pose::rigid(Vec3::new(0.2, 2.0, 0.4), Vec3::new(330.0, 20.0, 60.0));
+    let twin = moved(&truth.scan, &aside);
+    let (pose, search) = found(&rig, &joined(&[&twin, &truth.scan]));
+    assert!(search.given && apart(&rig, &pose, &Pose::identity()) < 12.0, "{search:?}");
+    assert!(search.rival() > 0.95, "the twin fits alike: {search:?}");
+
+    // Away from both faces nothing tells them apart, except a landmark.
+    let away = Pose::rigid(Vec3::zeros(), Vec3::new(0.0, 700.0, 0.0));
+    let both = moved(&joined(&[&twin, &truth.scan]), &away);
+    assert!(matches!(search_of(&rig, &both, &[]), Err(RegistrationError::AmbiguousStart { .. })));
+    for (place, marks) in [(away, 1), (after(&away, &aside), 1), (after(&away, &aside), 2)] {
+        let marks: Vec<Landmark> =
+            truth.landmarks[..marks].iter().map(|(v, p)| landmark(*v, place.apply(*p))).collect();
+        let (pose, search) = search_of(&rig, &both, &marks).unwrap();
+        let (turn, distance) = off(&rig, &pose, &place);
+        assert!(turn < 6.0 && distance < 10.0, "{} landmarks: {turn} degrees, {distance} mm, {search:?}", marks.len());
+    }
+}
+
+fn landmark(vertex: u32, target: Vec3) -> Landmark {
+    Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex), target, sigma: None }
+}
+
+fn search_of(
+    rig: &FaceRig,
+    scan: &TriangleMesh,
+    landmarks: &[Landmark],
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
+    find_start(&input, &schedule(PoseKind::Rigid))
+}
+
+#[test]
+fn what_is_no_face_is_refused_by_name() {
+    let rig = rig();
+    let wall = sheet(60, |u, v| Vec3::new(300.0 * u, 300.0 * v, 500.0));
+    let barrel = sheet(60, |u, v| {
+        let (sin, cos) = (std::f64::consts::TAU * u).sin_cos();
+        Vec3::new(85.0 * cos + 500.0, -300.0 * v, 85.0 * sin)
+    });
+    for (name, scan) in [("wall", &wall), ("barrel", &barrel)] {
+        let error = search(&rig, scan).expect_err(name);
+        println!("{name}: {error}");
+        let refused = matches!(error, RegistrationError::NoStart { .. } | RegistrationError::AmbiguousStart { .. });
+        assert!(refused && !error.is_input(), "{name}: {error}");
+    }
+}
+
+fn inverted(scan: &TriangleMesh) -> TriangleMesh {
+    let triangles = scan.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect();
+    TriangleMesh { positions: scan.positions.clone(), triangles }
+}
+
+#[test]
+fn a_scan_inside_out_starts_as_the_same_scan_outside_out() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    for seed in 30..33 {
+        let (case, place) = (case(&rig, seed), any_pose(&mut rng));
+        let scan = moved(&case.scan, &place);
+        let over = inverted(&scan);
+        let ((right, search), (pose, flipped)) = (found(&rig, &scan), found(&rig, &over));
+        assert!(!search.flipped && flipped.flipped, "seed {seed}: {flipped:?}");
+        // Corners in another order are sampled at other places: not the same bits.
+        let distance = apart(&rig, &pose, &right);
+        assert!(distance < 0.5, "seed {seed}: {distance} mm");
+        // In triangles that face either way, neighbours agree first.
+        let mut mixed = scan.clone();
+        mixed.triangles.iter_mut().for_each(|t| {
+            if rng.random_bool(0.4) {
+                t.swap(1, 2);
+            }
+        });
+        let (pose, search) = found(&rig, &mixed);
+        assert!(!search.flipped && apart(&rig, &pose, &right) < 0.5, "seed {seed}: {search:?}");
+        // A cloud's normals tell as much.
+        let normals = vertex_normals(&over.positions, &over.triangles, NormalWeighting::Area);
+        let cloud = TriangleMesh { triangles: Vec::new(), ..over };
+        let input = RegistrationInput { scan_normals: Some(&normals), ..RegistrationInput::new(&rig.mesh, &cloud) };
+        let (pose, search) = find_start(&input, &schedule(PoseKind::Rigid)).unwrap();
+        assert!(search.unwrap().flipped && apart(&rig, &pose, &right) < 10.0, "seed {seed}");
+    }
+}
+
+#[test]
+fn a_registration_turns_the_scan_over_with_landmarks_and_without_unless_told_not_to() {
+    let rig = rig();
+    let case = case(&rig, 34);
+    let over = inverted(&case.scan);
+    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    for marks in [&landmarks[..], &[]] {
+        let fit = |scan: &TriangleMesh, flip: ScanFlip| {
+            let mut schedule = Schedule::default_for("rigid").unwrap();
+            schedule.scan.flip = flip;
+            let input = RegistrationInput { landmarks: marks, ..RegistrationInput::new(&rig.mesh, scan) };
+            register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+        };
+        let right = fit(&case.scan, ScanFlip::Auto).unwrap();
+        assert_eq!(right.scan_facing, ScanFacing::default());
+        for flip in [ScanFlip::Auto, ScanFlip::Yes] {
+            let turned = fit(&over, flip).unwrap();
+            assert!(turned.scan_facing.flipped, "{flip:?}");
+            let apart = farthest(&turned.positions, &right.positions);
+            assert!(apart < 1e-6, "{flip:?}, {} landmarks: {apart} mm", marks.len());
+        }
+        assert!(fit(&over, ScanFlip::No).map_or(true, |result| result.positions != right.positions));
+    }
+}
+
+#[test]
+fn faces_of_other_sizes_start_at_their_size() {
+    let rig = rig();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    for (seed, scale) in [(40, 0.78), (41, 0.85), (42, 1.2)] {
+        let case = case(&rig, seed);
+        let place = Pose { scale, ..any_pose(&mut rng) };
+        let (pose, search) = found(&rig, &moved(&case.scan, &place));
+        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        println!("{scale}: {turn:.2} degrees, {distance:.2} mm, scale {:.2}", pose.scale);
+        assert!(turn < 8.0 && distance < 20.0, "{scale}: {turn} degrees, {distance} mm, {search:?}");
+        // A size found within 12 % of the template's own counts as that, and is found to 5 %.
+        assert!((pose.scale / scale).ln().abs() < 0.17, "{scale}: {}", pose.scale);
+    }
+}
+
+/// Landmarks of the true vertices nearest to places on the template.
+fn marks(rig: &FaceRig, case: &ScanCase, kept: impl Fn(Vec3) -> bool, each: usize) -> Vec<Landmark> {
+    let chosen = (0..rig.neutral.len()).filter(|&v| kept(rig.neutral[v])).step_by(each);
+    chosen.map(|v| landmark(v as u32, case.truth[v])).collect()
+}
+
+fn register_by(
+    rig: &FaceRig,
+    scan: &TriangleMesh,
+    landmarks: &[Landmark],
+) -> Result<RegistrationResult, RegistrationError> {
+    let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
+    let schedule = Schedule::default_for("rigid").unwrap();
+    register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+}
+
+#[test]
+fn a_landmark_far_off_is_named_and_does_no_harm() {
+    let rig = rig();
+    let case = case(&rig, 50);
+    let good: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let clean = register_by(&rig, &case.scan, &good).unwrap();
+    assert!(clean.start_landmarks.unwrap().suspects.is_empty());
+    for wrong in [0, 20, 40, good.len() - 1] {
+        let mut marks = good.clone();
+        marks[wrong].target += Vec3::new(30.0, -30.0, 27.0);
+        let start = register_by(&rig, &case.scan, &marks).unwrap();
+        let suspects = &start.start_landmarks.as_ref().unwrap().suspects;
+        assert_eq!(suspects.len(), 1, "{suspects:?}");
+        assert_eq!(suspects[0].name, marks[wrong].name);
+        assert!((30.0..70.0).contains(&suspects[0].distance), "{suspects:?}");
+        assert!(apart(&rig, &start.start, &clean.start) < 3.0, "landmark {wrong}");
+    }
+}
+
+#[test]
+fn mirrored_landmarks_are_refused_by_name() {
+    let rig = rig();
+    let case = case(&rig, 51);
+    let mut marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let mut scan = inverted(&case.scan);
+    scan.positions.iter_mut().for_each(|p| p.x = -p.x);
+    marks.iter_mut().for_each(|l| l.target.x = -l.target.x);
+    let error = register_by(&rig, &scan, &marks).unwrap_err();
+    assert!(matches!(error, RegistrationError::Mirrored { .. }) && error.is_input(), "{error}");
+    assert!(error.to_string().contains("mirrored"), "{error}");
+}
+
+#[test]
+fn landmarks_that_say_little_are_searched_besides() {
+    let rig = rig();
+    let case = case(&rig, 52);
+    let highest = rig.neutral.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max);
+    let brow = marks(&rig, &case, |p| p.y > highest - 15.0, 4);
+    assert!(brow.len() >= 3, "{}", brow.len());
+    let start = register_by(&rig, &case.scan, &brow).unwrap();
+    let said = start.start_landmarks.as_ref().unwrap();
+    assert!(said.deviation > 8.0 && start.start_search.is_some(), "{said:?}");
+    let (turn, distance) = off(&rig, &start.start, &case.pose);
+    assert!(turn < 8.0 && distance < 10.0, "{turn} degrees, {distance} mm, {said:?}");
+    let all: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let start = register_by(&rig, &case.scan, &all).unwrap();
+    assert!(start.start_search.is_none() && start.start_landmarks.unwrap().deviation < 5.0);
+}
+
+#[test]
+fn another_unit_is_named_or_found() {
+    let rig = rig();
+    let case = case(&rig, 25);
+    for factor in [1e-3, 0.1, 25.4, 1000.0] {
+        let scan = moved(&case.scan, &Pose { scale: factor, ..Pose::identity() });
+        let Err(RegistrationError::Size { ratio }) = search(&rig, &scan) else { panic!("{factor} was not noticed") };
+        assert!((0.5..2.5).contains(&(ratio / factor)), "{factor}: {ratio}");
+    }
+    for (factor, larger) in [(1e-3, 1.0), (0.1, 1.0), (1.0, 0.95), (10.0, 1.06)] {
+        let place = Pose { scale: factor * larger, ..Pose::rigid(Vec3::new(0.3, 1.5, 0.2), Vec3::new(3.0, 1.0, 2.0)) };
+        let scan = moved(&case.scan, &place);
+        let input = RegistrationInput::new(&rig.mesh, &scan);
+        let (pose, search) = find_start(&input, &schedule(PoseKind::Similarity)).unwrap();
+        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let scale = pose.scale / place.scale;
+        assert!(turn < 6.0 && distance < 10.0 * place.scale, "{factor}: {turn} degrees, {distance}, {search:?}");
+        assert!((0.9..1.1).contains(&scale), "{factor}: {scale}");
+    }
+}
+
+#[test]
+fn the_program_finds_a_turned_scan_and_one_inside_out() {
+    let bench = Bench::new();
+    let place = any_pose(&mut ChaCha8Rng::seed_from_u64(5));
+    let mut scan = moved(&bench.case.scan, &place);
+    write_ply(&bench.path("turned.ply"), &scan, PlyOptions::default()).unwrap();
+    scan.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    write_ply(&bench.path("inverted.ply"), &scan, PlyOptions::default()).unwrap();
+    let fit = "register --template rig/template.obj --model rigid --out r.obj --report r.json --target";
+    bench.done(&format!("{fit} turned.ply"));
+    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let search = &report["start_search"];
+    assert!(search["fit"]["share"].as_f64().unwrap() > 0.5 && search["tried"].as_u64().unwrap() > 1000, "{search}");
+    assert!(search["runner_up"]["loss"].as_f64().unwrap() > search["fit"]["loss"].as_f64().unwrap(), "{search}");
+    let run = bench.run(&format!("{fit} inverted.ply"));
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("inside out"), "{}", run.stderr);
+    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    assert_eq!(report["scan_facing"]["flipped"], true);
+    let run = bench.run(&format!("{fit} inverted.ply --flip no"));
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(run.stderr.contains("no start found") && run.stderr.contains("landmarks"), "{}", run.stderr);
+}
