@@ -25,6 +25,27 @@ const SHORT: usize = 80;
 /// Letters of a whole message.
 const MESSAGE: usize = 3000;
 
+/// The known name that differs from `name` in the fewest letters; the first of equals.
+pub fn most_similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    known.into_iter().min_by_key(|k| edit_distance(k, name))
+}
+
+/// Levenshtein's distance, letters compared without case.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let [a, b] = [a, b].map(|s| s.to_lowercase().chars().collect::<Vec<char>>());
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.iter().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
 /// Whether a character is not to be seen, or moves what is: control characters, line separators, marks of direction.
 #[must_use]
 pub fn is_hidden(c: char) -> bool {

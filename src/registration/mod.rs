@@ -1,5 +1,6 @@
 //! Non-rigid registration: from a template, a model and a scan to the scan's shape in the template's topology.
 
+mod builder;
 mod colour;
 mod correspondence;
 mod doubt;
@@ -22,6 +23,7 @@ mod surfels;
 mod terms;
 mod warm_start;
 
+pub use builder::Registration;
 pub use colour::{UNSEEN_COLOR, VertexColors, scan_colors};
 pub use correspondence::Correspondences;
 pub use doubt::Doubt;

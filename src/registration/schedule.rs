@@ -9,6 +9,7 @@ use crate::mesh::PoseKind;
 use crate::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use crate::nlls::{Kernel, LinearSolverKind};
 use crate::rig::Family;
+use crate::text;
 
 /// Everything that steers a registration.
 ///
@@ -475,6 +476,32 @@ pub enum KernelScale {
     Mad,
 }
 
+/// Keys that schedules had, and what stands for them.
+const FORMER_KEYS: [(&str, &str); 2] = [
+    ("point_kernel", "`kernel` is that of every data term; leave this key out"),
+    (
+        "test_vertices",
+        "`point_to_point` goes to the closest point of the surface, which needs no test; leave this key out",
+    ),
+];
+
+/// What is wrong with a text, and what to write instead of an unknown key.
+fn syntax_error(error: &toml::de::Error) -> ScheduleError {
+    let mut message = error.to_string().trim_end().to_owned();
+    // "unknown field `stepps`, expected one of `steps`, `lambda_graph`": every second piece is a name.
+    let names: Vec<&str> = error.message().split('`').skip(1).step_by(2).collect();
+    if let (true, [key, known @ ..]) = (error.message().starts_with("unknown field"), &names[..]) {
+        match FORMER_KEYS.iter().find(|(former, _)| former == key) {
+            Some((_, advice)) => message += &format!("\n{advice}"),
+            None => {
+                message += &text::most_similar(key, known.iter().copied())
+                    .map_or(String::new(), |k| format!("\ndid you mean `{k}`?"))
+            }
+        }
+    }
+    ScheduleError::Syntax(message)
+}
+
 /// Greatest count that a schedule may ask for.
 const MOST: usize = 1_000_000;
 
@@ -571,8 +598,7 @@ impl Schedule {
 
     /// Reads and validates a schedule. The error quotes the line of an unknown key or a malformed value.
     pub fn from_toml(text: &str) -> Result<Self, ScheduleError> {
-        let schedule: Self =
-            toml::from_str(text).map_err(|e| ScheduleError::Syntax(e.to_string().trim_end().to_owned()))?;
+        let schedule: Self = toml::from_str(text).map_err(|e| syntax_error(&e))?;
         schedule.validate()?;
         Ok(schedule)
     }
@@ -693,4 +719,22 @@ impl Schedule {
 
 fn check(field: String, value: f64, holds: bool, bound: &'static str) -> Result<(), ScheduleError> {
     if holds && value.is_finite() { Ok(()) } else { Err(ScheduleError::OutOfBounds { field, value, bound }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_key_is_answered_with_the_nearest_and_a_former_one_with_what_stands_for_it() {
+        let with = |line: &str| {
+            let text = super::super::DEFAULT_SCHEDULES[0].1.replacen("steps = 5", &format!("steps = 5\n{line}"), 1);
+            Schedule::from_toml(&text).unwrap_err().to_string()
+        };
+        let message = with("distance_kap = 3.0");
+        assert!(message.contains("unknown field `distance_kap`"), "{message}");
+        assert!(message.ends_with("did you mean `distance_cap`?"), "{message}");
+        let message = with("point_kernel = \"none\"");
+        assert!(message.contains("`kernel` is that of every data term"), "{message}");
+    }
 }

@@ -247,7 +247,7 @@ impl Rig {
             return Err(RigError::MotionlessShape { name: name.to_owned() });
         }
         let known: Vec<&str> = self.shapes.iter().map(|s| s.name.as_str()).collect();
-        let closest = known.iter().min_by_key(|k| edit_distance(k, name)).copied().unwrap_or_default().to_owned();
+        let closest = text::most_similar(name, known.iter().copied()).unwrap_or_default().to_owned();
         Err(RigError::UnknownShape { name: name.to_owned(), closest, known: known.join(", ") })
     }
 
@@ -305,22 +305,6 @@ impl Rig {
         };
         self.shapes.iter().enumerate().map(info).collect()
     }
-}
-
-/// Levenshtein's distance, letters compared without case.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let [a, b] = [a, b].map(|s| s.to_lowercase().chars().collect::<Vec<char>>());
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.iter().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let replaced = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

@@ -64,7 +64,8 @@ fn misra_1a() {
 #[test]
 fn a_bundle_adjustment_ends_at_scipys_minimum() {
     let mut scene: Scene = include_str!("../references/bundle_adjustment.txt").parse().unwrap();
-    let reference: serde_json::Value = serde_json::from_str(include_str!("../references/bundle_adjustment.json")).unwrap();
+    let reference: serde_json::Value =
+        serde_json::from_str(include_str!("../references/bundle_adjustment.json")).unwrap();
     let summary = scene.adjust().unwrap();
     assert!(summary.stop.converged(), "{summary}");
     for (found, key) in [(summary.initial_energy, "initial_energy"), (summary.final_energy, "energy")] {

@@ -61,6 +61,12 @@ pub struct Landmark {
 }
 
 impl Landmark {
+    /// A vertex of the template, and where it is in the scan's space, millimetres; no deviation is known.
+    #[must_use]
+    pub fn new(name: impl Into<String>, vertex: u32, target: Vec3) -> Self {
+        Self { name: name.into(), template: TemplatePoint::Vertex(vertex), target, sigma: None }
+    }
+
     /// What it counts next to a landmark of deviation `reference`, which is that of landmarks without their own:
     /// `(reference / sigma)^2`, the ratio of their inverse variances; 1 without a deviation.
     #[must_use]
