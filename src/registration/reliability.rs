@@ -18,6 +18,10 @@ pub const WRONG_MM: f64 = 3.0;
 /// as probably wrong as right at least. What lies off the scan is off the truth, as that of a rigid template.
 const OFF_THE_SCAN: f64 = 0.009;
 
+/// [`StartSearch::rival`](super::StartSearch::rival) above which another place fits as well, such as a second face, and what is then
+/// the least probability: 3 of 14 such starts of the design set were wrong.
+const RIVAL: (f64, f64) = (0.88, 0.2);
+
 /// What a result says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reliability {
@@ -38,8 +42,11 @@ impl Reliability {
             LazyLock::new(|| toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it"));
         let evidence = Evidence::new(input, result, quality);
         let off = evidence.coverage.distance > OFF_THE_SCAN;
-        let probability = CALIBRATION.probability(&evidence).max(if off { 0.5 } else { 0.0 });
-        let mut signs: Vec<Risk> = if off { vec![Risk::Distance] } else { Vec::new() };
+        let rival = evidence.start_rival > RIVAL.0;
+        let known = [(off, Risk::Distance, 0.5), (rival, Risk::StartRival, RIVAL.1)];
+        let known = known.into_iter().filter(|k| k.0);
+        let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence), f64::max);
+        let mut signs: Vec<Risk> = known.map(|k| k.1).collect();
         if probability > CALIBRATION.threshold {
             signs.extend(CALIBRATION.signs(&evidence));
         }
