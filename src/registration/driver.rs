@@ -426,6 +426,8 @@ fn start_of(
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 struct Rest {
     mesh: TriangleMesh,
+    /// Vertices that a triangle uses.
+    used: Vec<bool>,
     masks: VertexMasks,
     seams: Seams,
     centre: Vec3,
@@ -452,7 +454,7 @@ impl Rest {
         let masks = VertexMasks::new(input.mask, input.free_mask, rim).of_surface(&used);
         let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
         let density = schedule.reference_vertices / count;
-        Ok(Self { mesh, masks, seams, centre, unit, density })
+        Ok(Self { mesh, used, masks, seams, centre, unit, density })
     }
 
     /// Whether the scan faces inwards, by its normals near vertices of the model.
@@ -647,7 +649,8 @@ impl Run {
                 _ => {}
             }
             let moved = problem.vertices(x);
-            let motion = moved.iter().zip(&self.vertices).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
+            let pairs = moved.iter().zip(&self.vertices).zip(&rest.used);
+            let motion = pairs.filter(|p| *p.1).map(|((a, b), _)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
             self.vertices.copy_from_slice(moved);
             let record = StepRecord {
                 level: number,

@@ -108,7 +108,9 @@ fn one_failing_scan_never_stops_the_rest() {
         "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out r.obj --report r.json"
     ));
     assert!(bench.read("r.obj") == bench.read("out/stiff.obj") && bench.read("r.json") == bench.read("out/stiff.json"));
-    assert!(steps(&bench, "out/f2_scan.json") * 2 < steps(&bench, "out/f0_scan.json"));
+    // Two steps of each of six levels at most; a cold start takes what it needs.
+    let [cold, warm] = ["f0", "f2"].map(|frame| steps(&bench, &format!("out/{frame}_scan.json")));
+    assert!(warm <= 12 && warm < cold, "{warm}, {cold}");
 }
 
 #[test]

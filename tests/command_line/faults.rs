@@ -297,7 +297,7 @@ fn a_kill_in_mid_write_leaves_the_old_file() {
     let path = folder.path().join("old.txt");
     fs::write(&path, "from last week").unwrap();
     let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", "half_a_file", "--ignored", "--nocapture"]).env("NONRIGID_HALF_A_FILE", &path);
+    command.args(["--exact", "faults::half_a_file", "--ignored", "--nocapture"]).env("NONRIGID_HALF_A_FILE", &path);
     let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
     let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
     assert!(lines.any(|line| line.unwrap().contains("half")));

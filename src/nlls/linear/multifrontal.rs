@@ -11,10 +11,15 @@
 //! so all arithmetic is on dense blocks as large as the supernode: one Cholesky, one triangular solve and one product each
 //! (Duff & Reid 1983; Liu 1992). Updates wait on a stack, in the order of a depth-first walk of the tree.
 //!
-//! Why not faer's supernodal factorisation, on the same symbolic factor (a hybrid of 5,000 vertices, 400 nodes, one
-//! thread, medians of 40 paired runs): a Gauss-Newton iteration takes 1.24 times as long with it at 50 shapes and 1.27 at none, the
-//! linear solve alone 1.45 and 1.51; with its forward solve of the border besides, 1.22 and 1.28. With 20,000 vertices and 5,000
-//! nodes the iteration takes 1.13 and 1.35 times as long, with its forward solve too 0.97 and 1.1.
+//! Why not faer's supernodal factorisation, on the same symbolic factor? One thread, paired runs; how many times as long it takes:
+//!
+//! | vertices, nodes, shapes | Gauss-Newton iteration | linear solve | linear solve, with faer's forward solve of the border too |
+//! |---|---|---|---|
+//! | 5,000, 400, 50 | 1.24 | 1.45 | 1.42 |
+//! | 5,000, 400, 0 | 1.27 | 1.51 | 1.48 |
+//! | 20,000, 400, 50 | 1.17 | 1.52 | 1.44 |
+//! | 20,000, 5,000, 50 | 1.13 | 1.15 | 0.96 |
+//! | 20,000, 5,000, 0 | 1.35 | 1.42 | 1.10 |
 
 use pulp::{Simd, WithSimd};
 
