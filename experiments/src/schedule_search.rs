@@ -108,10 +108,12 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
          #\n\
          # Lengths are millimetres on a template of `reference_size` and scale with the template; weights are per vertex on a\n\
          # template of `reference_vertices` and scale with theirs. Every key is described at `registration::Schedule`.\n\n\
-         start = \"rigid\"\nreference_size = 67.0\nreference_vertices = 6706\n\n\
-         [scan]\ntemplate_rim = {:?}\n",
-        at["rim"]
+         start = \"rigid\"\nreference_size = 67.0\nreference_vertices = 6706\n\n"
     );
+    if matches!(model, ModelKind::Rigid | ModelKind::Similarity) {
+        text += "# Steps are cheap without deformation, and a pose is wanted to the micrometre.\n[stop]\nenergy = 1e-4\nmotion = 0.001\n\n";
+    }
+    let _ = writeln!(text, "[scan]\ntemplate_rim = {:?}", at["rim"]);
     let mut option = |axis: &str, section: &str, choices: [&str; 2]| {
         if let Some(&choice) = at.get(axis) {
             let _ = writeln!(text, "{section}{}", choices[usize::from(choice > 0.0)]);

@@ -18,7 +18,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("term", &["energy", "mesh", "nlls"]),
     ("evaluation", &["mesh"]),
     ("render", &["mesh"]),
-    ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
+    ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term", "text"]),
     ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("measurement", &["evaluation", "mesh", "page", "render", "text"]),
     ("batch", &["mesh", "page", "text"]),

@@ -602,7 +602,7 @@ impl RegistrationObserver for StopAfter {
 #[test]
 fn an_observer_sees_and_stops_every_stage() {
     let task = small_task();
-    let mut schedule = sequential(graph_stage(Schedule::default_for("graph").unwrap().levels[5..7].to_vec()));
+    let mut schedule = sequential(graph_stage(Schedule::default_for("graph").unwrap().levels[4..6].to_vec()));
     schedule.levels = schedule.levels[..3].to_vec();
     schedule.stop = StopOptions { energy: 0.0, motion: 0.0 };
     let first: usize = schedule.levels.iter().map(|l| l.steps).sum();
