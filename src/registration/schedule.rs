@@ -472,7 +472,7 @@ pub enum KernelScale {
     Fixed,
     /// Robust standard deviations of the residuals ([`mad_scale`](crate::nlls::mad_scale)), found anew at each step from the distances of
     /// the accepted vertices to their planes: `{ tukey = { delta = 4.685 } }` keeps 95 % of the efficiency of plain least squares
-    /// on Gaussian noise of any size. [`point_kernel`](Level::point_kernel) stays in millimetres.
+    /// on Gaussian noise of any size. [`landmark_kernel`](Level::landmark_kernel) stays in millimetres.
     Mad,
 }
 
