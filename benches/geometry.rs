@@ -1,21 +1,24 @@
-//! Closest points, self-intersections, distances along surfaces, and reading of files, on a generated face and a scan of it.
+//! Closest points, self-intersections, distances along surfaces, and reading of files, on a generated face and a scan of it;
+//! beside kiddo and ply-rs-bw, which one would use otherwise.
 //!
 //! `cargo bench --bench geometry`
 #![allow(missing_docs)] // of what `criterion_group` makes
 
 mod support;
 
+use std::fs::File;
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::evaluation::self_intersections;
-use nonrigid::mesh::Vec3;
+use nonrigid::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::adjacency::EdgeGraph;
-use nonrigid::mesh::closest_point::ClosestPoint;
+use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
-use nonrigid::mesh::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals_into};
+use nonrigid::mesh::{TriangleMesh, Vec3};
+use ply_rs_bw::ply::{BeginList, PropertyAccessResult};
 use support::short;
 
 fn face() -> (FaceRig, ScanCase) {
@@ -43,6 +46,39 @@ fn closest_point(c: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name, size), |b| {
                 b.iter(|| queries.iter().zip(&hints).map(query).sum::<f64>());
             });
+        }
+    }
+    group.finish();
+}
+
+/// Closest vertices against kiddo's k-d tree, which decides no ties.
+fn closest_vertex(c: &mut Criterion) {
+    let (rig, case) = face();
+    let queries = case.truth;
+    let mut group = c.benchmark_group("closest vertices of 5000");
+    for triangles in [20_000, 320_000] {
+        let case = simulate_scan(&rig, &ScanOptions { triangles, ..ScanOptions::default() }, 1).unwrap();
+        let positions = case.scan.positions;
+        let points: Vec<[f64; 3]> = positions.iter().map(|p| (*p).into()).collect();
+        let size = points.len();
+        group.bench_function(BenchmarkId::new("build", size), |b| b.iter(|| ClosestVertices::new(&positions).unwrap()));
+        group.bench_function(BenchmarkId::new("build, kiddo", size), |b| {
+            b.iter(|| kiddo::ImmutableKdTree::new_from_slice(&points).unwrap());
+        });
+        let ours = ClosestVertices::new(&positions).unwrap();
+        group.bench_function(BenchmarkId::new("query", size), |b| {
+            b.iter(|| queries.iter().map(|p| ours.query(p).unwrap().squared_distance).sum::<f64>());
+        });
+        let theirs = kiddo::ImmutableKdTree::new_from_slice(&points).unwrap();
+        let nearest = |p: &Vec3| {
+            let query: [f64; 3] = (*p).into();
+            theirs.query(&query).nearest_one::<kiddo::SquaredEuclidean<f64>>().execute().distance
+        };
+        group.bench_function(BenchmarkId::new("query, kiddo", size), |b| {
+            b.iter(|| queries.iter().map(nearest).sum::<f64>());
+        });
+        for p in &queries {
+            assert!((ours.query(p).unwrap().squared_distance - nearest(p)).abs() < 1e-9);
         }
     }
     group.finish();
@@ -103,5 +139,60 @@ fn files(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(name = benches; config = short(); targets = closest_point, self_intersection, surface, files);
+/// A vertex or a face as `ply-rs-bw` fills it: into fields, the fastest that it offers.
+#[derive(Default)]
+struct Row {
+    position: [f32; 3],
+    corners: Vec<i32>,
+}
+
+impl ply_rs_bw::ply::PropertyAccess for Row {
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn set_float(&mut self, name: &str, value: f32) -> PropertyAccessResult {
+        match name {
+            "x" => self.position[0] = value,
+            "y" => self.position[1] = value,
+            "z" => self.position[2] = value,
+            _ => return PropertyAccessResult::Ignored,
+        }
+        PropertyAccessResult::Set
+    }
+
+    fn begin_list_int(&mut self, _: &str, _: usize) -> BeginList<'_, i32> {
+        BeginList::Fill(&mut self.corners)
+    }
+}
+
+/// Five million triangles from a binary PLY, against `ply-rs-bw`.
+fn big_ply(c: &mut Criterion) {
+    const SIDE: u32 = 1582;
+    let grid = |i: u32| Vec3::new(f64::from(i % SIDE), f64::from(i / SIDE), f64::from(i % 7));
+    let corner = |i: u32| [[i, i + 1, i + SIDE], [i + 1, i + SIDE + 1, i + SIDE]];
+    let cells = (0..SIDE * (SIDE - 1)).filter(|i| (i + 1) % SIDE != 0);
+    let mesh =
+        TriangleMesh { positions: (0..SIDE * SIDE).map(grid).collect(), triangles: cells.flat_map(corner).collect() };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scan.ply");
+    write_ply(&path, &mesh, PlyOptions::default()).unwrap();
+    let mut group = c.benchmark_group(format!("binary PLY of {} triangles", mesh.triangles.len()));
+    group.sample_size(10);
+    group.bench_function("read", |b| b.iter(|| read_ply(black_box(&path)).unwrap()));
+    group.bench_function("read, ply-rs-bw", |b| {
+        b.iter(|| {
+            let ply = ply_rs_bw::parser::Parser::<Row>::new().read_ply(&mut File::open(&path).unwrap()).unwrap();
+            assert_eq!(ply.payload["face"].len(), mesh.triangles.len());
+            ply
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(
+    name = benches;
+    config = short();
+    targets = closest_point, closest_vertex, self_intersection, surface, files, big_ply
+);
 criterion_main!(benches);

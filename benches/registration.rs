@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::mesh::io::{Landmark, TemplatePoint};
-use nonrigid::registration::{ModelKind, RegistrationInput, Schedule, StepRecord, register};
+use nonrigid::landmark::{Landmark, TemplatePoint};
+use nonrigid::registration::{ModelKind, RegistrationInput, StepRecord, register};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use support::short;
 
@@ -32,7 +32,7 @@ fn shapes(rig: &FaceRig) -> ShapeBasis {
 fn registration(c: &mut Criterion) {
     let rig = FaceRig::generate(&FaceOptions { vertices: VERTICES, identity_modes: 20 });
     let shapes = shapes(&rig);
-    let schedule = Schedule::default_for("hybrid").expect("comes with the crate");
+    let schedule = ModelKind::Hybrid.schedule().expect("comes with the crate");
     let mut group = c.benchmark_group(format!("hybrid registration over scan triangles, {VERTICES} vertices"));
     group.sample_size(10).warm_up_time(Duration::from_millis(1));
     for triangles in [20_000, 80_000, 320_000] {

@@ -8,15 +8,73 @@ use std::error::Error;
 
 use experiments::generated::standard_cases;
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, scan_bench, summarize, summary_table, table_of};
+use nonrigid::energy::{OptionTable, Options, OptionsError};
 use nonrigid::mesh::{TriangleMesh, Vec3, adjacency::EdgeGraph};
-use nonrigid::model::{Autodiff, PositionFunction};
+use nonrigid::model::{Autodiff, ModelError, PositionFunction};
 use nonrigid::nlls::{Euclidean, Scalar};
 use nonrigid::registration::*;
+use serde::{Deserialize, Serialize};
 
-/// Cells along the longest side of the face.
-const CELLS: f64 = 20.0;
-/// Stiffness: `lambda_smooth` for a `lambda_graph` of one.
-const STIFFNESS: f64 = 1.0;
+/// `[model]` of the lattice.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct LatticeOptions {
+    /// Cells along the longest side of the face.
+    cells: f64,
+}
+
+impl Default for LatticeOptions {
+    fn default() -> Self {
+        Self { cells: 20.0 }
+    }
+}
+
+impl OptionTable for LatticeOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::positive("cells", self.cells)
+    }
+}
+
+/// Softer from level to level; `lambda_smooth` weighs the second differences.
+const SCHEDULE: &str = r#"
+start = "rigid"
+reference_size = 67.0
+reference_vertices = 6706
+model = { cells = 20.0 }
+scan = { template_rim = 2.0 }
+
+[[level]]
+steps = 5
+distance_cap = 25.0
+normal_angle = 60.0
+kernel = { huber = { delta = 3.0 } }
+model = { lambda_smooth = 30.0 }
+terms.landmarks = { weight = 5.0 }
+
+[[level]]
+steps = 5
+distance_cap = 12.0
+normal_angle = 60.0
+kernel = { huber = { delta = 2.0 } }
+model = { lambda_smooth = 0.7 }
+terms.landmarks = { weight = 2.4 }
+
+[[level]]
+steps = 5
+distance_cap = 12.0
+normal_angle = 60.0
+kernel = { huber = { delta = 1.0 } }
+model = { lambda_smooth = 0.15 }
+terms.landmarks = { weight = 1.8 }
+
+[[level]]
+steps = 15
+distance_cap = 8.0
+normal_angle = 60.0
+kernel = { huber = { delta = 0.4 } }
+model = { lambda_smooth = 0.03 }
+terms.landmarks = { weight = 1.0 }
+"#;
 
 /// A uniform grid of control points around the surface. A grid point moves the vertices less than one and a half cells away, and
 /// is one control point for each connected part of them: upper and lower lip touch without being joined.
@@ -69,10 +127,10 @@ fn in_box() -> impl Iterator<Item = [usize; 3]> {
 }
 
 impl Lattice {
-    fn around(rest: &TriangleMesh) -> Self {
+    fn around(rest: &TriangleMesh, cells: f64) -> Self {
         let (low, high) =
             rest.positions.iter().fold((rest.positions[0], rest.positions[0]), |(l, h), p| (l.inf(p), h.sup(p)));
-        let cell = (high - low).max() / CELLS;
+        let cell = (high - low).max() / cells;
         let mut lattice = Self::default();
         let mut moved_by: BTreeMap<[usize; 3], BTreeSet<u32>> = BTreeMap::new();
         for (vertex, p) in rest.positions.iter().enumerate() {
@@ -122,14 +180,17 @@ impl ModelFactory for LatticeModel {
         "lattice"
     }
 
-    fn schedule(&self) -> Result<Schedule, ScheduleError> {
-        let mut schedule = ModelKind::Graph.schedule()?;
-        schedule.levels.iter_mut().for_each(|level| level.lambda_smooth = STIFFNESS * level.lambda_graph);
-        Ok(schedule)
+    fn default_schedule(&self) -> &str {
+        SCHEDULE
     }
 
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
-        Ok(Box::new(Autodiff::new(Lattice::around(input.rest))?))
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<LatticeOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let LatticeOptions { cells } = input.options.read()?;
+        Ok(Box::new(Autodiff::new(Lattice::around(input.rest, cells))?))
     }
 }
 
@@ -140,9 +201,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         [cases, rig] => BenchCase::read_all(cases.as_ref(), &BenchRig::read(rig.as_ref())?)?,
         _ => return Err("arguments: none, or a folder of cases and a rig folder".into()),
     };
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let models: [&dyn ModelFactory; 3] = [&LatticeModel, &ModelKind::Graph, &ModelKind::Rigid];
-    let rows = scan_bench(&models, &terms, &cases, LandmarkUse::All)?;
+    let rows = scan_bench(&models, &TERMS, &cases, LandmarkUse::All)?;
     println!("{}\n{}", table_of(&rows), summary_table(&summarize(&rows)));
     Ok(())
 }

@@ -7,15 +7,15 @@ use std::error::Error;
 use std::ops::ControlFlow;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::energy::SampleResidual;
+use nonrigid::energy::{OptionsError, Pointwise, SampleResidual};
 use nonrigid::evaluation::TruthErrors;
+use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::Vec3;
-use nonrigid::mesh::io::{Landmark, TemplatePoint};
 use nonrigid::nlls::{Kernel, Scalar};
 use nonrigid::registration::{
-    LevelTerm, ModelFactory, ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TermFactory, TermInput,
-    TermKind, register_with,
+    ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TERMS, TermFactory, TermInput, register_with,
 };
+use nonrigid::term::{Scheduled, TermError, TermLevel, TermWeight};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -24,6 +24,33 @@ struct Rays {
     camera: Vec3,
     seen: Vec<(usize, Vec3)>,
     weight: f64,
+}
+
+impl Scheduled<3> for Rays {
+    /// Weighted as a level says, level by level, under a kernel of its own.
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        self.weight = level.options.read::<TermWeight>()?.weight;
+        Ok(Kernel::Huber { delta: 1.0 }.scaled(level.unit))
+    }
+}
+
+/// `terms.freckles = { weight = 0.5 }` in a level; what was seen is in the scan's frame.
+struct Freckles {
+    camera: Vec3,
+    seen: Vec<(usize, Vec3)>,
+}
+
+impl TermFactory for Freckles {
+    fn name(&self) -> &str {
+        "freckles"
+    }
+
+    /// Brings what was seen to the frame in which models solve.
+    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        let camera = input.frame.apply_inverse(self.camera);
+        let seen = self.seen.iter().map(|(v, d)| (*v, input.frame.rotation.tr_mul(d))).collect();
+        Ok(Box::new(Pointwise::new("freckles", Rays { camera, seen, weight: 0.0 }, Kernel::None)))
+    }
 }
 
 impl SampleResidual<3> for Rays {
@@ -71,27 +98,26 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let seen: Vec<(usize, Vec3)> = seen.collect();
     let count = seen.len();
-    // The term: brought to the frame in which models solve, under a kernel, weighted like landmarks level by level.
-    let freckles = move |input: &TermInput<'_>| -> Box<dyn RegistrationTerm> {
-        let camera = input.frame.apply_inverse(camera);
-        let seen = seen.iter().map(|(v, d)| (*v, input.frame.rotation.tr_mul(d))).collect();
-        let rays = Rays { camera, seen, weight: 0.0 };
-        let kernel = Kernel::Huber { delta: 1.0 };
-        Box::new(LevelTerm::new("freckles", rays, kernel, |term, level, _| term.residuals.weight = level.landmarks))
-    };
+    let freckles = Freckles { camera, seen };
 
     let model = ModelKind::Graph;
-    let schedule = model.schedule()?;
-    let mut terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
+    let mut schedule = model.schedule()?;
+    let mut terms = TERMS.to_vec();
     let triangles = rig.mesh.triangulate().triangles;
-    for (name, own) in [("without", None), ("with", Some(&freckles))] {
-        terms.extend(own.map(|f| f as &dyn TermFactory));
+    for name in ["without", "with"] {
+        if name == "with" {
+            terms.push(&freckles);
+            for level in &mut schedule.levels {
+                let weight = level.term("landmarks").unwrap_or(0.0);
+                level.set_term("freckles", weight);
+            }
+        }
         let mut steps = |_: &StepRecord| ControlFlow::Continue(());
         let result = register_with(&input, &model, &terms, &schedule, &mut steps)?;
         let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
         println!(
             "{name} {count} freckles: rmse {:.2} mm, off the surface {:.2} mm, along it {:.2} mm",
-            errors.rmse, errors.off, errors.slide
+            errors.rmse, errors.normal, errors.tangential
         );
     }
     Ok(())

@@ -11,13 +11,13 @@
 //! The chapters go step by step; programs as a whole, on faces, are in the repository's folder `examples`. Where the energy and
 //! its models come from is said at [`energy`](crate::energy), [`model`](crate::model) and [`term`](crate::term).
 
-#[doc = include_str!("../docs/guide/first_registration.md")]
+#[doc = include_str!("../docs/src/tutorials/developer.md")]
 pub mod first_registration {}
-#[doc = include_str!("../docs/guide/own_residual.md")]
+#[doc = include_str!("../docs/src/howto/own_residual.md")]
 pub mod own_residual {}
-#[doc = include_str!("../docs/guide/own_model.md")]
+#[doc = include_str!("../docs/src/howto/own_model.md")]
 pub mod own_model {}
-#[doc = include_str!("../docs/guide/own_term.md")]
+#[doc = include_str!("../docs/src/howto/own_term.md")]
 pub mod own_term {}
-#[doc = include_str!("../docs/guide/reading_a_report.md")]
+#[doc = include_str!("../docs/src/reference/report.md")]
 pub mod reading_a_report {}

@@ -8,7 +8,7 @@ use data_gen::{FaceOptions, FaceRig};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{TriangleMesh, Vec3};
-use nonrigid::model::{Hybrid, NodeGraph, Stiffness, hybrid};
+use nonrigid::model::{Hybrid, NodeGraph, Stiffness};
 use nonrigid::nlls::{Kernel, Problem};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{PointToPlane, PointToPoint};
@@ -61,7 +61,7 @@ impl Face {
 
     pub fn hybrid(&self, nodes: usize, shapes: usize) -> Hybrid {
         let stiffness = Stiffness { graph: 1.0, blend: 1.0, ..Stiffness::default() };
-        hybrid(self.mesh.positions.clone(), self.graph(nodes), self.shapes(shapes), stiffness)
+        Hybrid::new(self.mesh.positions.clone(), self.graph(nodes), self.shapes(shapes), stiffness)
     }
 
     /// The model near the expression: what a step of a registration solves.

@@ -87,7 +87,7 @@ pub fn contact_sheet(rig: &FaceRig, scans: &[(String, ScanCase)], seed: u64) -> 
 /// The face with its eyeballs.
 fn face(rig: &FaceRig, positions: &[Vec3], identity: &[f64]) -> Scene {
     let mesh = PolygonMesh { positions: positions.to_vec(), ..rig.mesh.clone() };
-    rig.eyeballs(identity).iter().fold(Scene::new().mesh(&mesh.triangulate(), Style::Clay), |scene, eye| {
+    rig.eyeballs(identity).iter().flatten().fold(Scene::new().mesh(&mesh.triangulate(), Style::Clay), |scene, eye| {
         scene.mesh(&eye.surface(), Style::Solid(EYE_WHITE))
     })
 }

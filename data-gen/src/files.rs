@@ -14,8 +14,8 @@ use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 
+use nonrigid::io::{PlyOptions, WriteError, write_atomically, write_folder, write_npy, write_obj, write_ply};
 use nonrigid::mesh::Vec3;
-use nonrigid::mesh::io::{PlyOptions, WriteError, write_atomically, write_folder, write_npy, write_obj, write_ply};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -98,8 +98,8 @@ fn write_rig_into(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     let regions: Map<String, Value> =
         rig.regions.iter().map(|(name, vertices)| (name.clone(), json!(vertices))).collect();
     write_json(&folder.join("regions.json"), &regions.into())?;
-    let [left, right] =
-        rig.eyeballs(&[]).map(|e| json!({ "centre": [e.centre.x, e.centre.y, e.centre.z], "radius": e.radius }));
+    let Some(eyeballs) = rig.eyeballs(&[]) else { return Ok(()) };
+    let [left, right] = eyeballs.map(|e| json!({ "centre": [e.centre.x, e.centre.y, e.centre.z], "radius": e.radius }));
     write_json(&folder.join("eyeballs.json"), &json!({ "left": left, "right": right }))
 }
 
@@ -215,7 +215,8 @@ fn write_json(path: &Path, value: &Value) -> Result<(), WriteError> {
 mod tests {
     use super::*;
     use crate::{FaceOptions, ScanOptions, simulate_scan};
-    use nonrigid::mesh::io::{read_landmarks, read_npy_mask, read_npy_points, read_scan, read_template_landmarks};
+    use nonrigid::io::{read_npy_mask, read_npy_points, read_scan};
+    use nonrigid::landmark::{read_landmarks, read_template_landmarks};
     use nonrigid::rig::{Family, Rig, RigReadOptions};
 
     #[test]

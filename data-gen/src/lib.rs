@@ -7,6 +7,7 @@
 //! [`write_rig`] and [`write_case`] make folders of them. Millimetres, Y up, the face looks towards +Z, the subject's left
 //! (`_L`) is +X. Equal options and seeds give equal bytes.
 
+pub mod command;
 mod contact_sheet;
 mod expressions;
 mod face;
@@ -21,6 +22,6 @@ pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
 pub use files::{Subject, write_case, write_population, write_rig};
 pub use rig::{FaceOptions, FaceRig, Landmark};
-pub use scan::{Camera, PRESETS, ScanCase, ScanError, ScanOptions, WrinkleMix, resolve_shapes, simulate_scan};
+pub use scan::{Camera, PRESETS, ScanCase, ScanError, ScanOptions, Scanner, WrinkleMix, resolve_shapes, simulate_scan};
 pub use sequence::{Motion, write_weights};
 pub use standard::{STANDARD_CASES, StandardCase, preset_weights};

@@ -1,8 +1,11 @@
 //! The rig at one resolution: template, shapes, landmarks and regions per vertex.
 
+use std::path::Path;
 use std::sync::Arc;
 
+use anyhow::Context as _;
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
+use nonrigid::rig::{Family, Rig, RigReadOptions};
 use rayon::prelude::*;
 
 use crate::face::{
@@ -51,10 +54,10 @@ pub struct FaceRig {
     pub anthropometric: Vec<Landmark>,
     /// Name and vertices of each region; every vertex belongs to one.
     pub regions: Vec<(String, Vec<u32>)>,
-    /// Place of each vertex on the flat face.
+    /// Place of each vertex on the generated face's plane; of a rig that was read none.
     pub places: Vec<Flat>,
-    /// The same face at any resolution.
-    pub model: Arc<FaceModel>,
+    /// The same face at any resolution; `None`: the rig was read.
+    pub model: Option<Arc<FaceModel>>,
 }
 
 impl FaceRig {
@@ -85,7 +88,7 @@ impl FaceRig {
             anthropometric,
             regions,
             places,
-            model: Arc::new(model),
+            model: Some(Arc::new(model)),
         }
     }
 
@@ -102,10 +105,41 @@ impl FaceRig {
         positions
     }
 
-    /// The eyeballs of a person, left and right.
+    /// A rig of any kind that `nonrigid` reads, to be scanned. `mouthClose` is left out: it only goes with an open jaw.
+    ///
+    /// # Errors
+    /// When it cannot be read, or has no triangles.
+    pub fn read(path: &Path) -> anyhow::Result<Self> {
+        let (rig, _) = Rig::read(path, &RigReadOptions::default())?;
+        let mesh = rig.mesh().with_context(|| format!("{}: the rig has no triangles to scan", path.display()))?;
+        let (mut expressions, mut identities) = (Vec::new(), Vec::new());
+        for (k, shape) in rig.shapes().iter().enumerate().filter(|(_, s)| s.name != "mouthClose") {
+            let deltas =
+                rig.deltas(k).chunks_exact(3).map(|d| Vec3::new(d[0].into(), d[1].into(), d[2].into())).collect();
+            match shape.family {
+                Family::Identity => identities.push(deltas),
+                _ => expressions.push((shape.name.clone(), deltas)),
+            }
+        }
+        let landmark = |(k, vertex): (usize, &u32)| Landmark { name: k.to_string(), vertex: *vertex };
+        Ok(Self {
+            mesh: mesh.clone(),
+            neutral: rig.neutral().to_vec(),
+            expressions,
+            identities,
+            landmarks: rig.landmarks().unwrap_or_default().iter().enumerate().map(landmark).collect(),
+            anthropometric: Vec::new(),
+            regions: Vec::new(),
+            places: Vec::new(),
+            model: None,
+        })
+    }
+
+    /// The eyeballs of a person, left and right; of a rig that was read none are known.
     #[must_use]
-    pub fn eyeballs(&self, identity_weights: &[f64]) -> [Eyeball; 2] {
-        self.model.eyeballs(&FaceWeights { expressions: Vec::new(), identity: identity_weights.to_vec() })
+    pub fn eyeballs(&self, identity_weights: &[f64]) -> Option<[Eyeball; 2]> {
+        let weights = FaceWeights { expressions: Vec::new(), identity: identity_weights.to_vec() };
+        self.model.as_ref().map(|model| model.eyeballs(&weights))
     }
 }
 

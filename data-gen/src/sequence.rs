@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Result;
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 use nonrigid::mesh::{Pose, Vec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -8,7 +8,8 @@ use data_gen::{
 };
 pub use data_gen::{STANDARD_CASES, ScanOptions};
 use nonrigid::console::Failure;
-use nonrigid::mesh::io::{Landmark, Scan, TemplatePoint};
+use nonrigid::io::Scan;
+use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng as _, SeedableRng as _};
@@ -143,6 +144,7 @@ impl Studio {
             neutral: shot.known.then(|| self.face.pose(&[], &scan.identity_weights)),
             shapes: self.rig.select(ShapeSelection { names: Some(&names), identity_modes: modes })?,
             landmarks: scan.landmarks.iter().map(landmark).collect(),
+            rig_landmarks: self.face.landmarks.iter().map(|l| l.vertex).collect(),
             scan: Scan { mesh: scan.scan, normals: None, colors: None },
             truth: scan.truth,
             observed: scan.observed,

@@ -1,13 +1,16 @@
 //! Studies on top of `nonrigid`: one file each, which reads like its description.
 
-use nonrigid::mesh::io::{FaceUnit, LengthUnit, face_extent};
+use nonrigid::io::{FaceUnit, LengthUnit, face_extent};
 
 pub mod compare_rigs;
+pub mod consistency;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;
 pub mod output;
+pub mod peers;
 pub mod plots;
+pub mod process;
 pub mod random_pose;
 pub mod real_scans;
 pub mod report;

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare_rigs, more_garbow_hillstrom, nist, real_scans, report, scaling, scan_bench, schedule_search, silence,
-    solver_case, start_bench, this_program, unseen,
+    compare_rigs, consistency, more_garbow_hillstrom, nist, peers, real_scans, report, scaling, scan_bench,
+    schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
 use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
@@ -42,6 +42,10 @@ enum Command {
     RealScans(real_scans::Arguments),
     /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
     Unseen(unseen::Arguments),
+    /// Register a population without truth and measure how well its faces agree on where a template vertex belongs
+    Consistency(consistency::Arguments),
+    /// Run what one would otherwise take on the same cases: time, memory and error beside ours
+    Peers(peers::Arguments),
     /// Measure how time and memory of an iteration grow with vertices and nodes, and those of a registration with the scan
     Scaling(scaling::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
@@ -82,6 +86,8 @@ fn main() -> ExitCode {
         Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
+        Some(Command::Peers(a)) => on_threads(a.threads, || peers::run(a)),
+        Some(Command::Consistency(a)) => on_threads(a.threads, || consistency::run(a)),
         Some(Command::Dev(Dev::SearchSchedules(a))) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::Dev(Dev::SolverCase(a))) => on_threads(a.threads, || solver_case::run(a)),
         Some(Command::Scaling(a)) => scaling::run(a),
@@ -112,6 +118,12 @@ fn on_threads(threads: Option<u16>, work: impl FnOnce() -> Result<()> + Send) ->
 }
 
 #[cfg(test)]
+#[path = "../../tests/support/command_page.rs"]
+mod command_page;
+#[cfg(test)]
+#[path = "../../tests/support/generated_page.rs"]
+mod generated_page;
+#[cfg(test)]
 #[path = "../../tests/support/help.rs"]
 mod help;
 
@@ -119,11 +131,17 @@ mod help;
 mod tests {
     use clap::CommandFactory as _;
 
-    use super::{Cli, help};
+    use super::{Cli, command_page, generated_page, help};
 
     #[test]
     fn every_help_ends_with_examples_that_parse() {
         let faults = help::faults(&Cli::command());
         assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+
+    #[test]
+    fn the_reference_of_options_is_that_of_the_code() {
+        let repository = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+        generated_page::check(repository, "experiments.md", &command_page::page(&Cli::command()));
     }
 }

@@ -5,7 +5,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::console::{Failure, Stage, check_plan};
-use nonrigid::mesh::io::FilePlan;
+use nonrigid::io::FilePlan;
+
+/// Refuses a list that names something twice: its results would stand in the same place.
+///
+/// # Errors
+/// A [`Failure`] of the arguments that names it.
+pub fn each_once<T: PartialEq + std::fmt::Display>(option: &str, list: &[T]) -> Result<(), Failure> {
+    match list.iter().enumerate().find(|(i, item)| list[..*i].contains(item)) {
+        Some((_, item)) => Err(Failure::new(Stage::Arguments, format!("{option} names {item} twice"))),
+        None => Ok(()),
+    }
+}
 
 /// Makes the folder of results, unless a file or folder that is read is in it.
 ///

@@ -11,9 +11,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage, say, tell};
-use nonrigid::mesh::io::{self, Landmark, Scan, write_polygon_mesh};
+use nonrigid::io::{self, Scan, write_polygon_mesh};
+use nonrigid::landmark;
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
-use nonrigid::registration::{ModelFactory, ModelKind, Quality, RegistrationInput, StepRecord, register};
+use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, register};
 use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_size};
 use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
@@ -113,7 +115,7 @@ impl Target {
         crate::check_millimetres(path, &scan.mesh.positions)?;
         let landmarks = path.with_file_name("landmarks.json");
         let landmarks = if landmarks.exists() {
-            io::read_landmarks(&landmarks, None, template, Some(&scan.mesh))?
+            landmark::read_landmarks(&landmarks, None, template, Some(&scan.mesh))?
         } else {
             Vec::new()
         };

@@ -16,8 +16,8 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use nonrigid::console::{Failure, say, tell};
-use nonrigid::mesh::io::write_atomically;
-use nonrigid::registration::{ModelKind, Schedule, TermFactory, TermKind};
+use nonrigid::io::write_atomically;
+use nonrigid::registration::{ModelKind, Schedule, TERMS};
 use rayon::prelude::*;
 
 use crate::generated::standard_cases;
@@ -72,7 +72,13 @@ const LAST: &[f64] = &[0.003, 0.007, 0.015, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3.0
 const LANDMARKS_FIRST: &[f64] = &[1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
 const LANDMARKS_LAST: &[f64] = &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
 
-/// What may be varied of a model, in the order of the search.
+/// The models that are searched: not those that state what others do.
+#[must_use]
+pub fn searched() -> Vec<ModelKind> {
+    ModelKind::ALL.into_iter().filter(|m| !matches!(m, ModelKind::Klimov2020 | ModelKind::Flame)).collect()
+}
+
+/// What may be varied of a model, in the order of the search; of one that is not [`searched`], what of the model that it runs.
 #[must_use]
 pub fn axes(model: ModelKind) -> Vec<Axis> {
     let axis = |name, grid, start| Axis { name, grid, start };
@@ -81,7 +87,8 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
     let smooth = [axis("lambda_smooth last", LAST, 6), axis("lambda_smooth first", FIRST, 3)];
     let mut axes = match model {
         ModelKind::Rigid | ModelKind::Similarity => Vec::new(),
-        ModelKind::Blendshape => blend.to_vec(),
+        ModelKind::Blendshape | ModelKind::Flame => blend.to_vec(),
+        ModelKind::Klimov2020 => [&graph[..], &blend].concat(),
         ModelKind::Hybrid => [&graph[..], &blend, &[axis("lambda_unseen", &[0.0, 0.3, 1.0, 3.0, 10.0], 2)]].concat(),
         ModelKind::Sequential => [&smooth[..], &blend].concat(),
         ModelKind::Graph => graph.to_vec(),
@@ -114,26 +121,27 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
         text += "# Steps are cheap without deformation, and a pose is wanted to the micrometre.\n[stop]\nenergy = 1e-4\nmotion = 0.001\n\n";
     }
     let _ = writeln!(text, "[scan]\ntemplate_rim = {:?}", at["rim"]);
-    let mut option = |axis: &str, section: &str, choices: [&str; 2]| {
-        if let Some(&choice) = at.get(axis) {
-            let _ = writeln!(text, "{section}{}", choices[usize::from(choice > 0.0)]);
-        }
-    };
-    option("bilaplacian", "\n[smooth]\nkind = ", ["\"laplacian\"", "\"bilaplacian\""]);
-    option("cotangent", "weights = ", ["\"uniform\"", "\"cotangent\""]);
-    option("joint", "\n[arap]\nsolver = ", ["\"local_global\"", "\"joint\""]);
-    if let Some(gamma) = at.get("gamma") {
-        let _ = writeln!(text, "\n[affine]\ngamma = {gamma:?}");
-    }
+    let mut options: Vec<String> = Vec::new();
     if at.contains_key("lambda_graph last") {
-        text += "\n[graph]\nnodes = 400\ninfluences = 4\ndistance = \"surface\"\n";
-        if let Some(lambda) = at.get("lambda_unseen") {
-            let _ = writeln!(text, "lambda_unseen = {lambda:?}");
-        }
+        options.extend(["nodes = 400", "influences = 4", "distance = \"surface\""].map(String::from));
+    }
+    let choices = [
+        ("bilaplacian", "kind", ["laplacian", "bilaplacian"]),
+        ("cotangent", "weights", ["uniform", "cotangent"]),
+        ("joint", "solver", ["local_global", "joint"]),
+    ];
+    for (axis, key, choices) in choices {
+        options.extend(at.get(axis).map(|&choice| format!("{key} = {:?}", choices[usize::from(choice > 0.0)])));
+    }
+    for key in ["gamma", "lambda_unseen"] {
+        options.extend(at.get(key).map(|value| format!("{key} = {value:?}")));
+    }
+    if !options.is_empty() {
+        let _ = writeln!(text, "\n[model]\n{}", options.join("\n"));
     }
     if model == ModelKind::Sequential {
         text += &levels_text("level", &LADDER, &["lambda_blend"], at);
-        text += "\n[then]\nmodel = \"arap\"\n";
+        text += "\n[then.model]\nname = \"arap\"\n";
         text += &levels_text("then.level", &LADDER[SECOND_STAGE..], &["lambda_smooth"], at);
     } else {
         text += &levels_text("level", &LADDER, &["lambda_graph", "lambda_smooth", "lambda_blend"], at);
@@ -145,26 +153,28 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
 fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static str, f64>) -> String {
     let mut text = String::new();
     for (level, rung) in rungs.iter().enumerate() {
-        let _ = write!(text, "\n[[{table}]]\nsteps = {}\n", rung.steps);
-        let mut line = |key: &str, value: f64| {
-            let _ = writeln!(text, "{key} = {value:?}");
+        let along = |key: &str| {
+            let [first, last] = ["first", "last"].map(|end| at.get(&*format!("{key} {end}")).copied());
+            Some(ramp(first?, last?, level, rungs.len()))
         };
-        for key in keys.iter().chain(&["landmarks"]) {
-            let ends = ["first", "last"].map(|end| at.get(&*format!("{key} {end}")).copied());
-            if let [Some(first), Some(last)] = ends {
-                line(key, ramp(first, last, level, rungs.len()));
-            }
+        let mut model: Vec<String> = keys.iter().filter_map(|k| Some(format!("{k} = {:?}", along(k)?))).collect();
+        model.extend(at.get("lambda_rotation").map(|ratio| format!("lambda_rotation = {ratio:?}")));
+        let cap = rung.distance_cap.max(at["cap"]);
+        let _ = write!(
+            text,
+            "\n[[{table}]]\nsteps = {}\ndistance_cap = {cap:?}\nnormal_angle = 60.0\nkernel = {{ huber = {{ delta = {:?} }} }}\n",
+            rung.steps, rung.huber
+        );
+        if !model.is_empty() {
+            let _ = writeln!(text, "model = {{ {} }}", model.join(", "));
         }
-        if let Some(&ratio) = at.get("lambda_rotation") {
-            line("lambda_rotation", ratio);
+        if let Some(weight) = along("landmarks") {
+            let _ =
+                writeln!(text, "terms.landmarks = {{ weight = {weight:?}, kernel = {{ huber = {{ delta = 3.0 }} }} }}");
         }
         if at.contains_key("lambda_unseen") {
-            line("seam", 0.3);
+            text += "terms.seam = { weight = 0.3 }\n";
         }
-        line("distance_cap", rung.distance_cap.max(at["cap"]));
-        line("normal_angle", 60.0);
-        text += "landmark_kernel = { huber = { delta = 3.0 } }\n";
-        let _ = writeln!(text, "kernel = {{ huber = {{ delta = {:?} }} }}", rung.huber);
     }
     text
 }
@@ -256,10 +266,9 @@ fn descend(
 
 /// Mean over the cases of rmse plus its part along the normal; infinite where a registration fails.
 fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 {
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let run = |case: &BenchCase| {
-        run_case(&model, &terms, schedule, case, LandmarkUse::All)
-            .map_or(f64::INFINITY, |(score, ..)| score.errors.rmse + score.errors.off)
+        run_case(&model, &TERMS, schedule, case, LandmarkUse::All)
+            .map_or(f64::INFINITY, |(score, ..)| score.errors.rmse + score.errors.normal)
     };
     let errors: Vec<f64> = cases.par_iter().map(run).collect();
     errors.iter().sum::<f64>() / errors.len() as f64
@@ -271,7 +280,7 @@ fn objective(model: ModelKind, schedule: &Schedule, cases: &[BenchCase]) -> f64 
     experiments dev search-schedules --models graph --budget 4 --vertices 1000 --out out/short-search")]
 pub struct Options {
     /// Models to search
-    #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
+    #[arg(long, value_delimiter = ',', default_values_t = searched(), value_parser = searched_model)]
     models: Vec<ModelKind>,
     /// Seeds, six cases from each
     #[arg(long, value_delimiter = ',', default_values_t = [101])]
@@ -288,6 +297,11 @@ pub struct Options {
     /// Threads [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+}
+
+fn searched_model(name: &str) -> Result<ModelKind, String> {
+    let model = name.parse()?;
+    if searched().contains(&model) { Ok(model) } else { Err(format!("the schedule of '{model}' is not searched")) }
 }
 
 /// Searches and writes `MODEL.toml` for each model and `search.csv`.
@@ -332,16 +346,17 @@ mod tests {
 
     #[test]
     fn every_corner_of_every_models_grid_is_a_schedule() {
-        for model in ModelKind::ALL {
+        for model in searched() {
             for end in [|a: &Axis| a.grid[0], |a: &Axis| a.grid[a.start], |a: &Axis| a.grid[a.grid.len() - 1]] {
                 let at = axes(model).iter().map(|a| (a.name, end(a))).collect();
                 let schedule =
                     Schedule::from_toml(&schedule_text(model, &at)).unwrap_or_else(|e| panic!("{model}: {e}"));
+                schedule.resolved(&model, &TERMS).unwrap_or_else(|e| panic!("{model}: {e}"));
                 assert_eq!(
                     (schedule.levels.len(), schedule.then.is_some()),
                     (LADDER.len(), model == ModelKind::Sequential)
                 );
-                let landmarks: Vec<f64> = schedule.levels.iter().map(|l| l.landmarks).collect();
+                let landmarks: Vec<f64> = schedule.levels.iter().map(|l| l.term("landmarks").unwrap()).collect();
                 assert_eq!((landmarks[0], landmarks[5]), (at["landmarks first"], at["landmarks last"]));
             }
         }
@@ -349,7 +364,7 @@ mod tests {
 
     #[test]
     fn axes_ascend_and_start_inside() {
-        for axis in ModelKind::ALL.into_iter().flat_map(axes) {
+        for axis in searched().into_iter().flat_map(axes) {
             assert!(axis.grid.is_sorted() && axis.start < axis.grid.len(), "{axis:?}");
         }
     }

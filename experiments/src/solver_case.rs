@@ -13,9 +13,9 @@ use std::time::Duration;
 use anyhow::Result;
 use nonrigid::console::{Failure, say};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
+use nonrigid::io::{Npz, ReadError};
 use nonrigid::mesh::Vec3;
-use nonrigid::mesh::io::{Npz, ReadError};
-use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness, hybrid};
+use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness};
 use nonrigid::nlls::{
     Algorithm, Dogleg, GaussNewton, Kernel, LevenbergMarquardt, LinearSolverKind, Minimizer, Options, Silent, Summary,
     Workspace,
@@ -218,7 +218,7 @@ pub fn read_case(path: &Path) -> Result<SolverCase, Failure> {
         }
     }
     let shapes = (0..shape_count).map(|k| Shape { name: format!("shape{k}"), family: Family::Expression }).collect();
-    let model = hybrid(neutral, nodes, ShapeBasis::new(shapes, slab), stiffness);
+    let model = Hybrid::new(neutral, nodes, ShapeBasis::new(shapes, slab), stiffness);
     let mut problem = Deformation::new(model, Samples::vertices(n));
     // The case's kernel acts on alpha r^2, ours on r^2 with alpha outside: rho_delta(alpha s) = alpha rho_(delta / sqrt(alpha))(s).
     let kernel = if huber > 0.0 { Kernel::Huber { delta: huber / alpha.sqrt() } } else { Kernel::None };

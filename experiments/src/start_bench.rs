@@ -8,9 +8,11 @@ use std::time::Instant;
 
 use anyhow::Result;
 use nonrigid::console::{Failure, say};
-use nonrigid::mesh::io::{self, Landmark, Scan};
+use nonrigid::io::{self, Scan};
+use nonrigid::landmark;
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
-use nonrigid::registration::{ModelFactory, ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
+use nonrigid::registration::{ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
 use nonrigid::rig::ShapeBasis;
 use rayon::prelude::*;
 
@@ -128,7 +130,7 @@ impl StartCase {
         let scan = io::read_scan(path)?;
         crate::check_millimetres(path, &scan.mesh.positions)?;
         let landmarks = match landmarks {
-            Some(path) => io::read_landmarks(path, None, template, Some(&scan.mesh))?,
+            Some(path) => landmark::read_landmarks(path, None, template, Some(&scan.mesh))?,
             None => Vec::new(),
         };
         Ok(Self { name, template: template.clone(), shapes: rig.expressions()?, scan, landmarks })

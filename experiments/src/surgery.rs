@@ -1,7 +1,7 @@
 //! Faces with the 68 landmarks that presets need.
 
 use anyhow::{Context, Result, bail};
-use nonrigid::mesh::io::TemplatePoint;
+use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, Subject, replay};
 use nonrigid::rig::{Regions, ShapeBasis};

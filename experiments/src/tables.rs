@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Result;
 use comfy_table::{CellAlignment, Table, presets};
 use nonrigid::console::Failure;
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 use nonrigid::nlls::{Convergence, StopReason};
 pub use nonrigid::page::csv_text;
 use serde_json::Value;

@@ -12,11 +12,11 @@ use std::path::PathBuf;
 use anyhow::Result;
 use nonrigid::console::{Failure, say, tell};
 use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
+use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::closest_point::ClosestVertices;
-use nonrigid::mesh::io::write_polygon_mesh;
 use nonrigid::mesh::normals::face_cross;
 use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose};
-use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TermFactory, TermKind};
+use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TERMS, TermFactory};
 use serde::Serialize;
 
 use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, fit_case, read_schedule};
@@ -131,7 +131,6 @@ pub fn run(a: &Arguments) -> Result<()> {
     let cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
     fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
     let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let mut rows = Vec::new();
     for case in &cases {
         for (name, view) in VIEWS.iter().filter(|v| a.views.is_empty() || a.views.iter().any(|n| n == v.0)) {
@@ -139,7 +138,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             let own = own_faults(&case)?;
             for model in &a.models {
                 let schedule = config.clone().map_or_else(|| model.schedule(), Ok)?;
-                let row = row_of(&case, name, *model, &terms, &schedule, own, a)?;
+                let row = row_of(&case, name, *model, &TERMS, &schedule, own, a)?;
                 tell(format_args!("{} {} {}: {:.3} / {:.3}", row.case, row.view, row.model, row.rmse, row.unseen_rmse));
                 rows.push(row);
             }

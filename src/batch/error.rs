@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::mesh::io::{PlanError, WriteError};
+use crate::io::{PlanError, WriteError};
 
 /// Why a batch does not run, or not to its end; what is wrong with one scan is in its [`Record`](super::Record).
 #[derive(Debug, thiserror::Error)]

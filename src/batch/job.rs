@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
 
-use crate::mesh::io::{sha256, sha256_of_file};
+use crate::io::{sha256, sha256_of_file};
 
 /// What is to be run.
 #[derive(Debug, Clone)]

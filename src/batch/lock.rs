@@ -16,7 +16,7 @@ use std::time::{Duration, SystemTime};
 use serde::{Deserialize, Serialize};
 
 use super::{BatchError, Shard};
-use crate::mesh::io::WriteError;
+use crate::io::WriteError;
 
 /// Folder of a batch's own files, below that of its results.
 pub(super) const HIDDEN: &str = ".nonrigid";

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use crate::mesh::io::{Place, ReadError};
+use crate::io::{Place, ReadError};
 use crate::text::is_hidden;
 
 /// Which columns a manifest may have besides `name` and `sequence`: options of the command that each row runs.

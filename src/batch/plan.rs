@@ -1,10 +1,11 @@
 //! What a batch will do, before it does any of it.
 
+use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 use super::lock::HIDDEN;
 use super::{Batch, Job, Manifest, Record, Row, Shard, chains};
-use crate::mesh::io::{FilePlan, PlanError, sha256};
+use crate::io::{PlanError, check_files, sha256};
 
 /// The jobs of a batch, which of them to run, and how.
 #[derive(Debug, Clone)]
@@ -37,40 +38,18 @@ impl Plan {
         self.chains.iter().map(Vec::len).sum()
     }
 
-    /// Everything that jobs read and could write, those of other parts included.
-    #[must_use]
-    pub fn files(&self) -> FilePlan {
-        let mut plan = FilePlan::new().reads("the manifest", &self.manifest);
-        for job in &self.jobs {
-            plan = plan.reads_all(job.inputs.iter().map(|(role, path)| (format!("{role} of {:?}", job.name), path)));
-        }
-        for job in &self.jobs {
-            let names = self.batch.names(&job.name);
-            let names: Vec<String> = names.collect();
-            // those that it would replace by others
-            let earlier = Record::read(&self.batch.record(job)).map(|record| record.outputs).unwrap_or_default();
-            let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
-            let all = names.into_iter().chain(earlier);
-            plan = plan.writes_all(all.map(|name| (format!("result of {:?}", job.name), self.batch.folder.join(name))));
-        }
-        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.timing()]);
-        plan = plan.writes_all(shared.map(|name| ("summary", self.batch.folder.join(name))));
-        plan.writes_in("--out", self.batch.folder.join(HIDDEN))
-    }
-
     /// Whether it can be carried out without harm. [`run`](Self::run) asks this first.
     ///
     /// # Errors
     /// When a file that is read could be written, by name.
     pub fn check(&self) -> Result<(), PlanError> {
-        self.files().check()
+        check(&self.batch, &self.manifest, &self.timing(), || self.jobs.iter())
     }
 
     /// Name of the file that this part writes its times to.
     #[must_use]
     pub fn timing(&self) -> String {
-        let part = if self.shard.is_whole() { String::new() } else { format!(".{}", self.shard) };
-        format!("summary{part}.timing.json")
+        timing(self.shard)
     }
 
     /// Hash of what all parts have in common.
@@ -79,4 +58,42 @@ impl Plan {
         let jobs = self.jobs.iter().map(|job| (&job.name, &job.arguments, &job.settings));
         sha256(format!("{format} {pictures} {:?}", jobs.collect::<Vec<_>>()).as_bytes())
     }
+}
+
+/// Name of the file that a part writes its times to.
+pub(super) fn timing(shard: Shard) -> String {
+    let part = if shard.is_whole() { String::new() } else { format!(".{shard}") };
+    format!("summary{part}.timing.json")
+}
+
+/// Refuses jobs of which one would write what another, or this one, reads. `jobs` tells them whenever it is asked.
+pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
+    batch: &Batch,
+    manifest: &Path,
+    timing: &str,
+    jobs: impl Fn() -> I,
+) -> Result<(), PlanError> {
+    let reads = || {
+        let of_jobs = jobs().flat_map(|job| {
+            let job = job.borrow();
+            let of = |(role, path): &(String, PathBuf)| (format!("{role} of {:?}", job.name), path.clone());
+            job.inputs.iter().map(of).collect::<Vec<_>>()
+        });
+        std::iter::once(("the manifest".to_owned(), manifest.to_owned())).chain(of_jobs)
+    };
+    let writes = || {
+        let of_jobs = jobs().flat_map(|job| {
+            let name = &job.borrow().name;
+            let names: Vec<String> = batch.names(name).collect();
+            // those that it would replace by others
+            let earlier = Record::read(&batch.record_of(name)).map(|record| record.outputs).unwrap_or_default();
+            let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
+            let what = format!("result of {name:?}");
+            let all = names.into_iter().chain(earlier);
+            all.map(|name| (what.clone(), batch.folder.join(name))).collect::<Vec<_>>()
+        });
+        let shared = SUMMARY.map(str::to_owned).into_iter().chain([timing.to_owned()]);
+        of_jobs.chain(shared.map(|name| ("summary".to_owned(), batch.folder.join(name))))
+    };
+    check_files(reads, writes, &[("--out".to_owned(), batch.folder.join(HIDDEN))])
 }

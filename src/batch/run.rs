@@ -14,9 +14,9 @@ use serde::Serialize;
 
 use super::job::InputHash;
 use super::lock::{HIDDEN, Lock};
-use super::plan::SUMMARY;
-use super::{BatchError, Hashes, Job, Kept, Plan, Record, Start, Status, Summary};
-use crate::mesh::io::{WriteError, replace, write_atomically};
+use super::plan::{self, SUMMARY};
+use super::{BatchError, Hashes, Job, Kept, Plan, Record, Row, Shard, Start, Status, Summary};
+use crate::io::{WriteError, replace, write_atomically};
 
 /// How and where jobs run.
 #[derive(Debug, Clone)]
@@ -103,7 +103,11 @@ impl Batch {
     /// Where what is known of a job is kept.
     #[must_use]
     pub fn record(&self, job: &Job) -> PathBuf {
-        self.folder.join(format!("log/{}.json", job.name))
+        self.record_of(&job.name)
+    }
+
+    pub(super) fn record_of(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("log/{name}.json"))
     }
 
     /// Names of what a job writes, in the folder of results: the report first, the record last.
@@ -141,42 +145,167 @@ impl Plan {
         said: &dyn Fn(&str),
     ) -> Result<Finished, BatchError> {
         let clock = Instant::now();
-        self.check()?;
-        self.refuse_strangers()?;
-        let folder = &self.batch.folder;
-        let lock = Lock::take(folder, self.shard, &self.fingerprint(), said)?;
-        let run = Run { plan: self, batch: &self.batch, lock: &lock, hashes: Hashes::default() };
-        // another batch may have been there until now
-        self.refuse_strangers()?;
-        run.claim()?;
-        for folder in [folder.join("log"), folder.join("state")] {
-            fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
-        }
-        let outcomes = run.chains(stop, finished)?;
-        let summary = run.summarise(&outcomes)?;
+        let lock = self.begin(said)?;
+        let lost = || lock.is_lost();
+        let run = Run::new(&self.batch, &self.jobs, lock.aside(), &lost);
+        let outcomes = run.chains(&self.chains, stop, finished)?;
+        let summary = self.summarise(&outcomes)?;
         let timing = Timing::new(self, &outcomes, clock.elapsed());
-        write_atomically(&folder.join(self.timing()), |file| Ok(serde_json::to_writer_pretty(file, &timing)?))?;
+        self.batch.write_timing(self.shard, &timing)?;
         Ok(Finished { outcomes, summary, timing })
+    }
+
+    /// Refuses what must not run, takes the folder, and makes it ready.
+    fn begin(&self, said: &dyn Fn(&str)) -> Result<Lock, BatchError> {
+        self.check()?;
+        let names = || self.chains.iter().flatten().map(|&k| &*self.jobs[k].name);
+        self.batch.begin(self.shard, &self.fingerprint(), names, said)
+    }
+
+    /// Writes the table of all jobs. Other parts may do so at the same time: who writes last sees in what it reads then whether that
+    /// was before another has ended.
+    fn summarise(&self, outcomes: &[Outcome]) -> Result<Summary, WriteError> {
+        let read = || Summary::of(&self.batch, &self.jobs, outcomes);
+        let mut summary = read();
+        loop {
+            self.batch.write_summary(&summary)?;
+            let now = read();
+            if now == summary {
+                return Ok(summary);
+            }
+            summary = now;
+        }
     }
 }
 
-impl Plan {
+/// A folder that this process holds for jobs that others run, on other machines as well.
+#[derive(Debug)]
+pub struct Held {
+    batch: Batch,
+    lock: Lock,
+}
+
+impl Held {
+    /// Takes the folder for the jobs of a whole manifest that was read from `path`, which others run by [`run_jobs`]; it is this
+    /// process's until this is dropped. `job` says what a row runs; one job is held at a time.
+    ///
+    /// # Errors
+    /// As [`Plan::run`], before anything runs.
+    pub fn take(
+        batch: Batch,
+        path: &Path,
+        rows: &[Row],
+        job: impl Fn(&Row) -> Job,
+        said: &dyn Fn(&str),
+    ) -> Result<Self, BatchError> {
+        let shard = Shard::whole();
+        plan::check(&batch, path, &plan::timing(shard), || rows.iter().map(&job))?;
+        // a whole goes with no other part, so that its fingerprint is compared with none
+        let lock = batch.begin(shard, "", || rows.iter().map(|row| &*row.name), said)?;
+        Ok(Self { batch, lock })
+    }
+
+    /// Where each of the others makes a folder for [`run_jobs`]; taken away at the end.
+    #[must_use]
+    pub fn aside(&self) -> &Path {
+        self.lock.aside()
+    }
+
+    /// Whether another batch took the folder over.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.lock.is_lost()
+    }
+
+    /// Writes what the others have told.
+    ///
+    /// # Errors
+    /// When it cannot be written, or the folder was taken over.
+    pub fn finish(&self, summary: &Summary, timing: &Timing) -> Result<(), BatchError> {
+        if self.is_lost() {
+            return Err(BatchError::Lost(self.batch.folder.clone()));
+        }
+        self.batch.write_summary(summary)?;
+        Ok(self.batch.write_timing(Shard::whole(), timing)?)
+    }
+}
+
+/// Runs jobs in a folder that the caller, or who asked it to, [holds](Held::take): chains of indices into `jobs`, as those of a plan.
+/// `aside` is an empty folder in the same file system, for these jobs alone.
+///
+/// # Errors
+/// When the program cannot be started, or something cannot be written.
+pub fn run_jobs(
+    batch: &Batch,
+    jobs: &[Job],
+    chains: &[Vec<usize>],
+    aside: &Path,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Outcome>, BatchError> {
+    for folder in [aside.join("log"), aside.join("state"), batch.folder.join("log"), batch.folder.join("state")] {
+        fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
+    }
+    Run::new(batch, jobs, aside, &|| false).chains(chains, stop, &|_| {})
+}
+
+impl Batch {
+    /// Takes the folder for jobs of these names, and makes it ready.
+    fn begin<'a, I: Iterator<Item = &'a str>>(
+        &self,
+        shard: Shard,
+        fingerprint: &str,
+        names: impl Fn() -> I,
+        said: &dyn Fn(&str),
+    ) -> Result<Lock, BatchError> {
+        self.refuse_strangers(shard, names())?;
+        let folder = &self.folder;
+        let lock = Lock::take(folder, shard, fingerprint, said)?;
+        // another batch may have been there until now
+        self.refuse_strangers(shard, names())?;
+        self.claim(shard)?;
+        for folder in [folder.join("log"), folder.join("state")] {
+            fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
+        }
+        Ok(lock)
+    }
+
+    /// Names of the files that a part writes besides results.
+    fn shared(shard: Shard) -> impl Iterator<Item = String> {
+        SUMMARY.map(str::to_owned).into_iter().chain([plan::timing(shard)])
+    }
+
+    /// Writes down, before they are written, the names of the files besides results.
+    fn claim(&self, shard: Shard) -> Result<(), WriteError> {
+        let names: Vec<String> = Self::shared(shard).collect();
+        let path = self.folder.join(HIDDEN).join(format!("wrote-{shard}.json"));
+        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
+    }
+
+    fn write_timing(&self, shard: Shard, timing: &Timing) -> Result<(), WriteError> {
+        let path = self.folder.join(plan::timing(shard));
+        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, timing)?))
+    }
+
+    fn write_summary(&self, summary: &Summary) -> Result<(), WriteError> {
+        let [csv, page] = SUMMARY.map(|name| self.folder.join(name));
+        write_atomically(&csv, |file| file.write_all(summary.to_csv().as_bytes()))?;
+        let pictured = |name: &str| self.folder.join(format!("{name}.png")).exists();
+        write_atomically(&page, |file| file.write_all(summary.to_html(&pictured).as_bytes()))
+    }
+
     /// Refuses files that would be replaced and are of no batch.
-    fn refuse_strangers(&self) -> Result<(), BatchError> {
-        let folder = &self.batch.folder;
+    fn refuse_strangers<'a>(&self, shard: Shard, jobs: impl Iterator<Item = &'a str>) -> Result<(), BatchError> {
+        let folder = &self.folder;
         let claimed = self.claimed();
         let mut strangers = Vec::new();
-        for &k in self.chains.iter().flatten() {
-            let job = &self.jobs[k];
-            let record = Record::read(&self.batch.record(job));
-            let known = |name: &String| {
-                record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{}.json", job.name))
-            };
-            let there = self.batch.names(&job.name).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+        for job in jobs {
+            let record = Record::read(&self.record_of(job));
+            let known =
+                |name: &String| record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{job}.json"));
+            let there = self.names(job).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
             strangers.extend(there.filter(|name| !known(name)));
         }
-        let shared = SUMMARY.map(str::to_owned).into_iter().chain([self.timing()]);
-        let there = shared.filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
+        let there = Self::shared(shard).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
         strangers.extend(there.filter(|name| !claimed.contains(name)));
         match &strangers[..] {
             [] => Ok(()),
@@ -187,7 +316,7 @@ impl Plan {
     /// Names of the files that batches have written here besides results.
     fn claimed(&self) -> BTreeSet<String> {
         let mut claimed = BTreeSet::new();
-        let entries = fs::read_dir(self.batch.folder.join(HIDDEN)).into_iter().flatten().flatten();
+        let entries = fs::read_dir(self.folder.join(HIDDEN)).into_iter().flatten().flatten();
         for path in entries.map(|e| e.path()).filter(|path| path.extension().is_some_and(|e| e == "json")) {
             let names: Option<Vec<String>> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
             claimed.extend(names.into_iter().flatten());
@@ -213,32 +342,33 @@ impl Timing {
     }
 }
 
-/// A plan that is being carried out.
+/// Jobs that are being carried out.
 struct Run<'a> {
-    plan: &'a Plan,
     batch: &'a Batch,
-    lock: &'a Lock,
+    jobs: &'a [Job],
+    /// Where files are made before they replace others.
+    aside: &'a Path,
+    /// Whether another batch took the folder over.
+    lost: &'a (dyn Fn() -> bool + Sync),
     hashes: Hashes,
 }
 
-impl Run<'_> {
-    /// Writes down, before they are written, the names of the files besides results.
-    fn claim(&self) -> Result<(), WriteError> {
-        let names: Vec<String> = SUMMARY.map(str::to_owned).into_iter().chain([self.plan.timing()]).collect();
-        let path = self.batch.folder.join(HIDDEN).join(format!("wrote-{}.json", self.plan.shard));
-        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
+impl<'a> Run<'a> {
+    fn new(batch: &'a Batch, jobs: &'a [Job], aside: &'a Path, lost: &'a (dyn Fn() -> bool + Sync)) -> Self {
+        Self { batch, jobs, aside, lost, hashes: Hashes::default() }
     }
 
     fn chains(
         &self,
+        chains: &[Vec<usize>],
         stop: &(dyn Fn() -> bool + Sync),
         finished: &(dyn Fn(&Outcome) + Sync),
     ) -> Result<Vec<Outcome>, BatchError> {
-        let jobs = &self.plan.jobs;
+        let jobs = self.jobs;
         let next = AtomicUsize::new(0);
         let outcomes = Mutex::new(Vec::new());
         let worker = || -> Result<(), BatchError> {
-            while let Some(chain) = self.plan.chains.get(next.fetch_add(1, Ordering::Relaxed)) {
+            while let Some(chain) = chains.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let mut previous: Option<(usize, Record)> = None;
                 for &k in chain {
                     if stop() {
@@ -274,7 +404,7 @@ impl Run<'_> {
         before: Option<(&Job, &str)>,
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<Option<Outcome>, BatchError> {
-        let (clock, job) = (Instant::now(), &self.plan.jobs[index]);
+        let (clock, job) = (Instant::now(), &self.jobs[index]);
         let outcome = |record, before| Outcome { job: index, record, before, seconds: clock.elapsed().as_secs_f64() };
         let path = self.batch.record(job);
         let known = Record::read(&path);
@@ -303,7 +433,7 @@ impl Run<'_> {
             start = Start::ColdAgain;
             ended = self.process(job, None)?;
         }
-        if self.lock.is_lost() {
+        if (self.lost)() {
             return Err(BatchError::Lost(self.batch.folder.clone()));
         }
         if ended.interrupted && stop() {
@@ -327,7 +457,7 @@ impl Run<'_> {
                 // a file that was changed between its hash and its use: what was used counts
                 let read = read.unwrap_or_default();
                 let key = job.key_of_what_was_read(before.map(|b| b.1), &self.hashes, &read).unwrap_or(key);
-                let outputs = Record::hashes(self.lock.aside(), &self.batch.outputs(&job.name));
+                let outputs = Record::hashes(self.aside, &self.batch.outputs(&job.name));
                 let others = others(&job.name).to_vec();
                 let (key, status) = (Some(key), Status::Done);
                 let record = Record { key, status, start, error: None, outputs, others, kept: None };
@@ -351,7 +481,7 @@ impl Run<'_> {
     fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
         let folder = &self.batch.folder;
         let names: Vec<String> = self.batch.outputs(&job.name).into_iter().chain(others(&job.name)).collect();
-        let made = |name: &String| self.lock.aside().join(name).exists();
+        let made = |name: &String| self.aside.join(name).exists();
         let of_known = |name: &str| known.is_some_and(|known| known.lists(name));
         let stranger =
             names.iter().filter(|name| made(name)).find(|name| folder.join(name).exists() && !of_known(name));
@@ -370,7 +500,7 @@ impl Run<'_> {
         self.write_record(job, &record)?;
         for name in names.iter().filter(|name| made(name)) {
             let path = folder.join(name);
-            replace(&self.lock.aside().join(name), &path).map_err(|source| WriteError::Io { path, source })?;
+            replace(&self.aside.join(name), &path).map_err(|source| WriteError::Io { path, source })?;
         }
         Ok(record)
     }
@@ -383,19 +513,19 @@ impl Run<'_> {
     fn clear(&self, job: &Job) {
         self.clear_results(job);
         for name in others(&job.name) {
-            let _ = fs::remove_file(self.lock.aside().join(name)); // it may not be there
+            let _ = fs::remove_file(self.aside.join(name)); // it may not be there
         }
     }
 
     fn clear_results(&self, job: &Job) {
         let names = self.batch.outputs(&job.name).into_iter().chain([format!("{}.timing.json", job.name)]);
         for name in names {
-            let _ = fs::remove_file(self.lock.aside().join(name)); // usually there is none
+            let _ = fs::remove_file(self.aside.join(name)); // usually there is none
         }
     }
 
     fn report(&self, job: &Job) -> Option<serde_json::Value> {
-        let bytes = fs::read(self.lock.aside().join(format!("{}.json", job.name))).ok()?;
+        let bytes = fs::read(self.aside.join(format!("{}.json", job.name))).ok()?;
         serde_json::from_slice(&bytes).ok()
     }
 
@@ -409,7 +539,7 @@ impl Run<'_> {
             Ok(arguments) => arguments,
             Err(message) => return Ok(Ended { error: Some(message.clone()), interrupted: false }),
         };
-        let aside = self.lock.aside();
+        let aside = self.aside;
         let path = aside.join(format!("log/{}.txt", job.name));
         let failed = |path: &Path| {
             let path = path.to_owned();
@@ -442,24 +572,6 @@ impl Run<'_> {
         // whoever asked this process alone, and not the batch: an end by itself it was not
         let error = if interrupted { Some(format!("told to end from outside ({status})")) } else { error };
         Ok(Ended { error, interrupted })
-    }
-
-    /// Writes the table of all jobs. Other parts may do so at the same time: who writes last sees in what it reads then whether that
-    /// was before another has ended.
-    fn summarise(&self, outcomes: &[Outcome]) -> Result<Summary, WriteError> {
-        let folder = &self.batch.folder;
-        let read = || Summary::of(self.batch, &self.plan.jobs, outcomes);
-        let mut summary = read();
-        loop {
-            let [csv, page] = SUMMARY.map(|name| folder.join(name));
-            write_atomically(&csv, |file| file.write_all(summary.to_csv().as_bytes()))?;
-            write_atomically(&page, |file| file.write_all(summary.to_html(folder).as_bytes()))?;
-            let now = read();
-            if now == summary {
-                return Ok(summary);
-            }
-            summary = now;
-        }
     }
 }
 

@@ -1,22 +1,23 @@
 //! All jobs in one table: CSV, a page, and lines for a terminal.
 
+use std::borrow::Cow;
 use std::fmt::{self, Write as _};
-use std::path::Path;
 
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Batch, Job, Outcome, Record, Start, Status};
 use crate::page;
 
 /// What is known of one scan.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SummaryRow {
     /// Its name.
     pub name: String,
     /// `done`, `doubtful`, `failed`, or `pending`: not run yet.
-    pub status: &'static str,
+    pub status: Cow<'static, str>,
     /// `cold`, `warm` or `cold again`.
-    pub start: &'static str,
+    pub start: Cow<'static, str>,
     /// Probability that the error exceeds 3 mm.
     pub probability: Option<f64>,
     /// Share of the template's vertices with a correspondence.
@@ -67,13 +68,13 @@ impl Summary {
         text
     }
 
-    /// As a page; with the pictures of a folder, if there are any.
+    /// As a page, with the pictures of those rows that have one beside it.
     #[must_use]
-    pub fn to_html(&self, folder: &Path) -> String {
+    pub fn to_html(&self, pictured: &dyn Fn(&str) -> bool) -> String {
         let mut body = "<h1>Registered scans</h1>\n".to_owned();
         let caption = "error_probability: that the error exceeds 3 mm; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
         body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
-        for row in self.rows.iter().filter(|row| folder.join(format!("{}.png", row.name)).exists()) {
+        for row in self.rows.iter().filter(|row| pictured(&row.name)) {
             let name = page::escaped(&row.name);
             let link = row.name.replace('%', "%25").replace('#', "%23").replace('?', "%3F");
             let _ = writeln!(
@@ -113,7 +114,7 @@ impl SummaryRow {
         let name = job.name.clone();
         let known = Record::read(&batch.record(job));
         let Some(record) = record.or(known.as_ref()) else {
-            return Self { name, status: "pending", ..Self::default() };
+            return Self { name, status: "pending".into(), ..Self::default() };
         };
         let start = match record.start {
             Start::Cold => "cold",
@@ -124,7 +125,7 @@ impl SummaryRow {
             let kept = known.as_ref().is_some_and(|known| !known.outputs.is_empty());
             let kept = if kept { "; what an earlier run has made is still there" } else { "" };
             let note = record.error.clone().unwrap_or_default() + kept;
-            return Self { name, status: "failed", start, note, ..Self::default() };
+            return Self { name, status: "failed".into(), start: start.into(), note, ..Self::default() };
         }
         let report = std::fs::read(batch.folder.join(format!("{name}.json")));
         let report: Value = report.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
@@ -132,8 +133,8 @@ impl SummaryRow {
             report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
         let quality = &report["quality"];
         Self {
-            status: if doubts.is_empty() { "done" } else { "doubtful" },
-            start,
+            status: if doubts.is_empty() { "done" } else { "doubtful" }.into(),
+            start: start.into(),
             probability: report["error_probability"].as_f64(),
             inliers: report["inliers"].as_f64(),
             near: quality["to_scan"]["share_within"].as_f64(),
@@ -148,8 +149,8 @@ impl SummaryRow {
         let number = |x: Option<f64>| x.map(&number).unwrap_or_default();
         vec![
             self.name.clone(),
-            self.status.to_owned(),
-            self.start.to_owned(),
+            self.status.clone().into_owned(),
+            self.start.clone().into_owned(),
             number(self.probability),
             number(self.inliers),
             number(self.near),

@@ -10,7 +10,7 @@ use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::Interrupt;
-use super::{Failure, Stage, bounded, check_output_folder, register, say, tell, warn};
+use super::{Failure, Program, Stage, bounded, check_output_folder, register, say, tell, warn};
 use crate::batch::{Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
 use crate::text;
 
@@ -125,18 +125,30 @@ impl FromArgMatches for OfRegister {
     }
 }
 
-/// Runs the command.
-pub fn run(a: &Arguments) -> Result<(), Failure> {
-    check_output_folder(&a.out)?;
+/// The columns that a manifest may have: the options of `register`.
+#[must_use]
+pub fn columns() -> Columns {
     let known = options();
     let of_kind = |keep: &dyn Fn(&Arg) -> bool| known.iter().filter(|o| keep(&o.1)).map(|o| o.0.clone()).collect();
-    let columns = Columns { options: of_kind(&|_| true), paths: of_kind(&is_path), required: SCAN.to_owned() };
+    Columns { options: of_kind(&|_| true), paths: of_kind(&is_path), required: SCAN.to_owned() }
+}
+
+/// What decides results besides options of `register`.
+#[must_use]
+pub fn settings(batch: &Batch) -> [(String, String); 2] {
+    [("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]
+}
+
+/// Runs the command.
+pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
+    check_output_folder(&a.out)?;
+    let columns = columns();
     let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
     let cores = a.threads.map_or_else(rayon::current_num_threads, |asked| bounded("--threads", asked.into()));
     let at_once = a.jobs.map_or(cores, |asked| bounded("--jobs", asked.into()));
     let batch = Batch {
-        program: std::env::current_exe().map_err(|e| Failure::computation(format!("cannot find this program: {e}")))?,
-        command: vec!["register".into()],
+        program: program.path.clone(),
+        command: program.first.iter().cloned().chain(["register".into()]).collect(),
         folder: a.out.clone(),
         format: format!("{:?}", a.format).to_lowercase(),
         pictures: a.pictures,
@@ -144,7 +156,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         threads: (cores / at_once).max(1),
         again: a.again,
     };
-    let settings = [("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())];
+    let settings = settings(&batch);
     let shard = a.shard.unwrap_or(Shard::whole());
     let plan = Plan::new(batch, &a.manifest, &manifest, shard, |row| job(row, &a.of_register.0, &settings, &columns));
     let count = plan.count();
@@ -171,8 +183,9 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// What a row runs: the options of the command line, then its own instead of them.
-fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)], columns: &Columns) -> Job {
+/// What a row runs: the options of the command line, then its own instead of them. `further` decides the result besides.
+#[must_use]
+pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)], columns: &Columns) -> Job {
     let of_row = |long: &str| row.options.iter().any(|(column, _)| column == long);
     let of_all = of_all.iter().filter(|(long, _)| !of_row(long)).cloned();
     let settings: Vec<(String, OsString)> = of_all.chain(row.options.iter().cloned()).collect();

@@ -7,10 +7,12 @@ use serde::Serialize;
 
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, meshes, say};
+use crate::correspondence::ScanError;
 use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
-use crate::mesh::io::FilePlan;
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, io};
-use crate::registration::{RegistrationError, WITHIN_MM};
+use crate::io;
+use crate::io::FilePlan;
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
 
 /// Arguments of `nonrigid eval`.
@@ -79,7 +81,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
             let scan = units.read_scan("target", target)?;
             let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
             if scan.mesh.triangles.is_empty() && !directed {
-                return Err(Failure::loading(format!("{}: {}", target.display(), RegistrationError::EmptyScan)));
+                return Err(Failure::loading(format!("{}: {}", target.display(), ScanError::Empty)));
             }
             against_scan(&template, &result, &scan.mesh, scan.normals.as_deref())?
         }
@@ -114,8 +116,15 @@ fn against_truth(
         TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
     let mesh = MeshQuality::new(template, &result.positions).map_err(Failure::computation)?;
     let text = format!(
-        "rmse {:.4} mm (off {:.4}, slide {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n{mesh}",
-        errors.rmse, errors.off, errors.slide, errors.median, errors.p95, errors.max, errors.unobserved, errors.flipped
+        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n{mesh}",
+        errors.rmse,
+        errors.normal,
+        errors.tangential,
+        errors.median,
+        errors.p95,
+        errors.max,
+        errors.unobserved,
+        errors.flipped
     );
     Ok((
         text,

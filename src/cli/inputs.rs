@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::units::Units;
 use super::{Failure, warn};
-use crate::mesh::io::{self, Inputs};
+use crate::io::{self, Inputs};
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::registration::ScanFlip;
 use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};

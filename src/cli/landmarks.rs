@@ -7,8 +7,10 @@ use clap::{Args, Subcommand, ValueEnum};
 
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_file_path, check_plan, meshes, say, warn};
-use crate::mesh::io::{
-    self, FilePlan, LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
+use crate::io::FilePlan;
+use crate::landmark;
+use crate::landmark::{
+    LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
 };
 use crate::mesh::{PolygonMesh, Vec3};
 
@@ -244,7 +246,7 @@ fn transfer(a: &Transfer) -> Result<(), Failure> {
 
 /// Landmarks of a file that has some.
 fn read_set(path: &Path) -> Result<LandmarkSet, Failure> {
-    let set = io::read_landmark_set(path).map_err(Failure::loading)?;
+    let set = landmark::read_landmark_set(path).map_err(Failure::loading)?;
     if set.landmarks.is_empty() {
         return Err(Failure::loading(format!("{}: no landmarks", path.display())));
     }
@@ -287,7 +289,7 @@ impl Output {
 
 /// Writes landmarks and says what the format leaves out.
 fn write(output: &Output, set: &LandmarkSet, format: LandmarkFormat) -> Result<(), Failure> {
-    io::write_landmark_set(&output.output, set, format).map_err(Failure::writing)?;
+    landmark::write_landmark_set(&output.output, set, format).map_err(Failure::writing)?;
     let lost = |what: &str| warn(format!("{}: {format} holds no {what}", output.output.display()));
     if !set.missing.is_empty() {
         warn(format!("not placed, and left out: {}", set.missing.join(", ")));

@@ -8,8 +8,8 @@ use clap::Args;
 use super::inputs::read_mask;
 use super::units::{UnitArguments, Units};
 use super::{Failure, check_output, check_output_folder, check_plan, meshes, on_threads, say};
-use crate::measurement::{Landmarks, MeasurementError, NamedRegion, Subject, glossary, report};
-use crate::mesh::io::{FilePlan, LengthUnit, write_atomically};
+use crate::io::{FilePlan, LengthUnit, write_atomically};
+use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
 use crate::rig::Regions;
 
@@ -20,28 +20,28 @@ use crate::rig::Regions;
     neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing.\n\n\
     Examples, on what `data-gen --seed 7 --out out/data` and the examples of `nonrigid morph` make:\n  \
     nonrigid measure --list\n  \
-    nonrigid measure --mesh wrapped.obj --after morphed.obj --rig out/data/rig \\\n      \
-    --landmarks out/data/rig/landmarks_multipie68.json \\\n      \
-    --landmarks out/data/rig/landmarks_anthropometric.json --csv measurements.csv --report before_after"
+    nonrigid measure --mesh wrapped.obj --after morphed.obj --rig out/data/rig --csv measurements.csv --report before_after\n  \
+    nonrigid measure --mesh wrapped.obj --after morphed.obj --after by_recipe.obj --rig out/data/rig --report plans"
 )]
 pub struct Arguments {
     /// Face (any format that `register` reads); before, where there is an after
     #[arg(long, value_name = "MESH", required_unless_present = "list")]
     mesh: Option<PathBuf>,
-    /// The same vertices after (.obj, .ply or .npy N x 3)
+    /// The same vertices after (.obj, .ply or .npy N x 3), once or more: several plans stand beside each other under their files' names
     #[arg(long, value_name = "FILE")]
-    after: Option<PathBuf>,
+    after: Vec<PathBuf>,
     /// Move the face after onto the one before first, by the rigid motion that fits all vertices best; else displacements and
     /// volumes are also those of the head's motion
     #[arg(long, requires = "after")]
     align: bool,
     /// Landmarks on the mesh, in any format that 'nonrigid landmarks' reads, once or more; names stand before numbers, later files before earlier ones
-    #[arg(long, value_name = "FILE", required_unless_present = "list")]
+    /// [default: those of the rig]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["list", "rig"])]
     landmarks: Vec<PathBuf>,
     /// Regions (.json): {"name": [vertex, ...], ...} [default: the groups of an .obj]
     #[arg(long, value_name = "FILE", conflicts_with = "rig")]
     regions: Option<PathBuf>,
-    /// Take the regions of this rig, its regions.json
+    /// Take the regions of this rig, its regions.json, and unless others are given its landmarks
     #[arg(long, value_name = "DIR")]
     rig: Option<PathBuf>,
     /// Mask of a morph (.npy, N numbers from 0 to 1), shown in red over the face in the report
@@ -58,12 +58,39 @@ pub struct Arguments {
     /// Folder for a page (index.html) with front, side and three-quarter pictures, heat maps and tables, and the same as files
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    client: ClientArguments,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Print every measurement with its formula and every landmark with its place
     #[arg(long, exclusive = true)]
     list: bool,
+}
+
+/// Whose face it is, for the head of a report.
+#[derive(Debug, Args)]
+pub(super) struct ClientArguments {
+    /// The client's name, for the head of the report
+    #[arg(long, value_name = "NAME", requires = "report")]
+    client: Option<String>,
+    /// Date for the head of the report
+    #[arg(long, value_name = "DATE", requires = "report")]
+    date: Option<String>,
+}
+
+impl ClientArguments {
+    /// Lines for the head of a report.
+    pub(super) fn about(&self) -> Vec<(String, String)> {
+        let lines = [("client", &self.client), ("date", &self.date)];
+        lines.into_iter().filter_map(|(name, text)| Some((name.to_owned(), text.clone()?))).collect()
+    }
+}
+
+/// The landmark files that a rig has, those by name last.
+pub(super) fn landmarks_of_rig(rig: &Path) -> Vec<PathBuf> {
+    let files = ["landmarks_multipie68.json", "landmarks_anthropometric.json"].map(|name| rig.join(name));
+    files.into_iter().filter(|path| path.exists()).collect()
 }
 
 /// Runs the command.
@@ -79,10 +106,17 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
     a.report.as_deref().map_or(Ok(()), check_output_folder)?;
     let regions_path = a.regions.clone().or_else(|| a.rig.as_ref().map(|folder| folder.join("regions.json")));
+    let of_rig = || a.rig.as_deref().map(landmarks_of_rig).unwrap_or_default();
+    let landmark_files = if a.landmarks.is_empty() { of_rig() } else { a.landmarks.clone() };
+    if let (true, Some(rig)) = (landmark_files.is_empty(), &a.rig) {
+        return Err(Failure::loading(format!("{}: the rig has no landmarks; give --landmarks", rig.display())));
+    }
     let others = [("regions", regions_path.as_ref()), ("mask", a.mask.as_ref())];
     let plan = FilePlan::new()
-        .reads_all(meshes([("mesh", a.mesh.as_ref()), ("after", a.after.as_ref())]))
-        .reads_all(a.landmarks.iter().map(|path| ("landmarks", path)))
+        .reads_all(meshes(
+            std::iter::once(("mesh", a.mesh.as_ref())).chain(a.after.iter().map(|path| ("after", Some(path)))),
+        ))
+        .reads_all(landmark_files.iter().map(|path| ("landmarks", path)))
         .reads_all(others.into_iter().filter_map(|(role, path)| Some((role, path?))))
         .writes_all(a.json.iter().map(|path| ("--json", path)))
         .writes_all(a.csv.iter().map(|path| ("--csv", path)))
@@ -91,17 +125,18 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
-    let mut after = a.after.as_deref().map(|path| read_after(path, &mesh, &mut units)).transpose()?;
-    if let Some(after) = after.as_mut().filter(|_| a.align) {
+    let mut after: Vec<Vec<Vec3>> =
+        a.after.iter().map(|path| read_after(path, &mesh, &mut units)).collect::<Result<_, _>>()?;
+    for after in after.iter_mut().filter(|_| a.align) {
         let pairs: Vec<(Vec3, Vec3)> = after.iter().copied().zip(mesh.positions.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;
         after.iter_mut().for_each(|p| *p = pose.apply(*p));
     }
     let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
-    let landmarks = Landmarks::read(&a.landmarks, &mesh, unit).map_err(Failure::loading)?;
+    let landmarks = Landmarks::read(&landmark_files, &mesh, unit).map_err(Failure::loading)?;
     units.say();
     if landmarks.is_empty() {
-        let names: Vec<String> = a.landmarks.iter().map(|p| p.display().to_string()).collect();
+        let names: Vec<String> = landmark_files.iter().map(|p| p.display().to_string()).collect();
         return Err(Failure::loading(format!("{}: no landmarks", names.join(", "))));
     }
     let mask = a.mask.as_deref().map(|path| read_mask(path, vertices)).transpose()?;
@@ -111,19 +146,23 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     };
     let regions = named_regions(&regions);
 
-    let subject = Subject { mesh: &mesh, after: after.as_deref(), landmarks: &landmarks, regions: &regions };
+    let subject = Subject { mesh: &mesh, after: None, landmarks: &landmarks, regions: &regions };
+    let names = plan_names(&a.after);
+    let plans: Vec<Plan<'_>> = names.iter().zip(&after).map(|(name, positions)| Plan { name, positions }).collect();
     let measured = match &a.report {
-        None => subject.measure(),
+        None => subject.compare(&plans),
         Some(folder) => {
             let line = |name: &str, path: &Path| {
                 (name.to_owned(), path.file_name().unwrap_or_default().to_string_lossy().into_owned())
             };
-            let mut about = vec![line("face", before)];
-            about.extend(a.after.as_deref().map(|p| line("after", p)));
-            about.extend(a.landmarks.iter().map(|p| line("landmarks", p)));
+            let mut about = a.client.about();
+            about.push(line("face", before));
+            about.extend(a.after.iter().map(|p| line("after", p)));
+            about.extend(landmark_files.iter().map(|p| line("landmarks", p)));
             about.extend(a.mask.as_deref().map(|p| line("mask", p)));
             let report = report::Report {
                 about: &about,
+                plans: &plans,
                 mask: mask.as_deref(),
                 ..report::Report::new("Measurements of a face", subject)
             };
@@ -138,6 +177,19 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         write_atomically(path, |file| file.write_all(measured.to_csv().as_bytes())).map_err(Failure::writing)?;
     }
     say(measured.to_string().trim_end())
+}
+
+/// What shapes after are called: after their files, where there are several; files of one name by their whole paths.
+pub(super) fn plan_names(files: &[PathBuf]) -> Vec<String> {
+    if files.len() < 2 {
+        return files.iter().map(|_| AFTER.to_owned()).collect();
+    }
+    let stem = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let name = |path: &PathBuf| {
+        let alone = files.iter().filter(|other| stem(other) == stem(path)).count() == 1;
+        if alone { stem(path) } else { path.display().to_string() }
+    };
+    files.iter().map(name).collect()
 }
 
 /// Regions as measurements take them.

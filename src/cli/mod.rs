@@ -1,6 +1,7 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
-mod batch;
+mod bake;
+pub mod batch;
 mod completions;
 mod doctor;
 mod eval;
@@ -17,6 +18,7 @@ mod rig_pca;
 mod rig_transfer;
 mod units;
 
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -24,7 +26,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
-use crate::mesh::io::{files_of_mesh, write_atomically};
+use crate::io::{files_of_mesh, write_atomically};
 use crate::text;
 
 use crate::console::{Failure, Stage, answer, bounded, check_plan, say, tell, warn};
@@ -80,16 +82,32 @@ pub fn command() -> clap::Command {
     Cli::command()
 }
 
+/// How this command line is started again, for each scan of a batch.
+#[derive(Debug, Clone)]
+pub struct Program {
+    /// The program.
+    pub path: PathBuf,
+    /// What stands before a command.
+    pub first: Vec<OsString>,
+}
+
 /// Runs the command line of this process.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let path = std::env::current_exe().unwrap_or_else(|_| "nonrigid".into()); // what cannot be started says so
+    run(std::env::args_os(), &Program { path, first: Vec::new() })
+}
+
+/// Runs a command line, the program's name first.
+#[must_use]
+pub fn run(arguments: impl IntoIterator<Item = OsString>, program: &Program) -> ExitCode {
+    let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(e) => return answer(&e),
     };
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
-        Command::Batch(arguments) => batch::run(&arguments),
+        Command::Batch(arguments) => batch::run(&arguments, program),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),

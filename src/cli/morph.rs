@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args};
 
 use super::inputs::{RigArguments, bounds, rig_files};
-use super::measure::{self, named_regions};
+use super::measure::{self, ClientArguments, landmarks_of_rig, named_regions, plan_names};
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_output_folder, check_plan, meshes, on_threads, say, warn};
-use crate::measurement::{Landmarks, Subject as Measured, report};
+use crate::io::{self, FilePlan, LengthUnit, write_atomically};
+use crate::landmark;
+use crate::landmark::TemplatePoint;
+use crate::measurement::{Landmarks, Plan, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{self, FilePlan, TemplatePoint, write_atomically};
 use crate::morph::{
     MorphError, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset,
     preset_names, preset_text, replay,
@@ -80,6 +82,11 @@ pub struct Arguments {
     /// measurements, the same as files, and morph.json with what each step did; made if it is not there
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Another recipe, done on the same face and shown beside in the report; may be given several times
+    #[arg(long, value_name = "FILE", requires = "report")]
+    compare: Vec<PathBuf>,
+    #[command(flatten)]
+    client: ClientArguments,
 }
 
 /// Runs the command.
@@ -109,7 +116,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     check_output(out, &["obj", "ply", "glb"])?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
-    check_plan(&plan(a, mesh, out, &jobs))?;
+    let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;
+    check_plan(&plan(a, mesh, out, &jobs, &others))?;
     let mut units = a.units.of(&["mesh", "rig", "landmarks"])?;
     let before = units.read_mesh("mesh", mesh)?;
     let mut mesh = before.clone();
@@ -120,34 +128,68 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&mesh));
     let landmarks = landmarks(a, &mesh, &mut units)?;
     units.say();
-    let mut outcomes = Vec::new();
-    for (recipe, amount) in &jobs {
-        let subject = Subject { mesh: &mesh, landmarks: &landmarks, regions: &regions, shapes: &shapes };
-        let options = ReplayOptions { amount: *amount, until: a.until, model: a.model };
-        outcomes.extend(replay(recipe, &subject, &options).map_err(failure)?);
-        if let Some(last) = outcomes.last() {
-            mesh.positions.clone_from(&last.positions);
+    let follow = |jobs: &[(Recipe, Option<f64>)], until| -> Result<Vec<StepOutcome>, Failure> {
+        let mut mesh = before.clone();
+        let mut outcomes: Vec<StepOutcome> = Vec::new();
+        for (recipe, amount) in jobs {
+            let subject = Subject { mesh: &mesh, landmarks: &landmarks, regions: &regions, shapes: &shapes };
+            let options = ReplayOptions { amount: *amount, until, model: a.model };
+            outcomes.extend(replay(recipe, &subject, &options).map_err(failure)?);
+            if let Some(last) = outcomes.last() {
+                mesh.positions.clone_from(&last.positions);
+            }
         }
+        Ok(outcomes)
+    };
+    let mut outcomes = follow(&jobs, a.until)?;
+    if let Some(last) = outcomes.last() {
+        mesh.positions.clone_from(&last.positions);
     }
     let lines: Vec<String> = outcomes.iter().enumerate().map(|(k, outcome)| line(k + 1, outcome)).collect();
     if let Some(folder) = &a.masks {
         write_masks(folder, &outcomes)?;
     }
     if let Some(folder) = &a.report {
-        write_report(folder, (&before, &mesh), &landmarks, &regions, &outcomes, &lines)?;
+        let mut known = Landmarks::default();
+        if let (None, Some(rig)) = (&a.landmarks, &a.rig.rig) {
+            known =
+                Landmarks::read(&landmarks_of_rig(rig), &before, LengthUnit::Millimetre).map_err(Failure::loading)?;
+        }
+        if known.is_empty() {
+            known.add(&landmarks).map_err(measure::failure)?;
+        }
+        let mut plans = vec![outcomes];
+        for other in others {
+            plans.push(follow(&[(other, None)], None)?);
+        }
+        let names =
+            plan_names(&[a.recipe.as_ref().unwrap_or(out)].into_iter().chain(&a.compare).cloned().collect::<Vec<_>>());
+        let mut about = a.client.about();
+        for (name, outcomes) in names.iter().zip(&plans) {
+            let head = if plans.len() == 1 { "step".to_owned() } else { format!("{name}, step") };
+            for (k, outcome) in outcomes.iter().enumerate() {
+                about.push((head.clone(), line(k + 1, outcome)));
+                about.extend(torn(k + 1, outcome).map(|text| ("doubt".to_owned(), text)));
+            }
+        }
+        write_report(folder, &before, &known, &regions, &names, &plans, &about)?;
+        outcomes = plans.swap_remove(0);
     }
     io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
+    outcomes.iter().enumerate().filter_map(|(k, outcome)| torn(k + 1, outcome)).for_each(warn);
     lines.iter().try_for_each(say)
 }
 
 /// Everything that is read and written.
-fn plan(a: &Arguments, mesh: &PathBuf, out: &Path, jobs: &[(Recipe, Option<f64>)]) -> FilePlan {
+fn plan(a: &Arguments, mesh: &PathBuf, out: &Path, jobs: &[(Recipe, Option<f64>)], others: &[Recipe]) -> FilePlan {
+    let recipes = jobs.iter().map(|job| &job.0).chain(others);
     let others = [("recipe", a.recipe.as_ref()), ("landmarks", a.landmarks.as_ref())];
     let mut plan = FilePlan::new()
         .reads_all(meshes([("mesh", Some(mesh))]))
         .reads_all(others.into_iter().filter_map(|(role, path)| Some((role, path?))))
         .reads_all(a.rig.rig.iter().flat_map(|rig| rig_files(rig)))
-        .reads_all(jobs.iter().flat_map(|(recipe, _)| recipe.files()).map(|path| ("mask of the recipe", path)))
+        .reads_all(a.compare.iter().map(|path| ("recipe", path)))
+        .reads_all(recipes.flat_map(Recipe::files).map(|path| ("mask of the recipe", path)))
         .writes("--out", out);
     if let Some(folder) = &a.masks {
         let steps = jobs.iter().flat_map(|(recipe, _)| recipe.step.iter().take(a.until.unwrap_or(usize::MAX)));
@@ -170,24 +212,37 @@ fn mask_name(step: usize, mask: usize, extension: &str) -> String {
     format!("step{}-mask{}.{extension}", step + 1, mask + 1)
 }
 
+/// The largest value of each vertex.
+fn largest(all: impl Iterator<Item = Vec<f64>>) -> Option<Vec<f64>> {
+    all.reduce(|a, b| a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect())
+}
+
 fn write_report(
     folder: &Path,
-    (before, after): (&PolygonMesh, &PolygonMesh),
-    landmarks: &[(String, TemplatePoint)],
+    before: &PolygonMesh,
+    known: &Landmarks,
     regions: &Regions,
-    outcomes: &[StepOutcome],
-    lines: &[String],
+    names: &[String],
+    plans: &[Vec<StepOutcome>],
+    about: &[(String, String)],
 ) -> Result<(), Failure> {
-    let mut known = Landmarks::default();
-    known.add(landmarks).map_err(measure::failure)?;
     let regions = named_regions(regions);
-    let subject = Measured { mesh: before, after: Some(&after.positions), landmarks: &known, regions: &regions };
-    let coverage = outcomes.iter().map(StepOutcome::coverage);
-    let mask = coverage.reduce(|a, b| a.iter().zip(&b).map(|(a, b)| a.max(*b)).collect());
-    let about: Vec<(String, String)> = lines.iter().map(|line| ("step".to_owned(), line.clone())).collect();
-    let page =
-        report::Report { about: &about, mask: mask.as_deref(), ..report::Report::new("A face, morphed", subject) };
-    let steps: Vec<_> = outcomes.iter().map(|outcome| &outcome.report).collect();
+    let subject = Measured { mesh: before, after: None, landmarks: known, regions: &regions };
+    let mut shapes: Vec<Plan<'_>> = Vec::new();
+    for (name, outcomes) in names.iter().zip(plans) {
+        let positions = outcomes.last().map_or(&before.positions, |last| &last.positions);
+        shapes.push(Plan { name, positions });
+    }
+    let mask = largest(plans.iter().flatten().map(StepOutcome::coverage));
+    let protected = largest(plans.iter().flatten().map(|outcome| outcome.protected.clone()));
+    let page = report::Report {
+        about,
+        plans: &shapes,
+        mask: mask.as_deref(),
+        protected: protected.as_deref(),
+        ..report::Report::new("A face, morphed", subject)
+    };
+    let steps: Vec<_> = plans[0].iter().map(|outcome| &outcome.report).collect();
     let text = serde_json::to_string_pretty(&steps).map_err(Failure::computation)?;
     let besides = |aside: &Path| write_atomically(&aside.join(STEPS), |file| writeln!(file, "{text}"));
     report::write_with(folder, &page, besides).map(drop).map_err(measure::failure)
@@ -250,7 +305,7 @@ fn landmarks(
 ) -> Result<Vec<(String, TemplatePoint)>, Failure> {
     let of_rig = || Some(a.rig.rig.as_ref()?.join(RIG_LANDMARKS)).filter(|path| path.exists());
     let Some(path) = a.landmarks.clone().or_else(of_rig) else { return Ok(Vec::new()) };
-    let mut set = io::read_landmark_set(&path).map_err(Failure::loading)?;
+    let mut set = landmark::read_landmark_set(&path).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", &path, "mesh", &mut set)?;
     set.on_template(&path, mesh).map_err(Failure::loading)
 }
@@ -271,6 +326,17 @@ fn write_masks(folder: &Path, outcomes: &[StepOutcome]) -> Result<(), Failure> {
         Ok(())
     };
     io::write_folder(folder, write).map_err(Failure::writing)
+}
+
+/// What is wrong with a step's surface, in words.
+fn torn(number: usize, outcome: &StepOutcome) -> Option<String> {
+    let change = &outcome.report.change;
+    let (folded, longest) = (change.folded, change.stretch.max);
+    change.tears().then(|| {
+        format!(
+            "step {number} folds {folded} triangles and draws edges to {longest:.1} times their length: move less, or blur the mask more"
+        )
+    })
 }
 
 fn line(number: usize, outcome: &StepOutcome) -> String {

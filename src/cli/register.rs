@@ -9,18 +9,23 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
+use super::bake::BakeArguments;
 use super::inputs::{FlipArgument, MaskArguments, RigArguments, bounds, rig_files, texture_of};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, write_json};
-use crate::mesh::io::{self, FilePlan, Inputs, Landmark};
+use crate::correspondence::VertexMasks;
+use crate::io::{self, FilePlan, Inputs};
+use crate::landmark;
+use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     Handedness, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver,
-    RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, VertexColors, WITHIN_MM,
-    WRONG_MM, WarmStart, register, scan_colors,
+    RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, TERMS, VertexColors,
+    WITHIN_MM, WRONG_MM, WarmStart, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
+use crate::texture::{BakeInput, Baked};
 
 /// Arguments of `nonrigid register`.
 #[derive(Debug, Args)]
@@ -78,6 +83,8 @@ pub struct Arguments {
     /// Result (.obj, .ply or .glb), with the scan's colours at its vertices if the scan has any
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
+    #[command(flatten)]
+    bake: BakeArguments,
     /// Report (.json); times go to a second file, *.timing.json
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -95,6 +102,9 @@ impl Arguments {
         let of_meshes =
             [(TEMPLATE, Some(&self.template)), (TARGET, Some(&self.target)), (NEUTRAL, self.neutral.as_ref())];
         let mut files = meshes(of_meshes);
+        if self.bake.asked() {
+            files.extend(io::files_of_painted_mesh(&self.target).into_iter().map(|p| (TARGET, p)));
+        }
         files.extend(self.landmarks.clone().map(|p| (LANDMARKS, p)));
         files.extend(self.template_landmarks.clone().map(|p| (TEMPLATE_LANDMARKS, p)));
         files.extend(self.warm_start.clone().map(|p| (WARM_START, p)));
@@ -111,6 +121,7 @@ impl Arguments {
         if let Some(report) = &self.report {
             files.extend([("--report", report.clone()), ("--report", timing_path(report))]);
         }
+        files.extend(self.bake.output_paths(&self.out));
         files.extend(self.picture.clone().map(|p| ("--picture", p)));
         files.extend(self.state.clone().map(|p| ("--state", p)));
         files
@@ -145,14 +156,21 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
     let mut progress = Progress::new(Interrupt::listen()?);
     let inputs = Inputs::default();
-    let schedule = inputs.reading(SCHEDULE, || read_schedule(a))?;
-    check_outputs(a)?;
     if a.model.needs_shapes() && a.rig.rig.is_none() {
         return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
     }
+    let schedule = inputs.reading(SCHEDULE, || read_schedule(a))?;
+    check_outputs(a)?;
     let mut units = a.units.of(&["template", "target", "neutral", "rig", "landmarks", "template-landmarks"])?;
     let template = inputs.reading(TEMPLATE, || units.read_mesh("template", &a.template))?;
-    let scan = inputs.reading(TARGET, || units.read_scan("target", &a.target))?;
+    let (scan, paint) = inputs.reading(TARGET, || match a.bake.asked() {
+        true => units.read_painted_scan("target", &a.target),
+        false => units.read_scan("target", &a.target).map(|scan| (scan, None)),
+    })?;
+    let painter = match a.bake.asked() {
+        true => a.bake.prepare((&a.template, &template), (&a.target, &scan), paint.as_ref())?,
+        false => None,
+    };
     let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
     let neutral = neutral.transpose()?;
     let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;
@@ -191,24 +209,43 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let reliability = Reliability::of(&input, &result, &quality);
     let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions)).transpose();
     let colors = colors.map_err(Failure::computation)?;
+    let before_texture = clock.elapsed().as_secs_f64();
+    let shown = VertexMasks::new(mask.as_deref(), free_mask.as_deref(), vec![false; template.positions.len()]).data;
+    let baked = a.bake.bake(&BakeInput {
+        template: &registered,
+        mask: Some(&shown),
+        scan: &faced,
+        scan_normals: normals.as_deref(),
+        painter: painter.as_ref(),
+    })?;
+    let baking_seconds = clock.elapsed().as_secs_f64() - before_texture;
     let report = match &a.report {
         Some(path) => {
             let report = Report::new(a.model.name(), files, &result, quality.clone(), reliability.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
             let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
-            Some((path, Report { regions, free_regions, units, colors_observed, ..report }))
+            let texture_seen = baked.as_ref().map(Baked::seen_share);
+            Some((path, Report { regions, free_regions, units, colors_observed, texture_seen, ..report }))
         }
         None => None,
     };
     // Everything is computed; only writing can still fail, and what is printed is true.
     let of_vertices = colors.as_ref().map(|c| &c.colors[..]);
-    io::write_colored_mesh(&a.out, &registered, of_vertices).map_err(Failure::writing)?;
+    let before_images = clock.elapsed().as_secs_f64();
+    let image = baked.as_ref().map(|baked| a.bake.write(baked, &a.out, &mut registered)).transpose()?.flatten();
+    let images_seconds = clock.elapsed().as_secs_f64() - before_images;
+    match image.filter(|_| is_glb(&a.out)) {
+        Some(image) => io::write_textured_glb(&a.out, &registered, &image),
+        None => io::write_colored_mesh(&a.out, &registered, of_vertices),
+    }
+    .map_err(Failure::writing)?;
     if let Some((path, report)) = report {
         write_json(path, &report)?;
         let timing = Timing {
             reading_seconds: reading,
             registration_seconds: registering,
+            texture_seconds: baked.as_ref().map(|_| [baking_seconds, images_seconds]),
             total_seconds: clock.elapsed().as_secs_f64(),
             threads: rayon::current_num_threads(),
         };
@@ -224,12 +261,13 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let sheet = registration_sheet(&title, &template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
-    warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none());
+    warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none() && !a.bake.asked());
     reliability.doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
         let (seen, of) = (colors.observed_count(), colors.colors.len());
         say(format_args!("colour: {seen} of {of} vertices as on the scan, the others' diffused from them"))?;
     }
+    baked.as_ref().map_or(Ok(()), |baked| a.bake.report(baked, &a.out))?;
     print_summary(a, &result, &quality, &reliability, clock.elapsed().as_secs_f64())?;
     if result.stop == RegistrationStop::StoppedByObserver {
         let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());
@@ -239,7 +277,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What was found wrong with scan and landmarks, and what was done about it.
-fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, no_colors: bool) {
+fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, colorless: bool) {
     let facing = result.scan_facing;
     if facing.turned > 0 {
         warn(format_args!(
@@ -259,9 +297,9 @@ fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, 
             suspect.name, suspect.distance
         ));
     }
-    if let Some(texture) = texture_of(&a.target).filter(|_| no_colors) {
+    if let Some(texture) = texture_of(&a.target).filter(|_| colorless) {
         warn(format_args!(
-            "the scan's texture {texture:?} is not used; for a coloured result give the scan colours at its vertices"
+            "the scan's texture {texture:?} is not used; --bake-texture 2048 brings that of an OBJ file to the template's UVs"
         ));
     }
 }
@@ -280,17 +318,17 @@ fn read_landmarks(
     scan: &TriangleMesh,
 ) -> Result<Vec<Landmark>, Failure> {
     let Some(path) = &a.landmarks else { return Ok(Vec::new()) };
-    let mut set = inputs.reading(LANDMARKS, || io::read_scan_landmark_set(path)).map_err(Failure::loading)?;
+    let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, "target", &mut set)?;
     let mut names = None;
     if let Some(path) = &a.template_landmarks {
-        let set = inputs.reading(TEMPLATE_LANDMARKS, || io::read_landmark_set(path));
+        let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
         let mut set = set.map_err(Failure::loading)?;
         units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
         names = Some((set, path.as_path()));
     }
     let names = names.as_ref().map(|(set, path)| (set, *path));
-    io::pair_landmarks((set, path), names, template, Some(scan)).map_err(Failure::loading)
+    landmark::pair_landmarks((set, path), names, template, Some(scan)).map_err(Failure::loading)
 }
 
 /// What differs from run to run.
@@ -298,6 +336,9 @@ fn read_landmarks(
 struct Timing {
     reading_seconds: f64,
     registration_seconds: f64,
+    /// Baking, and writing its images.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    texture_seconds: Option<[f64; 2]>,
     total_seconds: f64,
     threads: usize,
 }
@@ -309,7 +350,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
         Some(path) => {
             let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
             let text = io::read_text(path).map_err(Failure::loading)?;
-            Schedule::from_toml(&text).map_err(|e| failed(&e))?
+            Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model, &TERMS)).map_err(|e| failed(&e))?
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
@@ -367,6 +408,10 @@ fn print_summary(
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;
     }
     say(format_args!("wrote {}", a.out.display()))
+}
+
+fn is_glb(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))
 }
 
 fn file_name(path: &Path) -> String {

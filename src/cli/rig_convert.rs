@@ -7,7 +7,7 @@ use clap::Args;
 use super::inputs::{ShapeKindArgument, read_rig, rig_files};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_output_folder, check_plan, same_place, say, warn};
-use crate::mesh::io::{FilePlan, PlanError, WriteError};
+use crate::io::{FilePlan, PlanError, WriteError};
 use crate::rig::{Family, RIG_FILES, Rig, Shape};
 
 /// Arguments of `nonrigid rig convert`.

@@ -9,7 +9,7 @@ use clap::Args;
 use super::inputs::{Align, ShapeKindArgument, bounds, read_rig, rig_files};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, meshes, say, warn, write_json};
-use crate::mesh::io::{FilePlan, write_atomically};
+use crate::io::{FilePlan, write_atomically};
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 

@@ -8,7 +8,7 @@ use super::inputs::Align;
 use super::rig_convert::refuse_strangers;
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output_folder, check_plan, on_threads, same_place, say};
-use crate::mesh::io::FilePlan;
+use crate::io::FilePlan;
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{
     COMPONENT_FILES, MOTIONLESS_SHARE, Population, PopulationError, RIG_FILES, ShapeInfo, ShapePca, mesh_files,

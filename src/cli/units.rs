@@ -8,9 +8,8 @@ use std::str::FromStr;
 use clap::Args;
 
 use super::{Failure, Stage, tell};
-use crate::mesh::io::{
-    self, FACE_EXTENT, FaceUnit, KnownUnit, LandmarkSet, LengthUnit, MeshFile, Scan, UnitSource, face_extent,
-};
+use crate::io::{self, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, MeshFile, Paint, Scan, UnitSource, face_extent};
+use crate::landmark::LandmarkSet;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::rig::{Population, Rig};
 
@@ -125,7 +124,17 @@ impl Units<'_> {
 
     /// Reads a scan.
     pub fn read_scan(&mut self, input: &'static str, path: &Path) -> Result<Scan, Failure> {
-        let mut scan = io::read_scan(path).map_err(Failure::loading)?;
+        let scan = io::read_scan(path).map_err(Failure::loading)?;
+        self.bring_scan(input, path, scan)
+    }
+
+    /// Reads a scan with its paint.
+    pub fn read_painted_scan(&mut self, input: &'static str, path: &Path) -> Result<(Scan, Option<Paint>), Failure> {
+        let (scan, paint) = io::read_painted_scan(path).map_err(Failure::loading)?;
+        Ok((self.bring_scan(input, path, scan)?, paint))
+    }
+
+    fn bring_scan(&mut self, input: &'static str, path: &Path, mut scan: Scan) -> Result<Scan, Failure> {
         let TriangleMesh { positions, triangles } = &mut scan.mesh;
         let factor = self.factor(input, path, &surface_points(positions, triangles.as_flattened().iter().copied()))?;
         positions.iter_mut().for_each(|p| *p *= factor);

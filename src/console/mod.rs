@@ -4,7 +4,7 @@
 mod failure;
 mod output;
 
-use crate::mesh::io::FilePlan;
+use crate::io::FilePlan;
 use crate::text;
 
 pub use failure::{Failure, Stage};

@@ -24,7 +24,7 @@ impl<M: DeformationModel, T: DataTerm> Deformation<M, T> {
     /// Attaches `samples` to the model; terms are added to [`terms`](Self::terms).
     #[must_use]
     pub fn new(mut model: M, samples: Samples) -> Self {
-        let structure = Arc::new(model.attach(&samples));
+        let structure = Arc::new(model.analyse(&samples));
         Self {
             model,
             terms: Vec::new(),

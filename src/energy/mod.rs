@@ -5,12 +5,14 @@
 
 mod deformation;
 mod model;
+mod options;
 mod quadric;
 mod sample;
 mod term;
 
 pub use deformation::Deformation;
 pub use model::{DeformationModel, NamedEnergy};
+pub use options::{NoOptions, OptionTable, Options, OptionsError, nearest_key};
 pub use quadric::{Quadric, QuadricField};
 pub use sample::{SampleError, Samples};
 pub use term::{DataTerm, Pointwise, SampleResidual};

@@ -24,7 +24,7 @@ pub trait DeformationModel: Send {
 
     /// Fixes the samples and returns the sparsity of the normal equations. Called once before solving, and again only
     /// when the set of samples changes.
-    fn attach(&mut self, samples: &Samples) -> BlockStructure;
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure;
 
     /// Writes the vertex positions at `x`.
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>);
@@ -66,8 +66,8 @@ impl<M: DeformationModel + ?Sized> DeformationModel for Box<M> {
         (**self).rest_parameters()
     }
 
-    fn attach(&mut self, samples: &Samples) -> BlockStructure {
-        (**self).attach(samples)
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+        (**self).analyse(samples)
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {

@@ -51,7 +51,21 @@ impl Quadric {
         m
     }
 
+    /// `alpha` if `M` is `alpha` times the identity, as where all that pulls at a sample pulls it to points; known where the rows lie
+    /// along the axes, in their order.
+    #[must_use]
+    pub fn isotropic(&self) -> Option<f64> {
+        let ([a, b, c], alpha) = match self.rows() {
+            [] => return Some(0.0),
+            [a, b, c] => ([a, b, c], a[0] * a[0]),
+            _ => return None,
+        };
+        let alike = b[1] * b[1] == alpha && c[2] * c[2] == alpha;
+        (alike && [a[1], a[2], b[0], b[2], c[0], c[1]] == [0.0; 6]).then_some(alpha)
+    }
+
     /// Adds the residual `r` with derivative `a` and weight `alpha rho'`.
+    #[inline]
     pub fn add(&mut self, weight: f64, a: [f64; 3], r: f64) {
         if weight == 0.0 {
             return;
@@ -147,6 +161,26 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn what_pulls_to_points_is_isotropic_and_nothing_else_is() {
+        let mut quadric = Quadric::default();
+        assert_eq!(quadric.isotropic(), Some(0.0));
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        for (round, weight) in [4.0, 9.0].into_iter().enumerate() {
+            for axis in axes {
+                quadric.add(weight, axis, 0.3);
+                let whole = axis[2] == 1.0;
+                assert_eq!(quadric.isotropic().is_some(), whole, "round {round}");
+            }
+        }
+        approx::assert_relative_eq!(quadric.isotropic().unwrap(), 13.0, max_relative = 1e-15);
+        quadric.add(0.1, [0.6, 0.8, 0.0], 0.0);
+        assert_eq!(quadric.isotropic(), None);
+        let mut plane = Quadric::default();
+        plane.add(1.0, [0.0, 0.0, 1.0], 0.0);
+        assert_eq!(plane.isotropic(), None);
     }
 
     #[test]

@@ -80,6 +80,12 @@ pub trait SampleResidual<const R: usize>: Send + Sync {
     /// The residual at sample position `v`.
     fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; R];
 
+    /// Whether the residuals are measurements, which say something of the noise of the data
+    /// ([`DataTerm::residual_variance`]), and not guesses.
+    fn measures(&self) -> bool {
+        true
+    }
+
     /// The residual at `v` and its derivatives by `v`, a row each. Dual numbers take them from [`residual`](Self::residual); a
     /// residual that is affine in `v` knows them, and may say so to save that.
     #[inline(always)]
@@ -145,6 +151,9 @@ impl<T: SampleResidual<R>, K: RobustKernel + Send + Sync, const R: usize> DataTe
     }
 
     fn residual_variance(&self, positions: &[Vec3]) -> Option<[f64; 2]> {
+        if !self.residuals.measures() {
+            return None;
+        }
         let mut sums = [0.0; 2];
         for m in 0..self.residuals.len() {
             let weight = self.residuals.weight(m);

@@ -34,8 +34,25 @@ impl EdgeStretch {
     /// # Errors
     /// When `deformed` has another number of vertices than the template, or a polygon names a vertex that does not exist.
     pub fn new(template: &PolygonMesh, deformed: &[Vec3]) -> Result<Self, EvaluationError> {
+        RestEdges::new(template)?.stretch(deformed)
+    }
+}
+
+/// The distinct edges of a mesh and their lengths, to be compared with those of several deformed ones.
+#[derive(Debug, Clone)]
+pub struct RestEdges {
+    vertices: usize,
+    edges: Vec<[u32; 2]>,
+    lengths: Vec<f64>,
+}
+
+impl RestEdges {
+    /// The edges of the template's polygons.
+    ///
+    /// # Errors
+    /// When a polygon names a vertex that does not exist.
+    pub fn new(template: &PolygonMesh) -> Result<Self, EvaluationError> {
         let rest = &template.positions;
-        check_count("the deformed mesh", rest.len(), deformed.len())?;
         let mut edges = Vec::with_capacity(template.corners.len());
         for (f, range) in template.starts.windows(2).enumerate() {
             let q = template.corners.get(range[0] as usize..range[1] as usize).unwrap_or(&[]);
@@ -49,12 +66,27 @@ impl EdgeStretch {
         }
         edges.sort_unstable();
         edges.dedup();
-        let length = |p: &[Vec3], e: &[u32; 2]| (p[e[0] as usize] - p[e[1] as usize]).norm();
-        let mut ratios: Vec<f64> =
-            edges.iter().map(|e| length(deformed, e) / length(rest, e)).filter(|r| r.is_finite()).collect();
+        let lengths = edges.iter().map(|e| length(rest, e)).collect();
+        Ok(Self { vertices: rest.len(), edges, lengths })
+    }
+
+    /// Each edge once, the lower vertex first, ascending.
+    #[must_use]
+    pub fn edges(&self) -> &[[u32; 2]] {
+        &self.edges
+    }
+
+    /// How much they are stretched at `deformed`.
+    ///
+    /// # Errors
+    /// When `deformed` has another number of vertices.
+    pub fn stretch(&self, deformed: &[Vec3]) -> Result<EdgeStretch, EvaluationError> {
+        check_count("the deformed mesh", self.vertices, deformed.len())?;
+        let ratios = self.edges.iter().zip(&self.lengths).map(|(e, rest)| length(deformed, e) / rest);
+        let mut ratios: Vec<f64> = ratios.filter(|r| r.is_finite()).collect();
         ratios.sort_unstable_by(f64::total_cmp);
         let at = |percent| of_sorted(&ratios, percent).unwrap_or(1.0);
-        Ok(Self {
+        Ok(EdgeStretch {
             edges: ratios.len(),
             min: at(0.0),
             p1: at(1.0),
@@ -65,6 +97,10 @@ impl EdgeStretch {
             max: at(100.0),
         })
     }
+}
+
+fn length(positions: &[Vec3], e: &[u32; 2]) -> f64 {
+    (positions[e[0] as usize] - positions[e[1] as usize]).norm()
 }
 
 /// How sound a deformed mesh is, whatever it was deformed to.
@@ -115,9 +151,37 @@ pub fn flipped_triangles(
     deformed: &[Vec3],
     triangles: &[[u32; 3]],
 ) -> Result<usize, EvaluationError> {
-    check_count("the deformed mesh", reference.len(), deformed.len())?;
-    check_triangles(triangles, reference.len())?;
-    Ok(triangles.iter().filter(|t| face_normal(reference, t).dot(&face_normal(deformed, t)) < 0.0).count())
+    RestNormals::new(reference, triangles.to_vec())?.flipped(deformed)
+}
+
+/// The triangles of a mesh and their normals, to be compared with those of several deformed ones.
+#[derive(Debug, Clone)]
+pub struct RestNormals {
+    vertices: usize,
+    triangles: Vec<[u32; 3]>,
+    normals: Vec<Vec3>,
+}
+
+impl RestNormals {
+    /// The triangles at `reference`.
+    ///
+    /// # Errors
+    /// When a triangle names a vertex that does not exist.
+    pub fn new(reference: &[Vec3], triangles: Vec<[u32; 3]>) -> Result<Self, EvaluationError> {
+        check_triangles(&triangles, reference.len())?;
+        let normals = triangles.iter().map(|t| face_normal(reference, t)).collect();
+        Ok(Self { vertices: reference.len(), triangles, normals })
+    }
+
+    /// [`flipped_triangles`] at `deformed`.
+    ///
+    /// # Errors
+    /// When `deformed` has another number of vertices.
+    pub fn flipped(&self, deformed: &[Vec3]) -> Result<usize, EvaluationError> {
+        check_count("the deformed mesh", self.vertices, deformed.len())?;
+        let turned = self.triangles.iter().zip(&self.normals).filter(|(t, n)| n.dot(&face_normal(deformed, t)) < 0.0);
+        Ok(turned.count())
+    }
 }
 
 #[cfg(test)]

@@ -23,9 +23,9 @@ pub struct TruthErrors {
     /// Largest |result - truth|.
     pub max: f64,
     /// Root mean square of the part along the true normal.
-    pub off: f64,
+    pub normal: f64,
     /// Root mean square of the part along the true surface.
-    pub slide: f64,
+    pub tangential: f64,
     /// Root mean square of |result - truth| over the vertices that were *not* observed; 0 when there are none.
     pub unobserved: f64,
     /// Triangles whose normal turned by more than 90 degrees against the truth, over the whole mesh.
@@ -42,9 +42,9 @@ pub struct VertexErrors {
     /// |result - truth|.
     pub distance: Vec<f64>,
     /// Part along the true normal, without sign.
-    pub off: Vec<f64>,
+    pub normal: Vec<f64>,
     /// Part along the true surface.
-    pub slide: Vec<f64>,
+    pub tangential: Vec<f64>,
 }
 
 impl VertexErrors {
@@ -81,17 +81,17 @@ impl TruthErrors {
         }
         let mut errors = VertexErrors {
             distance: Vec::with_capacity(truth.len()),
-            off: Vec::with_capacity(truth.len()),
-            slide: Vec::with_capacity(truth.len()),
+            normal: Vec::with_capacity(truth.len()),
+            tangential: Vec::with_capacity(truth.len()),
         };
         for ((v, t), n) in result.iter().zip(truth).zip(&normals) {
             let e = v - t;
-            let off = e.dot(&(n / n.norm().max(LEAST_LENGTH))).abs();
+            let normal = e.dot(&(n / n.norm().max(LEAST_LENGTH))).abs();
             errors.distance.push(e.norm());
-            errors.off.push(off);
-            let along = e.norm_squared() - off * off;
+            errors.normal.push(normal);
+            let along = e.norm_squared() - normal * normal;
             // `max` would turn a NaN into 0 and hide it.
-            errors.slide.push(if along < 0.0 { 0.0 } else { along.sqrt() });
+            errors.tangential.push(if along < 0.0 { 0.0 } else { along.sqrt() });
         }
         let pick = |values: &[f64], wanted: bool| -> Vec<f64> {
             values.iter().zip(observed).filter(|(_, o)| **o == wanted).map(|(v, _)| *v).collect()
@@ -106,8 +106,8 @@ impl TruthErrors {
             median: at(50.0),
             p95: at(95.0),
             max: at(100.0),
-            off: root_mean_square(&pick(&errors.off, true)),
-            slide: root_mean_square(&pick(&errors.slide, true)),
+            normal: root_mean_square(&pick(&errors.normal, true)),
+            tangential: root_mean_square(&pick(&errors.tangential, true)),
             unobserved: root_mean_square(&pick(&errors.distance, false)),
             flipped: triangles.iter().zip(&face_normals).filter(|pair| turned(*pair)).count(),
             observed_vertices: seen.len(),
@@ -137,7 +137,7 @@ fn root_mean_square(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::io::{read_npy_mask, read_npy_points};
+    use crate::io::{read_npy_mask, read_npy_points};
 
     /// A unit square in the plane z = 0, facing +Z.
     fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
@@ -159,10 +159,10 @@ mod tests {
         close(e.median, 1.0);
         close(e.p95, 1.0 + 0.9 * 4.0);
         close(e.max, 5.0);
-        close(e.off, (17.0f64 / 3.0).sqrt());
-        close(e.slide, 3.0f64.sqrt());
+        close(e.normal, (17.0f64 / 3.0).sqrt());
+        close(e.tangential, 3.0f64.sqrt());
         close(e.unobserved, 2.0);
-        close(per_vertex.slide[0], 3.0);
+        close(per_vertex.tangential[0], 3.0);
         assert!(e.finite && e.observed_vertices == 3);
         assert!(per_vertex.observed_distance(&observed)[3].is_nan());
     }
@@ -171,7 +171,7 @@ mod tests {
     fn flips_are_counted_and_a_perfect_result_has_no_error() {
         let (truth, triangles) = square();
         let (e, _) = TruthErrors::new(&truth, &truth, &[true; 4], &triangles).unwrap();
-        assert_eq!((e.rmse, e.max, e.off, e.slide, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
+        assert_eq!((e.rmse, e.max, e.normal, e.tangential, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
         let mut folded = truth.clone();
         folded[3] = Vec3::new(2.0, 0.0, 0.0); // over the diagonal
         let (e, _) = TruthErrors::new(&folded, &truth, &[true; 4], &triangles).unwrap();
@@ -190,7 +190,7 @@ mod tests {
         let mut broken = truth.clone();
         broken[2].x = f64::NAN;
         let (e, _) = TruthErrors::new(&broken, &truth, &[true; 4], &triangles).unwrap();
-        assert!(!e.finite && e.rmse.is_nan() && e.max.is_nan() && e.slide.is_nan());
+        assert!(!e.finite && e.rmse.is_nan() && e.max.is_nan() && e.tangential.is_nan());
         let (e, _) = TruthErrors::new(&truth, &truth, &[false; 4], &triangles).unwrap();
         assert_eq!((e.rmse, e.median, e.observed_vertices), (0.0, 0.0, 0));
     }
@@ -228,7 +228,9 @@ mod tests {
             };
             let result: Vec<Vec3> = truth.iter().enumerate().map(perturbed).collect();
             let (e, _) = TruthErrors::new(&result, &truth, &observed, &triangles).unwrap();
-            for (ours, theirs) in [e.rmse, e.median, e.p95, e.max, e.off, e.slide, e.unobserved].iter().zip(expected) {
+            for (ours, theirs) in
+                [e.rmse, e.median, e.p95, e.max, e.normal, e.tangential, e.unobserved].iter().zip(expected)
+            {
                 assert!((ours - theirs).abs() < 5.1e-5, "{case}: {e:?}");
             }
             assert_eq!(e.flipped, flipped, "{case}");

@@ -2,7 +2,8 @@
 //!
 //! **Frame.** The mid-sagittal plane is the mirror plane that best maps the left landmarks on the right ones and those of the midline
 //! on themselves ([`MirrorPlane::of_pairs`]). Its normal, towards the subject's left, is the lateral axis; the vertical axis is the
-//! direction from menton to nasion in that plane. Nothing depends on how the mesh lies in its file.
+//! direction from menton to nasion in that plane. Nothing depends on how the mesh lies in its file. Projections are the exception that
+//! compares: they are measured forwards of the vertical of the face before, or a chin that moves would turn what it is measured by.
 
 use std::fmt;
 
@@ -16,6 +17,8 @@ pub enum Axis {
     Lateral,
     /// From menton to nasion, in the mid-sagittal plane.
     Vertical,
+    /// At right angles to both, out of the face; of the face before.
+    Forwards,
 }
 
 /// How a measurement follows from landmarks.
@@ -29,6 +32,8 @@ pub enum Formula {
     Angle(&'static str, &'static str, &'static str),
     /// The same of the landmarks' projections on the mid-sagittal plane.
     ProfileAngle(&'static str, &'static str, &'static str),
+    /// How far the third lies in front of the line from the first down to the second, in the mid-sagittal plane, millimetres.
+    BeforeLine(&'static str, &'static str, &'static str),
     /// By how many degrees the line from the first to the second rises against the lateral axis in the frontal plane, which lateral
     /// and vertical axis span.
     Slope(&'static str, &'static str),
@@ -41,9 +46,19 @@ impl Formula {
     #[must_use]
     pub fn unit(&self) -> &'static str {
         match self {
-            Self::Distance(..) | Self::Extent(..) => "mm",
+            Self::Distance(..) | Self::Extent(..) | Self::BeforeLine(..) => "mm",
             Self::Angle(..) | Self::ProfileAngle(..) | Self::Slope(..) => "deg",
             Self::Percent(..) => "%",
+        }
+    }
+
+    /// The landmarks that it joins.
+    #[must_use]
+    pub fn landmarks(&self) -> Vec<&'static str> {
+        match *self {
+            Self::Distance(a, b) | Self::Extent(_, a, b) | Self::Slope(a, b) => vec![a, b],
+            Self::Angle(a, b, c) | Self::ProfileAngle(a, b, c) | Self::BeforeLine(a, b, c) => vec![a, b, c],
+            Self::Percent(..) => Vec::new(),
         }
     }
 }
@@ -54,6 +69,8 @@ impl fmt::Display for Formula {
             Self::Distance(a, b) => write!(f, "distance from {a} to {b}"),
             Self::Extent(Axis::Lateral, a, b) => write!(f, "from {a} to {b} along the lateral axis"),
             Self::Extent(Axis::Vertical, a, b) => write!(f, "from {a} to {b} along the vertical axis"),
+            Self::Extent(Axis::Forwards, a, b) => write!(f, "of {b} before the vertical through {a}"),
+            Self::BeforeLine(a, b, c) => write!(f, "of {c} before the line from {a} to {b}, in the mid-sagittal plane"),
             Self::Angle(a, b, c) => write!(f, "at {b} between {a} and {c}, in space"),
             Self::ProfileAngle(a, b, c) => write!(f, "at {b} between {a} and {c}, in the mid-sagittal plane"),
             Self::Slope(a, b) => write!(f, "rise of the line from {a} to {b} in the frontal plane"),
@@ -86,6 +103,14 @@ pub struct Definition {
     pub typical: Option<TypicalRange>,
 }
 
+impl Definition {
+    /// Its name as people read it.
+    #[must_use]
+    pub fn title(&self) -> String {
+        self.name.replace('_', " ").replace("e line", "E-line")
+    }
+}
+
 const NASOFRONTAL: TypicalRange = TypicalRange {
     low: 115.0,
     high: 130.0,
@@ -97,14 +122,24 @@ const MESOPROSOPIC: TypicalRange = TypicalRange {
     high: 87.9,
     source: "the class of average faces, mesoprosopic: Anatomy Research International 2015, 780756, table 1",
 };
+const UPPER_LIP_TO_E_LINE: TypicalRange = TypicalRange {
+    low: -6.0,
+    high: -2.0,
+    source: "2 mm either way of the average Caucasian face after Ricketts, upper lip 4 and lower lip 2 mm behind the line: \
+             speareducation.com/spear-review/2013/08/evaluating-facial-esthetics-the-esthetic-plane; lips lie further forward in most \
+             other populations: Progress in Orthodontics 2015, 16:8, table 5",
+};
+const LOWER_LIP_TO_E_LINE: TypicalRange = TypicalRange { low: -4.0, high: 0.0, ..UPPER_LIP_TO_E_LINE };
 
 /// Every measurement. Angles of the profile are those of
 /// <https://bmcoralhealth.biomedcentral.com/articles/10.1186/s12903-022-02439-0/tables/1>; the nasolabial angle has the nose's tip for its
 /// first point, where some use the columella. Thirds and fifths are after
 /// <http://therhinoplastycenter.com/rhinoplasty-dissection-manual/surface-angles/>; the outer fifths end at the zygion, not at the ear.
+/// The E-line, from the tip of the nose to the chin, is that of Ricketts (Esthetics, environment, and the law of lip relation, 1968), who
+/// found no single ideal; the ranges are 2 mm either way of the averages that are taught after him.
 pub const DEFINITIONS: &[Definition] = {
-    use Axis::{Lateral, Vertical};
-    use Formula::{Angle, Distance, Extent, Percent, ProfileAngle, Slope};
+    use Axis::{Forwards, Lateral, Vertical};
+    use Formula::{Angle, BeforeLine, Distance, Extent, Percent, ProfileAngle, Slope};
     const fn row(group: &'static str, name: &'static str, formula: Formula) -> Definition {
         Definition { group, name, formula, typical: None }
     }
@@ -170,6 +205,17 @@ pub const DEFINITIONS: &[Definition] = {
         row("angles", "canthal_tilt_right", Slope("endocanthion_right", "exocanthion_right")),
         row("angles", "canthal_tilt_left", Slope("endocanthion_left", "exocanthion_left")),
         row("angles", "mouth_cant", Slope("cheilion_right", "cheilion_left")),
+        typical(
+            row("profile", "upper_lip_to_e_line", BeforeLine("pronasale", "pogonion", "labiale_superius")),
+            UPPER_LIP_TO_E_LINE,
+        ),
+        typical(
+            row("profile", "lower_lip_to_e_line", BeforeLine("pronasale", "pogonion", "labiale_inferius")),
+            LOWER_LIP_TO_E_LINE,
+        ),
+        row("profile", "upper_lip_projection", Extent(Forwards, "subnasale", "labiale_superius")),
+        row("profile", "lower_lip_projection", Extent(Forwards, "subnasale", "labiale_inferius")),
+        row("profile", "chin_projection", Extent(Forwards, "subnasale", "pogonion")),
     ]
 };
 
@@ -227,8 +273,12 @@ impl FacialFrame {
     }
 }
 
-/// The values of [`DEFINITIONS`], in their order.
-pub(super) fn evaluate(placed: &Placed, frame: Option<&FacialFrame>) -> Vec<Result<f64, Missing>> {
+/// The values of [`DEFINITIONS`], in their order. `upright` is the frame of the face before.
+pub(super) fn evaluate(
+    placed: &Placed,
+    frame: Option<&FacialFrame>,
+    upright: Option<&FacialFrame>,
+) -> Vec<Result<f64, Missing>> {
     let mut values: Vec<Result<f64, Missing>> = Vec::with_capacity(DEFINITIONS.len());
     for definition in DEFINITIONS {
         let value = match definition.formula {
@@ -248,26 +298,46 @@ pub(super) fn evaluate(placed: &Placed, frame: Option<&FacialFrame>) -> Vec<Resu
                     (Err(missing), _) | (_, Err(missing)) => Err(missing),
                 }
             }
-            formula => of_landmarks(formula, placed, frame),
+            formula => of_landmarks(formula, placed, frame, upright),
         };
         values.push(value.and_then(|v| if v.is_finite() { Ok(v) } else { Err(Missing::Degenerate) }));
     }
     values
 }
 
-fn of_landmarks(formula: Formula, placed: &Placed, frame: Option<&FacialFrame>) -> Result<f64, Missing> {
+fn of_landmarks(
+    formula: Formula,
+    placed: &Placed,
+    frame: Option<&FacialFrame>,
+    upright: Option<&FacialFrame>,
+) -> Result<f64, Missing> {
     let plane = || frame.map(|f| f.plane).ok_or(Missing::Plane);
-    let vertical = || match frame.map(|f| f.vertical) {
+    let vertical_of = |frame: Option<&FacialFrame>| match frame.map(|f| f.vertical) {
         Some(Some(up)) => Ok(up),
         Some(None) => points(placed, ["nasion", "menton"]).and(Err(Missing::Degenerate)),
         None => Err(Missing::Plane),
     };
+    let vertical = || vertical_of(frame);
     match formula {
         Formula::Distance(a, b) => points(placed, [a, b]).map(|[a, b]| (b - a).norm()),
         Formula::Extent(axis, a, b) => {
             let [a, b] = points(placed, [a, b])?;
-            let axis = if axis == Axis::Lateral { plane()?.normal } else { vertical()? };
+            let axis = match axis {
+                Axis::Lateral => plane()?.normal,
+                Axis::Vertical => vertical()?,
+                Axis::Forwards => {
+                    let up = vertical_of(upright)?;
+                    upright.ok_or(Missing::Plane)?.plane.normal.cross(&up)
+                }
+            };
             Ok((b - a).dot(&axis))
+        }
+        Formula::BeforeLine(a, b, c) => {
+            let [a, b, c] = points(placed, [a, b, c])?;
+            let normal = plane()?.normal;
+            // From below to above, the lateral axis times the line points out of the face.
+            let forwards = normal.cross(&(a - b)).try_normalize(1e-9).ok_or(Missing::Degenerate)?;
+            Ok((c - a).dot(&forwards))
         }
         Formula::Angle(a, b, c) => points(placed, [a, b, c]).map(|[a, b, c]| angle(a - b, c - b)),
         Formula::ProfileAngle(a, b, c) => {

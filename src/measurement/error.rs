@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::io::{ReadError, WriteError};
 use crate::mesh::MeshError;
-use crate::mesh::io::{ReadError, WriteError};
 
 /// Why nothing was measured, or not written.
 #[derive(Debug, thiserror::Error)]

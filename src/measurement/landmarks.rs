@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::MeasurementError;
-use crate::mesh::io::{LengthUnit, TemplatePoint, read_landmark_set};
+use crate::io::LengthUnit;
+use crate::landmark::{TemplatePoint, read_landmark_set};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// A landmark: what its name means.

@@ -5,11 +5,12 @@
 //! [`report::write`] puts them into a folder with pictures and a page. What is measured is one table, [`DEFINITIONS`], over the
 //! landmarks of another, [`LANDMARKS`]. A measurement whose landmarks are not given has no value, and says which.
 //!
-//! Everything moves with the mesh: turned and shifted, it measures the same. Lengths are millimetres.
+//! Everything moves with the mesh: turned and shifted, it measures the same. Lengths are millimetres. [`Subject::compare`] puts several
+//! shapes after beside each other.
 //!
 //! ```
 //! use nonrigid::measurement::{Landmarks, Subject};
-//! use nonrigid::mesh::{TriangleMesh, Vec3, io::TemplatePoint};
+//! use nonrigid::{landmark::TemplatePoint, mesh::{TriangleMesh, Vec3}};
 //!
 //! let positions = vec![Vec3::new(-30., 0., 0.), Vec3::new(30., 0., 0.), Vec3::new(0., -80., 20.)];
 //! let mesh = TriangleMesh { positions, triangles: vec![[0, 2, 1]] }.into();
@@ -43,7 +44,7 @@ use change::Changes;
 use definitions::evaluate;
 use landmarks::Placed;
 
-use crate::mesh::{MeshError, MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
 
 /// What is to be measured.
 #[derive(Debug, Clone, Copy)]
@@ -67,6 +68,15 @@ pub struct NamedRegion<'a> {
     pub vertices: &'a [u32],
 }
 
+/// What a plan makes of a face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plan<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// The face's vertices after.
+    pub positions: &'a [Vec3],
+}
+
 static NO_LANDMARKS: Landmarks = Landmarks::none();
 
 impl<'a> Subject<'a> {
@@ -85,8 +95,7 @@ impl<'a> Subject<'a> {
         self.check()?;
         let triangles = self.mesh.triangulate().triangles;
         let before = Face::new("the mesh", &self.mesh.positions, &triangles, self.landmarks, None)?;
-        let start = before.symmetry.plane;
-        let after = self.after.map(|p| Face::new("the mesh after", p, &triangles, self.landmarks, Some(start)));
+        let after = self.after.map(|p| Face::new("the mesh after", p, &triangles, self.landmarks, Some(&before)));
         let after = after.transpose()?;
         let changes = self.after.map(|after| Changes::new(&self.mesh.positions, after, &triangles));
 
@@ -130,6 +139,19 @@ impl<'a> Subject<'a> {
         })
     }
 
+    /// Measures several shapes after beside each other; the subject's own counts where none is given.
+    ///
+    /// # Errors
+    /// As [`Subject::measure`].
+    pub fn compare(&self, plans: &[Plan<'a>]) -> Result<Comparison, MeasurementError> {
+        if plans.is_empty() {
+            let names = self.after.iter().map(|_| AFTER.to_owned()).collect();
+            return Ok(Comparison { names, all: vec![self.measure()?] });
+        }
+        let all = plans.iter().map(|plan| Self { after: Some(plan.positions), ..*self }.measure());
+        Ok(Comparison { names: plans.iter().map(|p| p.name.to_owned()).collect(), all: all.collect::<Result<_, _>>()? })
+    }
+
     fn check(&self) -> Result<(), MeasurementError> {
         let vertices = self.mesh.positions.len();
         if let Some(after) = self.after
@@ -161,6 +183,9 @@ impl<'a> Subject<'a> {
     }
 }
 
+/// Name of the shape after, where it has none of its own.
+pub const AFTER: &str = "after";
+
 /// Name of the whole surface among the regions.
 pub const WHOLE: &str = "whole";
 
@@ -178,14 +203,15 @@ impl Face {
         positions: &[Vec3],
         triangles: &[[u32; 3]],
         landmarks: &Landmarks,
-        start: Option<MirrorPlane>,
+        before: Option<&Self>,
     ) -> Result<Self, MeasurementError> {
         let placed = landmarks.placed(positions)?;
         let frame = FacialFrame::of(&placed);
         let mesh = TriangleMesh { positions: positions.to_vec(), triangles: triangles.to_vec() };
-        let start = frame.map(|f| f.plane).or(start);
+        let start = frame.map(|f| f.plane).or(before.map(|b| b.symmetry.plane));
         let symmetry = Symmetry::find(&mesh, start, &SymmetryOptions::default(), what)?;
-        let values = evaluate(&placed, frame.as_ref());
+        let upright = before.map_or(frame, |b| b.frame);
+        let values = evaluate(&placed, frame.as_ref(), upright.as_ref());
         Ok(Self { placed, frame, values, symmetry })
     }
 
@@ -208,6 +234,27 @@ pub struct Measurements {
     pub before: FaceState,
     /// The second.
     pub after: Option<FaceState>,
+}
+
+/// Shapes after, measured beside each other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    names: Vec<String>,
+    /// One for each name; the face alone where there is none.
+    all: Vec<Measurements>,
+}
+
+impl Comparison {
+    /// The face before: any of them.
+    #[must_use]
+    pub fn before(&self) -> &Measurements {
+        &self.all[0]
+    }
+
+    /// The shapes after, with their names.
+    pub fn plans(&self) -> impl ExactSizeIterator<Item = (&str, &Measurements)> {
+        self.names.iter().map(String::as_str).zip(&self.all)
+    }
 }
 
 /// One measurement.

@@ -1,4 +1,4 @@
-//! Polygon meshes, what can be computed on them, and the files they come from. Millimetres throughout.
+//! Polygon meshes and what can be computed on them. Millimetres throughout.
 
 use std::borrow::Cow;
 
@@ -6,7 +6,6 @@ pub mod adjacency;
 pub mod closest_point;
 mod error;
 pub mod geodesic;
-pub mod io;
 mod mirror_plane;
 pub mod normals;
 mod oriented_points;

@@ -22,12 +22,14 @@
 //! centroid is that of the surface, ours that of the vertices; `gamma` sees the difference.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::nlls::{BlockStructure, NormalEquations};
+use crate::nlls::{Assembly, BlockStructure, NormalEquations};
 
 /// Entries of one `X_i`: rows x, y, z of four.
 const SIZE: usize = 12;
@@ -38,7 +40,7 @@ const CHUNK: usize = 512;
 ///
 /// Parameters are the `X_i` row by row, one for every vertex that an edge reaches, in vertex order. A vertex without edges has
 /// none of its own: it takes part in the map of the nearest vertex that has.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Affine {
     /// `lambda`, per edge; changed from level to level of a registration.
     pub lambda: f64,
@@ -52,10 +54,9 @@ pub struct Affine {
     edge_weights: Vec<f64>,
     /// Per block: the other end of each of its edges, and the edge's weight.
     neighbours: Vec<Vec<(u32, f64)>>,
-    /// The blocks that move each sample, each once.
+    /// The blocks that move each sample, each once, ascending.
     samples: Vec<Vec<Corner>>,
-    /// Per block: the samples that it moves, ascending, and which of their corners it is.
-    block_samples: Vec<Vec<(u32, u32)>>,
+    assembly: Assembly,
 }
 
 /// `X_block h`, a term of a position.
@@ -113,7 +114,7 @@ impl Affine {
             edges,
             neighbours: Vec::new(),
             samples: Vec::new(),
-            block_samples: Vec::new(),
+            assembly: Assembly::default(),
         };
         model.join();
         Ok(model)
@@ -188,7 +189,7 @@ impl DeformationModel for Affine {
         [s, 0.0, 0.0, c.x, 0.0, s, 0.0, c.y, 0.0, 0.0, s, c.z].repeat(self.block_count)
     }
 
-    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.vertices.len(), "samples were made for another template");
         let sample = |s: usize| {
             let mut corners: Vec<Corner> = Vec::new();
@@ -200,18 +201,18 @@ impl DeformationModel for Affine {
                     None => corners.push(Corner { block, h }),
                 }
             }
+            corners.sort_unstable_by_key(|c| c.block);
             corners
         };
         self.samples = (0..samples.len()).map(sample).collect();
-        self.block_samples = vec![Vec::new(); self.block_count];
-        let mut pairs: Vec<(usize, usize)> = self.edges.iter().map(|e| (e[0] as usize, e[1] as usize)).collect();
-        for (s, corners) in self.samples.iter().enumerate() {
-            for (k, corner) in corners.iter().enumerate() {
-                self.block_samples[corner.block as usize].push((s as u32, k as u32));
-                pairs.extend(corners[..k].iter().map(|other| (corner.block as usize, other.block as usize)));
-            }
-        }
-        BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0).expect("proven: all pairs are blocks of the model")
+        let items: Vec<Vec<u32>> = self.samples.iter().map(|s| s.iter().map(|c| c.block).collect()).collect();
+        let items = || items.iter().map(Vec::as_slice);
+        let edges = self.edges.iter().map(|e| (e[0] as usize, e[1] as usize));
+        let pairs = edges.chain(Assembly::pairs(items()));
+        let structure = BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0)
+            .expect("proven: all pairs are blocks of the model");
+        self.assembly = Assembly::new(items(), &structure, |_| 3);
+        structure
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
@@ -221,24 +222,18 @@ impl DeformationModel for Affine {
     }
 
     fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        let structure = equations.structure().clone();
-        let quadrics = field.quadrics();
-        equations.for_each_block_row(&|i, row| {
-            for &(s, k) in &self.block_samples[i] {
-                let (quadric, corners) = (&quadrics[s as usize], &self.samples[s as usize]);
-                if quadric.rows().is_empty() {
-                    continue;
-                }
-                let (m, own) = (quadric.matrix(), &corners[k as usize].h);
-                for other in corners.iter().filter(|c| c.block as usize <= i) {
-                    let at = position(&structure, i, other.block);
-                    add_data(&mut row.blocks[at..at + SIZE * SIZE], &m, own, &other.h);
-                }
-                for (g, h) in row.gradient.chunks_exact_mut(4).zip(quadric.gradient()) {
-                    g.iter_mut().zip(own).for_each(|(g, q)| *g += h * q);
+        let (quadrics, samples) = (field.quadrics(), &self.samples);
+        let count = |s: usize| quadrics[s].rows().len();
+        self.assembly.linearize(0, count, |s, rows| {
+            for (slot, corner) in samples[s].iter().enumerate() {
+                for (r, row) in quadrics[s].rows().iter().enumerate() {
+                    let by_axis = rows.of_block(slot, r).chunks_exact_mut(4).zip(row);
+                    by_axis.for_each(|(y, a)| y.iter_mut().zip(corner.h).for_each(|(y, h)| *y = a * h));
                 }
             }
+            rows.set_residuals(quadrics[s].residuals());
         });
+        self.assembly.add_to(equations);
     }
 
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
@@ -285,20 +280,56 @@ impl DeformationModel for Affine {
 /// Where block (`i`, `j`) starts in block row `i`.
 fn position(structure: &BlockStructure, i: usize, j: u32) -> usize {
     let k =
-        structure.row(i).binary_search(&(j as usize)).expect("proven: `attach` added all pairs of edges and samples");
+        structure.row(i).binary_search(&(j as usize)).expect("proven: `analyse` added all pairs of edges and samples");
     k * SIZE * SIZE
 }
 
-/// `block += M kron (p q')`, M over the coordinates.
-fn add_data(block: &mut [f64], m: &[[f64; 3]; 3], p: &[f64; 4], q: &[f64; 4]) {
-    for a in 0..3 {
-        for (k, p) in p.iter().enumerate() {
-            let row = &mut block[(4 * a + k) * SIZE..][..SIZE];
-            for b in 0..3 {
-                let scale = m[a][b] * p;
-                row[4 * b..4 * b + 4].iter_mut().zip(q).for_each(|(h, q)| *h += scale * q);
-            }
-        }
+/// `[model]` of per-vertex affine maps: how they differ at a cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AffineOptions {
+    /// `gamma` of Amberg et al. 2007: weight of differences of translation against those of the linear parts, both as
+    /// displacements at the template's root-mean-square size.
+    pub gamma: f64,
+}
+
+impl Default for AffineOptions {
+    fn default() -> Self {
+        Self { gamma: 1.0 }
+    }
+}
+
+impl OptionTable for AffineOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::positive("gamma", self.gamma)
+    }
+}
+
+impl RegistrationModel for Affine {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "affine"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/affine.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<AffineOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let gamma = input.options.read::<AffineOptions>()?.gamma;
+        Ok(Box::new(Affine::new(input.rest, 1.0, gamma)?))
     }
 }
 

@@ -30,9 +30,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
 use super::rotation_fit::closest_rotation;
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
-use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -237,7 +238,7 @@ impl Arap {
     }
 
     /// Members of the stars and where their pairs lie in the equations.
-    fn attach_turns(&mut self, structure: &BlockStructure, members: Vec<u32>, starts: Vec<u32>) {
+    fn analyse_turns(&mut self, structure: &BlockStructure, members: Vec<u32>, starts: Vec<u32>) {
         let mut uses: Vec<(usize, TurnUse)> = Vec::new();
         let turns = &mut self.turns;
         turns.targets.clear();
@@ -330,7 +331,7 @@ impl DeformationModel for Arap {
         self.assembly.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.assembly.rest[v as usize])).collect()
     }
 
-    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         let stars = &self.stars;
         let (mut members, mut starts) = (Vec::new(), vec![0u32]);
         for i in 0..self.assembly.rest.len() {
@@ -341,13 +342,13 @@ impl DeformationModel for Arap {
         let structure = match self.options.solver {
             ArapSolver::Joint => {
                 let cliques = starts.windows(2).map(|s| &members[s[0] as usize..s[1] as usize]);
-                self.assembly.attach(samples, cliques)
+                self.assembly.analyse(samples, cliques)
             }
             ArapSolver::LocalGlobal => {
                 let spokes: Vec<[u32; 2]> = (0..self.assembly.rest.len())
                     .flat_map(|i| stars.of(i).iter().map(move |s| [i as u32, s.other]))
                     .collect();
-                self.assembly.attach(samples, spokes.iter().map(|s| &s[..]))
+                self.assembly.analyse(samples, spokes.iter().map(|s| &s[..]))
             }
         };
         self.stiffness = vec![0.0; structure.slot_count()];
@@ -362,7 +363,7 @@ impl DeformationModel for Arap {
             }
         }
         if self.options.solver == ArapSolver::Joint {
-            self.attach_turns(&structure, members, starts);
+            self.analyse_turns(&structure, members, starts);
         }
         structure
     }
@@ -425,6 +426,48 @@ impl Turns {
                 }
             }
         }
+    }
+}
+
+/// `[model]` of as-rigid-as-possible surfaces.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RigidityOptions {
+    /// `local_global` (default) or `joint`.
+    pub solver: ArapSolver,
+}
+
+impl OptionTable for RigidityOptions {}
+
+impl RegistrationModel for Arap {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+
+    fn unobserved_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "arap"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/arap.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<RigidityOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
+        Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
     }
 }
 

@@ -1,22 +1,75 @@
 //! Blendshapes or PCA components, eqs. (4) and (5) of Klimov 2020, under one rigid motion.
 
-use super::{NodeAssembly, NodeGraph, RigidMotion, Stiffness};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, OneNodeOptions, RegistrationModel, RigidMotion, Stiffness,
+    node_options,
+};
+use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// Linear shapes and a rigid motion.
-pub type Blendshape = NodeAssembly<RigidMotion, 6>;
+pub type Blendshape = Hybrid<RigidMotion, 6>;
 
 /// The blendshape model on the rest positions `rest` (the neutral).
 #[must_use]
 pub fn blendshape(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Blendshape {
     let graph = NodeGraph::single(super::centroid(&rest), rest.len());
-    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
+    Hybrid::named("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
 }
 
 /// The blendshape model without its rigid motion.
 #[must_use]
 pub fn blendshape_in_place(rest: Vec<Vec3>, shapes: ShapeBasis, lambda_blend: f64) -> Blendshape {
     let graph = NodeGraph::single(super::centroid(&rest), rest.len()).all_fixed();
-    NodeAssembly::new("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
+    Hybrid::named("blendshape", rest, graph, shapes, Stiffness { blend: lambda_blend, ..Stiffness::default() })
+}
+
+/// `[level.model]` of blendshapes.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BlendshapeLevel {
+    /// `lambda_blend` of (5), per shape.
+    pub lambda_blend: f64,
+}
+
+impl OptionTable for BlendshapeLevel {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::not_negative("lambda_blend", self.lambda_blend)
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "blendshape"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/blendshape.toml")
+    }
+
+    fn uses_shapes(&self) -> bool {
+        true
+    }
+
+    fn needs_shapes(&self) -> bool {
+        true
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<OneNodeOptions>()
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<BlendshapeLevel>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let model = blendshape(input.rest.positions.clone(), input.shapes.clone(), 0.0);
+        node_options::one_node(model, input.options)
+    }
 }

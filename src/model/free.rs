@@ -21,8 +21,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, parameters, row_position};
-use crate::energy::{DeformationModel, NamedEnergy, QuadricField, Samples};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
@@ -254,9 +255,9 @@ impl DeformationModel for Free {
         vec![0.0; self.parameter_len()]
     }
 
-    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         let (rows, assembly) = (&self.rows, &mut self.assembly);
-        let structure = assembly.attach(samples, (0..rows.len()).map(|m| rows.vertices(m)));
+        let structure = assembly.analyse(samples, (0..rows.len()).map(|m| rows.vertices(m)));
         self.stiffness = vec![0.0; structure.slot_count()];
         self.uses = vec![Vec::new(); structure.block_count()];
         for m in 0..rows.len() {
@@ -300,6 +301,51 @@ impl DeformationModel for Free {
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
         VertexAssembly::retract(x, step, out);
+    }
+}
+
+/// `[model]` of free vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SmoothOptions {
+    /// Which derivative of the displacements costs: `laplacian` (default) or `bilaplacian`.
+    pub kind: Smoothness,
+    /// How edges weigh: `uniform` (default) or `cotangent`.
+    pub weights: EdgeWeights,
+}
+
+impl OptionTable for SmoothOptions {}
+
+impl RegistrationModel for Free {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+
+    fn unobserved_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "free"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/free.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<SmoothOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let SmoothOptions { kind, weights } = input.options.read()?;
+        let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
+        Ok(Box::new(Free::new(input.rest, options, 1.0)?))
     }
 }
 

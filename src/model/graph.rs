@@ -1,12 +1,16 @@
 //! The embedded deformation graph of Sumner et al. 2007 with rigid nodes, eqs. (6) and (7) of Klimov 2020.
 //! With the paper's own affine nodes: [`sumner`](super::sumner()).
 
-use super::{NodeAssembly, NodeGraph, NodeTransform, RigidMotion, Stiffness};
+use super::{
+    GraphLevel, GraphOptions, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, NodeTransform,
+    RegistrationModel, RigidMotion, Stiffness, node_options,
+};
+use crate::energy::{Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A deformation graph.
-pub type Graph = NodeAssembly<RigidMotion, 6>;
+pub type Graph = Hybrid<RigidMotion, 6>;
 
 /// The graph model on the rest positions `rest`.
 #[must_use]
@@ -20,7 +24,31 @@ pub fn graph_of<T: NodeTransform<W>, const W: usize>(
     rest: Vec<Vec3>,
     nodes: NodeGraph,
     lambda_graph: f64,
-) -> NodeAssembly<T, W> {
+) -> Hybrid<T, W> {
     let stiffness = Stiffness { graph: lambda_graph, ..Stiffness::default() };
-    NodeAssembly::new("graph", rest, nodes, ShapeBasis::none(), stiffness)
+    Hybrid::named("graph", rest, nodes, ShapeBasis::none(), stiffness)
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "graph"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/graph.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<GraphOptions>()
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<GraphLevel>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        node_options::build("graph", input, &ShapeBasis::none())
+    }
 }

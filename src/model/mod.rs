@@ -1,42 +1,152 @@
-//! Deformation models, one file each: those made of nodes and blendshapes on the assembly in `assembly/`, models of free
-//! vertices on the one in `vertex_assembly.rs`, per-vertex affine maps on their own; and, in `autodiff`, any model that is
-//! stated as a formula for vertex positions.
+//! Deformation models, one file each, with the options that it reads from a schedule and its factory; a new one is a line of the
+//! table below besides. Those of nodes and blendshapes are the hybrid with one node or without shapes; free vertices share
+//! `vertex_assembly.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
+//! [`nlls::Assembly`](crate::nlls::Assembly).
 
 mod affine;
 mod arap;
-mod assembly;
 mod autodiff;
 mod blendshape;
 mod edge_weights;
+mod factory;
+mod flame;
 mod free;
 mod graph;
 mod hybrid;
+mod klimov2020;
 mod node_graph;
+mod node_options;
 mod rigid;
 mod rotation_fit;
+mod sequential;
 mod similarity;
 mod sumner;
 mod transform;
 mod vertex_assembly;
 
-pub use affine::Affine;
-pub use arap::{Arap, ArapOptions, ArapSolver};
-pub use assembly::{Linearisation, NodeAssembly, Stiffness};
+pub use affine::{Affine, AffineOptions};
+pub use arap::{Arap, ArapOptions, ArapSolver, RigidityOptions};
 pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
-pub use blendshape::{Blendshape, blendshape, blendshape_in_place};
+pub use blendshape::{Blendshape, BlendshapeLevel, blendshape, blendshape_in_place};
 pub use edge_weights::EdgeWeights;
-pub use free::{Free, FreeOptions, Smoothness};
+pub use factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+pub use free::{Free, FreeOptions, SmoothOptions, Smoothness};
 pub use graph::{Graph, graph, graph_of};
-pub use hybrid::{AffineHybrid, Hybrid, affine_hybrid, hybrid, hybrid_of};
+pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
 pub use node_graph::NodeGraph;
+pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
 pub use rigid::{Rigid, rigid};
 pub use similarity::{Similarity, similarity};
-pub use sumner::{Sumner, sumner};
+pub use sumner::{Sumner, SumnerOptions, sumner};
 pub use transform::{
     AffineMap, AffineMotion, AngleAxisMotion, NodeTransform, QuaternionMotion, RigidMotion, SimilarityMotion,
 };
 
+use serde::{Deserialize, Serialize};
+
+use crate::energy::{Options, OptionsError};
 use crate::mesh::Vec3;
+
+/// The models that come with the crate, one line each: name in Rust, and what builds it.
+macro_rules! models {
+    ($($(#[$doc:meta])* $kind:ident => $factory:expr,)+) => {
+        /// The models that come with the crate.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum ModelKind {
+            $($(#[$doc])* $kind,)+
+        }
+
+        impl ModelKind {
+            /// All of them.
+            pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
+
+            fn factory(self) -> &'static dyn ModelFactory {
+                match self {
+                    $(Self::$kind => &$factory,)+
+                }
+            }
+        }
+    };
+}
+
+models! {
+    /// Blendshapes inside a deformation graph (Klimov 2020).
+    Hybrid => hybrid::Factory,
+    /// The hybrid with the energy of Klimov 2020 and nothing else.
+    Klimov2020 => klimov2020::FACTORY,
+    /// Blendshapes, then what the schedule's `[then]` names, from the shape that they have found (Bhat et al. 2013).
+    Sequential => sequential::FACTORY,
+    /// Blendshapes under one rigid motion.
+    Blendshape => blendshape::Factory,
+    /// Blendshapes as users of linear head models fit them: landmarks, then robust closest points (Li et al. 2017, FLAME).
+    Flame => flame::FACTORY,
+    /// Deformation graph, rigid nodes unless the schedule says otherwise.
+    Graph => graph::Factory,
+    /// Deformation graph with affine nodes (Sumner et al. 2007).
+    Sumner => sumner::Factory,
+    /// As-rigid-as-possible surface (Sorkine and Alexa 2007).
+    Arap => arap::Factory,
+    /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
+    Affine => affine::Factory,
+    /// Every vertex by itself, its displacement smooth.
+    Free => free::Factory,
+    /// Rigid motion.
+    Rigid => rigid::Factory,
+    /// Similarity.
+    Similarity => similarity::Factory,
+}
+
+impl std::fmt::Display for ModelKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl std::str::FromStr for ModelKind {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|m| m.name() == name).ok_or_else(|| {
+            let known: Vec<_> = Self::ALL.iter().map(|m| m.name().to_owned()).collect();
+            format!("unknown model '{name}'; known models: {}", known.join(", "))
+        })
+    }
+}
+
+impl ModelFactory for ModelKind {
+    fn name(&self) -> &str {
+        self.factory().name()
+    }
+
+    fn default_schedule(&self) -> &str {
+        self.factory().default_schedule()
+    }
+
+    fn uses_shapes(&self) -> bool {
+        self.factory().uses_shapes()
+    }
+
+    fn needs_shapes(&self) -> bool {
+        self.factory().needs_shapes()
+    }
+
+    fn needs_second_stage(&self) -> bool {
+        self.factory().needs_second_stage()
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        self.factory().options(given)
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        self.factory().level_options(given)
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        self.factory().build(input)
+    }
+}
 
 fn centroid(positions: &[Vec3]) -> Vec3 {
     positions.iter().sum::<Vec3>() / positions.len().max(1) as f64

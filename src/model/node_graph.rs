@@ -3,7 +3,7 @@
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::{ClosestVertex, ClosestVertices};
 use crate::mesh::geodesic::{
-    WeightedGraph, farthest_point_sampling, farthest_point_sampling_from, nearest_sources, share_nodes,
+    NearestSources, WeightedGraph, farthest_point_sampling, farthest_point_sampling_from, nearest_sources, share_nodes,
 };
 use crate::mesh::normals::face_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
@@ -25,8 +25,8 @@ const REGION_INFLUENCES: usize = 4;
 impl NodeGraph {
     /// About `nodes` farthest-point nodes on the surface of `mesh`, `influences` (`K`) to a vertex, distances along edges.
     ///
-    /// Weights are `(1 - d / d_(K+1))^2`, normalised (Sumner et al. 2007); edges join nodes that share a vertex. Every
-    /// connected part has nodes of its own, at least one, so parts that merely touch in space (upper and lower lip) move
+    /// Weights are `(1 - d / d_(K+1))^2`, normalised (Sumner et al. 2007); edges join nodes that share a vertex, and
+    /// one that shares none to its nearest. Every connected part has nodes of its own, at least one, so parts that merely touch in space (upper and lower lip) move
     /// apart freely; unreferenced vertices follow the nearest node and own none.
     ///
     /// # Errors
@@ -48,7 +48,7 @@ impl NodeGraph {
                 _ => influence_weights(&reached, influences),
             }
         });
-        Ok(Self::from_influences(positions, lists).with_neighbours_together())
+        Ok(Self::from_influences(positions, lists).with_company(&nearest, &at).with_neighbours_together())
     }
 
     /// A graph for the vertices of `mesh` that are not held: about `nodes` farthest-point nodes among them and, along the rim that
@@ -96,7 +96,8 @@ impl NodeGraph {
         };
         let lists = (0..held.len()).map(influences);
         let fixed = positions.len() - free;
-        Ok(Self { fixed, ..Self::from_influences(positions, lists) }.with_neighbours_together())
+        let graph = Self::from_influences(positions, lists).with_company(&nearest, &at);
+        Ok(Self { fixed, ..graph }.with_neighbours_together())
     }
 
     /// [`along_surface`](Self::along_surface) with influences by distance through space.
@@ -171,6 +172,18 @@ impl NodeGraph {
         edges.dedup();
         self.edges = edges;
         self
+    }
+
+    /// The same graph with an edge to each node that shares no vertex with another, from the nodes nearest to its own vertex `at`: where
+    /// nodes are about as many as vertices, and distances are equal, a node moves nothing but that, and nothing would hold it.
+    fn with_company(self, nearest: &NearestSources, at: &[u32]) -> Self {
+        let mut alone = vec![true; self.nodes.len()];
+        self.edges.iter().for_each(|&(i, _)| alone[i as usize] = false);
+        let mut edges = self.edges.clone();
+        for (j, v) in (0..).zip(at).filter(|&(j, _): &(u32, _)| alone[j as usize]) {
+            edges.extend(nearest.of(*v as usize).filter(|&(k, _)| k != j).flat_map(|(k, _)| [(j, k), (k, j)]));
+        }
+        self.with_edges(edges)
     }
 
     /// The same graph with its nodes numbered anew, halves of space one after the other, so that nodes with neighbouring numbers

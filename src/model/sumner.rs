@@ -1,16 +1,82 @@
 //! The embedded deformation graph of Sumner et al. 2007 as it was published: affine nodes `A_j q + t_j`, eq. (7) with `A_j` for
 //! `R_j`, and `E_rot`, which keeps every `A_j` near the rotations.
 
-use super::{AffineMotion, NodeAssembly, NodeGraph, Stiffness};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    AffineMotion, GraphDistance, GraphLevel, GraphOptions, Hybrid, Linearisation, ModelError, ModelFactory, ModelInput,
+    NodeGraph, RegistrationModel, Stiffness,
+};
+use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
 /// A deformation graph with affine nodes.
-pub type Sumner = NodeAssembly<AffineMotion, 12>;
+pub type Sumner = Hybrid<AffineMotion, 12>;
 
 /// Sumner's graph on the rest positions `rest`.
 #[must_use]
 pub fn sumner(rest: Vec<Vec3>, nodes: NodeGraph, lambda_graph: f64, lambda_rotation: f64) -> Sumner {
     let stiffness = Stiffness { graph: lambda_graph, rotation: lambda_rotation, ..Stiffness::default() };
-    NodeAssembly::new("sumner", rest, nodes, ShapeBasis::none(), stiffness)
+    Hybrid::named("sumner", rest, nodes, ShapeBasis::none(), stiffness)
+}
+
+/// `[model]` of Sumner's graph: [`GraphOptions`] whose nodes are affine.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SumnerOptions {
+    /// Number of nodes.
+    pub nodes: usize,
+    /// Nodes that move each vertex, `K`.
+    pub influences: usize,
+    /// How distances are measured.
+    pub distance: GraphDistance,
+    /// As [`GraphOptions::lambda_unseen`].
+    pub lambda_unseen: f64,
+    /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding.
+    pub linearisation: Linearisation,
+}
+
+impl Default for SumnerOptions {
+    fn default() -> Self {
+        let GraphOptions { nodes, influences, distance, lambda_unseen, linearisation, .. } = GraphOptions::default();
+        Self { nodes, influences, distance, lambda_unseen, linearisation }
+    }
+}
+
+impl OptionTable for SumnerOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::count("nodes", self.nodes)?;
+        OptionsError::count("influences", self.influences)?;
+        OptionsError::not_negative("lambda_unseen", self.lambda_unseen)
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "sumner"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/sumner.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<SumnerOptions>()
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<GraphLevel>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let options = input.options.read::<SumnerOptions>()?;
+        let nodes = options.distance.graph(input, options.nodes, options.influences)?;
+        let mut model = sumner(input.rest.positions.clone(), nodes, 0.0, 0.0);
+        model.linearisation = options.linearisation;
+        model.lambda_unseen = options.lambda_unseen;
+        Ok(Box::new(model))
+    }
 }

@@ -7,10 +7,10 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 use super::edge_weights::WeightedEdges;
-use crate::energy::{QuadricField, Samples};
+use crate::energy::{Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::mesh::adjacency::EdgeGraph;
-use crate::nlls::{BlockRow, BlockStructure, NormalEquations};
+use crate::nlls::{Assembly, BlockRow, BlockStructure, NormalEquations};
 
 /// Block of a vertex that has none.
 pub(super) const HELD: u32 = u32::MAX;
@@ -28,10 +28,17 @@ pub(super) struct VertexAssembly {
     pub blocks: Vec<u32>,
     /// Vertex of every block, ascending.
     pub vertices: Vec<u32>,
-    /// Per block, the samples that its vertex is a corner of.
-    pulls: Vec<Pull>,
-    pull_starts: Vec<u32>,
-    targets: Vec<Target>,
+    /// The (sample, weight) of those that one free vertex alone moves, block after block: they go to its diagonal block at once.
+    single_starts: Vec<u32>,
+    single: Vec<(u32, f64)>,
+    /// The samples of several free corners: items of the assembler.
+    joint: Vec<u32>,
+    /// Where each one's corners start.
+    corner_starts: Vec<u32>,
+    /// Free blocks of their corners, ascending, and their weights.
+    corner_blocks: Vec<u32>,
+    corner_weights: Vec<f64>,
+    assembly: Assembly,
     /// Connected part of every vertex.
     parts: Vec<u32>,
     /// Whether a held vertex fixes the part.
@@ -40,19 +47,6 @@ pub(super) struct VertexAssembly {
     sample_parts: Vec<u32>,
     /// Sum of the quadrics of each part at the last linearisation.
     part_quadrics: Vec<Matrix3<f64>>,
-}
-
-/// A sample at one of its corners.
-struct Pull {
-    sample: u32,
-    weight: f64,
-    targets: std::ops::Range<u32>,
-}
-
-/// A block of the corner's row: where it starts in the row, and the product of the weights of both corners.
-struct Target {
-    start: u32,
-    weight: f64,
 }
 
 impl VertexAssembly {
@@ -72,9 +66,13 @@ impl VertexAssembly {
             blocks: (0..rest.len() as u32).collect(),
             vertices: (0..rest.len() as u32).collect(),
             rest,
-            pulls: Vec::new(),
-            pull_starts: Vec::new(),
-            targets: Vec::new(),
+            single_starts: Vec::new(),
+            single: Vec::new(),
+            joint: Vec::new(),
+            corner_starts: Vec::new(),
+            corner_blocks: Vec::new(),
+            corner_weights: Vec::new(),
+            assembly: Assembly::default(),
             parts,
             anchored: vec![false; count as usize],
             sample_parts: Vec::new(),
@@ -114,7 +112,7 @@ impl VertexAssembly {
     }
 
     /// The pattern: vertices of a clique meet, and so do the corners of a sample.
-    pub fn attach<'a>(&mut self, samples: &Samples, cliques: impl Iterator<Item = &'a [u32]>) -> BlockStructure {
+    pub fn analyse<'a>(&mut self, samples: &Samples, cliques: impl Iterator<Item = &'a [u32]>) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
         let mut pairs = Vec::new();
         let mut free = Vec::new();
@@ -125,37 +123,38 @@ impl VertexAssembly {
                 pairs.extend(free[..k].iter().map(|&b| (a, b)));
             }
         }
+        self.corner_starts = vec![0];
+        self.corner_blocks.clear();
+        self.corner_weights.clear();
+        self.joint.clear();
+        let mut single = vec![Vec::new(); self.vertices.len()];
         for s in 0..samples.len() {
-            let corners = samples.corners(s);
-            for (k, &(v, _)) in corners.iter().enumerate() {
-                let others = corners[..k].iter().filter_map(|c| self.block(c.0));
-                pairs.extend(self.block(v).into_iter().flat_map(|a| others.clone().map(move |b| (a, b))));
+            let corners = samples.corners(s).iter();
+            let mut corners: Vec<_> = corners.filter_map(|c| Some((self.block(c.0)? as u32, c.1))).collect();
+            match corners[..] {
+                [] => {}
+                [(block, weight)] => single[block as usize].push((s as u32, weight)),
+                _ => {
+                    corners.sort_unstable_by_key(|c| c.0);
+                    self.corner_blocks.extend(corners.iter().map(|c| c.0));
+                    self.corner_weights.extend(corners.iter().map(|c| c.1));
+                    self.corner_starts.push(self.corner_blocks.len() as u32);
+                    self.joint.push(s as u32);
+                }
             }
         }
+        self.single.clear();
+        self.single_starts = vec![0];
+        for own in &single {
+            self.single.extend(own);
+            self.single_starts.push(self.single.len() as u32);
+        }
+        let starts = &self.corner_starts;
+        let items = || starts.windows(2).map(|s| &self.corner_blocks[s[0] as usize..s[1] as usize]);
+        pairs.extend(Assembly::pairs(items()));
         let structure = BlockStructure::new(&vec![3; self.vertices.len()], pairs, 0)
             .expect("proven: all pairs are blocks of free vertices");
-
-        let mut pulls: Vec<(usize, Pull)> = Vec::new();
-        self.targets.clear();
-        for s in 0..samples.len() {
-            for &(v, weight) in samples.corners(s) {
-                let Some(block) = self.block(v) else { continue };
-                let first = self.targets.len() as u32;
-                for &(other, other_weight) in samples.corners(s) {
-                    let Some(other) = self.block(other).filter(|&other| other <= block) else { continue };
-                    let start = row_position(&structure, block, other);
-                    self.targets.push(Target { start, weight: weight * other_weight });
-                }
-                pulls.push((block, Pull { sample: s as u32, weight, targets: first..self.targets.len() as u32 }));
-            }
-        }
-        pulls.sort_by_key(|p| p.0);
-        self.pull_starts = vec![0; self.vertices.len() + 1];
-        pulls.iter().for_each(|p| self.pull_starts[p.0 + 1] += 1);
-        for i in 0..self.vertices.len() {
-            self.pull_starts[i + 1] += self.pull_starts[i];
-        }
-        self.pulls = pulls.into_iter().map(|p| p.1).collect();
+        self.assembly = Assembly::new(items(), &structure, |_| 3);
         let part = |s: usize| samples.corners(s).first().map_or(0, |c| self.parts[c.0 as usize]);
         self.sample_parts = (0..samples.len()).map(part).collect();
         structure
@@ -166,32 +165,38 @@ impl VertexAssembly {
         let quadrics = field.quadrics();
         self.part_quadrics.clear();
         self.part_quadrics.resize(self.anchored.len(), Matrix3::zeros());
-        for (quadric, &part) in quadrics.iter().zip(&self.sample_parts) {
+        // What a held vertex fixes is not asked for.
+        let loose = |part: u32| !self.anchored[part as usize];
+        for (quadric, &part) in quadrics.iter().zip(&self.sample_parts).filter(|(_, part)| loose(**part)) {
             for row in quadric.rows() {
                 let row = Vec3::from(*row);
                 self.part_quadrics[part as usize] += row * row.transpose();
             }
         }
-        let this = &*self;
-        equations.for_each_block_row(&|i, row| {
-            let range = this.pull_starts[i] as usize..this.pull_starts[i + 1] as usize;
-            for pull in &this.pulls[range] {
-                let quadric = &quadrics[pull.sample as usize];
-                if quadric.rows().is_empty() {
-                    continue;
-                }
-                for (h, g) in row.gradient.iter_mut().zip(quadric.gradient()) {
-                    *h += pull.weight * g;
-                }
-                let m = quadric.matrix();
-                for target in &this.targets[pull.targets.start as usize..pull.targets.end as usize] {
-                    let block = &mut row.blocks[target.start as usize..target.start as usize + 9];
-                    for (h, m) in block.iter_mut().zip(m.as_flattened()) {
-                        *h += target.weight * m;
-                    }
-                }
+        let (starts, single) = (&self.single_starts, &self.single);
+        equations.for_each_block_row(&|i, mut row| {
+            for &(s, weight) in &single[starts[i] as usize..starts[i + 1] as usize] {
+                add_single(&quadrics[s as usize], weight, &mut row);
             }
         });
+        if self.joint.is_empty() {
+            return;
+        }
+        let (joint, starts, weights) = (&self.joint, &self.corner_starts, &self.corner_weights);
+        let quadric = |item: usize| &quadrics[joint[item] as usize];
+        self.assembly.linearize(
+            0,
+            |item| quadric(item).rows().len(),
+            |item, rows| {
+                for (slot, weight) in weights[starts[item] as usize..starts[item + 1] as usize].iter().enumerate() {
+                    for (r, row) in quadric(item).rows().iter().enumerate() {
+                        rows.of_block(slot, r).iter_mut().zip(row).for_each(|(y, a)| *y = weight * a);
+                    }
+                }
+                rows.set_residuals(quadric(item).residuals());
+            },
+        );
+        self.assembly.add_to(equations);
     }
 
     /// In how many directions parts can be shifted as a whole without any data noticing, at the last linearisation: three
@@ -244,6 +249,22 @@ pub(super) fn add_scalars(row: &mut BlockRow<'_>, k: &[f64], scale: f64) {
     for (block, k) in row.blocks.chunks_exact_mut(9).zip(k) {
         for a in [0, 4, 8] {
             block[a] += scale * k;
+        }
+    }
+}
+
+/// Adds the quadric of a sample that this row's vertex moves by `weight`.
+#[inline]
+fn add_single(quadric: &Quadric, weight: f64, row: &mut BlockRow<'_>) {
+    let diagonal = row.blocks.len() - 9;
+    let block = &mut row.blocks[diagonal..];
+    for (a, e) in quadric.rows().iter().zip(quadric.residuals()) {
+        let a = a.map(|a| weight * a);
+        for (r, g) in a.iter().zip(&mut *row.gradient) {
+            *g += r * e;
+        }
+        for (h, (r, c)) in block.iter_mut().zip(a.iter().flat_map(|r| a.iter().map(move |c| (r, c)))) {
+            *h += r * c;
         }
     }
 }

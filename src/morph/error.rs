@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::mesh::{MeshError, Vec3};
+use crate::render::CameraError;
 
 /// A mask, or what it is to move, cannot be computed with.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -91,8 +92,8 @@ pub enum MorphError {
     #[error("the projection's matrix is singular or not finite: {0}")]
     Matrix(String),
     /// A camera that looks nowhere.
-    #[error("the camera cannot be set up: {0}")]
-    Camera(&'static str),
+    #[error(transparent)]
+    Camera(#[from] CameraError),
     /// Something is given in the frame of landmarks, and there is none.
     #[error("this needs the frame of landmarks: give the recipe a frame")]
     NoFrame,

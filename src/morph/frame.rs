@@ -7,7 +7,7 @@ use crate::mesh::{MirrorPlane, Vec3};
 
 /// Which landmarks make a frame. Numbered landmarks are named "0", "1", ... as [`read_template_landmarks`] does.
 ///
-/// [`read_template_landmarks`]: crate::mesh::io::read_template_landmarks
+/// [`read_template_landmarks`]: crate::landmark::read_template_landmarks
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub struct FrameSpec {

@@ -53,7 +53,7 @@ pub use presets::{preset, preset_names, preset_text};
 pub use projection::{Projector, Visibility, uv_weights};
 pub use recipe::{MaskSpec, PointSpec, Recipe, RecipeError, RecipeStep, ViewSpec};
 pub use region::{Coordinates, DEFAULT_SUB_ROWS, Region, Shape};
-pub use replay::{DrawnMask, ReplayOptions, StepOutcome, StepReport, Subject, replay};
+pub use replay::{DrawnMask, LiveStep, ReplayOptions, StepOutcome, StepReport, Subject, replay};
 pub use texture::{GreyWeights, MAX_TEXTURE_PIXELS, MAX_TEXTURE_SIDE, Sampling, Texture};
 pub use weights::Weights;
 

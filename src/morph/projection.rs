@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{MorphError, Sampling, Texture, Weights, check_positions};
 use crate::mesh::{MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
-use crate::render;
+use crate::render::{self, CameraError};
 
 /// A map from space to texture coordinates and depth: `M` of equation (1) with the divide.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,12 +69,10 @@ impl Projector {
         Ok(Self { matrix })
     }
 
-    /// A camera at `eye` that looks at `target` with `up` approximately upwards, and a picture whose width is `aspect` times its
-    /// height: what [`render::Camera::look`] shows with the same arguments. The model's matrix is the identity.
+    /// [`render::Camera::look`] with a picture whose width is `aspect` times its height. The model's matrix is the identity.
     ///
     /// # Errors
-    /// When arguments are not finite, `eye` is at `target`, `up` points along the view, or the angle, height or aspect is out of
-    /// range.
+    /// As there, or when the aspect is not positive.
     pub fn look(
         eye: Vec3,
         target: Vec3,
@@ -82,45 +80,34 @@ impl Projector {
         projection: render::Projection,
         aspect: f64,
     ) -> Result<Self, MorphError> {
-        if !(eye + target + up).iter().all(|c| c.is_finite()) {
-            return Err(MorphError::Camera("eye, target and up must be finite"));
-        }
+        Self::through(&render::Camera::look(eye, target, up, projection)?, aspect)
+    }
+
+    /// The projector of a picture's camera: a mask drawn on the picture, `size` pixels wide and high, falls where it is seen.
+    ///
+    /// # Errors
+    /// When a side of the picture is 0.
+    pub fn of_camera(camera: &render::Camera, size: [u32; 2]) -> Result<Self, MorphError> {
+        Self::through(camera, f64::from(size[0]) / f64::from(size[1]))
+    }
+
+    fn through(camera: &render::Camera, aspect: f64) -> Result<Self, MorphError> {
         if !(aspect > 0.0 && aspect.is_finite()) {
-            return Err(MorphError::Camera("the aspect, width / height, must be positive"));
+            return Err(CameraError("the aspect, width / height, must be positive").into());
         }
-        let back = (eye - target).try_normalize(1e-12).ok_or(MorphError::Camera("eye and target coincide"))?;
-        let right = up.cross(&back).try_normalize(1e-9 * up.norm());
-        let right = right.ok_or(MorphError::Camera("up is zero or points along the view"))?;
-        let view = frame_matrix([right, back.cross(&right), back], eye);
         let mut clip = Matrix4::identity();
-        match projection {
+        match camera.projection() {
             render::Projection::Perspective { vertical_fov } => {
-                if !(vertical_fov > 0.0 && vertical_fov < 180.0) {
-                    return Err(MorphError::Camera("the vertical angle must be above 0 and below 180 degrees"));
-                }
                 // Near plane at 1 mm, far plane at infinity: z' / w' = 1 - 2 / depth.
                 let f = 1.0 / (vertical_fov.to_radians() / 2.0).tan();
                 (clip[(0, 0)], clip[(1, 1)]) = (f / aspect, f);
                 (clip[(2, 2)], clip[(2, 3)], clip[(3, 2)], clip[(3, 3)]) = (-1.0, -2.0, -1.0, 0.0);
             }
             render::Projection::Orthographic { height } => {
-                if !(height > 0.0 && height.is_finite()) {
-                    return Err(MorphError::Camera("the height of an orthographic picture must be positive"));
-                }
                 (clip[(0, 0)], clip[(1, 1)], clip[(2, 2)]) = (2.0 / (height * aspect), 2.0 / height, -2.0 / height);
             }
         }
-        Self::new(&Matrix4::identity(), &view, &clip)
-    }
-
-    /// The projector of a picture's camera: a mask drawn on the picture, `size` pixels wide and high, falls where it is seen.
-    ///
-    /// # Errors
-    /// As [`Self::look`].
-    pub fn of_camera(camera: &render::Camera, size: [u32; 2]) -> Result<Self, MorphError> {
-        let [_, up, back] = camera.axes();
-        let aspect = f64::from(size[0]) / f64::from(size[1]);
-        Self::look(camera.eye(), camera.eye() - back, up, camera.projection(), aspect)
+        Self::new(&Matrix4::identity(), &frame_matrix(camera.axes(), camera.eye()), &clip)
     }
 
     /// The parallel projection along -z of a frame, given by its unit axes and origin, onto the box from `low` to `high` in its x

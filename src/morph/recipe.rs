@@ -25,7 +25,7 @@ use super::{
     Blur, DEFAULT_THRESHOLD, EnergyOptions, FrameSpec, GreyWeights, MorphError, MorphModel, Region, Sampling,
     Visibility,
 };
-use crate::mesh::io::{ReadError, read_text};
+use crate::io::{ReadError, read_text};
 
 /// A recipe: steps, done in order, each on what the one before has left.
 #[derive(Debug, Clone, Deserialize)]
@@ -72,6 +72,10 @@ pub struct RecipeStep {
     /// For reports.
     #[serde(default)]
     pub name: String,
+    /// What its displacements are multiplied by, besides the recipe's amount; default 1. So steps of several presets, each stated for
+    /// one millimetre, make one recipe.
+    #[serde(default = "one")]
+    pub amount: f64,
     /// Default [`MorphModel::Direct`].
     #[serde(default)]
     pub model: MorphModel,
@@ -126,9 +130,10 @@ pub struct MaskSpec {
     /// Landmarks about whose mean the frame is put, in place of its origin.
     #[serde(default)]
     pub at: Vec<String>,
-    /// Of the drawing or picture; default the paper's 13 x 13 mean, 20 times.
+    /// Of the drawing or picture; default the paper's 13 x 13 mean, 20 times, and for what is protected none: a soft rim would let
+    /// part of it move.
     #[serde(default)]
-    pub blur: Blur,
+    pub blur: Option<Blur>,
     /// Default bilinear.
     #[serde(default)]
     pub sampling: Sampling,
@@ -340,6 +345,9 @@ impl Recipe {
         for step in &self.step {
             let line = Some(self.line(step));
             let s = step.get_ref();
+            if !s.amount.is_finite() {
+                return fail(line, format!("the step's amount is {}, expected a number", s.amount));
+            }
             if s.mask.is_empty() {
                 return fail(line, "a step without masks: nothing may move".to_owned());
             }

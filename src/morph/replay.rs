@@ -3,12 +3,13 @@
 use serde::Serialize;
 use toml::Spanned;
 
+use super::change::Unmoved;
 use super::{
-    Constraints, Coordinates, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec, MaskedDisplacement, MorphChange,
-    MorphEnergy, MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector, Recipe, RecipeError, RecipeStep,
-    Texture, ViewSpec, Weights, uv_weights,
+    Blur, Constraints, Coordinates, EnergyOptions, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec,
+    MaskedDisplacement, MorphChange, MorphEnergy, MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector,
+    Recipe, RecipeError, RecipeStep, Texture, ViewSpec, Weights, uv_weights,
 };
-use crate::mesh::io::TemplatePoint;
+use crate::landmark::TemplatePoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::render::Projection;
 use crate::rig::{Regions, ShapeBasis};
@@ -71,6 +72,8 @@ pub struct StepReport {
 pub struct StepOutcome {
     /// Its masks.
     pub masks: Vec<DrawnMask>,
+    /// How much of each vertex is protected, 0 to 1.
+    pub protected: Vec<f64>,
     /// All positions after the step.
     pub positions: Vec<Vec3>,
     /// What it did.
@@ -101,12 +104,129 @@ pub fn replay(
     let mut outcomes = Vec::new();
     for step in recipe.step.iter().take(options.until.unwrap_or(usize::MAX)) {
         let mesh = subject.mesh.with_positions(positions);
+        let amount = amount * step.get_ref().amount;
         let stage = Stage { recipe, subject, amount, triangles: mesh.triangulate(), mesh: &mesh, step };
         let outcome = stage.run(options.model.unwrap_or(step.get_ref().model))?;
         positions = outcome.positions.clone();
         outcomes.push(outcome);
     }
     Ok(outcomes)
+}
+
+/// A step that is done again and again with other displacements, as while a handle is dragged: masks are drawn, and the energy is
+/// built, once. A solution starts from the one before, so that it is that of [`replay`] only as closely as the energy's tolerance says.
+pub struct LiveStep {
+    unmoved: Unmoved,
+    model: MorphModel,
+    drawn: Drawn,
+    energy: Option<MorphEnergy>,
+}
+
+impl LiveStep {
+    /// The first step of a recipe on a subject; none if it has no step. A solution takes at most `iterations` of the minimiser: a drag
+    /// comes near its minimum over several.
+    ///
+    /// # Errors
+    /// As [`replay`].
+    pub fn new(recipe: &Recipe, subject: &Subject<'_>, iterations: usize) -> Result<Option<Self>, RecipeError> {
+        let Some(step) = recipe.step.first() else { return Ok(None) };
+        let amount = recipe.amount * step.get_ref().amount;
+        let (mesh, model) = (subject.mesh, step.get_ref().model);
+        let stage = Stage { recipe, subject, amount, triangles: mesh.triangulate(), mesh, step };
+        let drawn = stage.drawn()?;
+        let options = step.get_ref().energy;
+        let options = EnergyOptions { max_iterations: options.max_iterations.min(iterations), ..options };
+        let energy = stage.energy(model, &drawn, &options)?;
+        let unmoved = Unmoved::new(mesh).map_err(|error| recipe.impossible(stage.step, error))?;
+        Ok(Some(Self { unmoved, model, drawn, energy }))
+    }
+
+    /// The step with the displacements of the masks and the amounts of a recipe that is otherwise the one it was made of; the amount
+    /// of what pins and goals ask for stays what it was.
+    ///
+    /// # Errors
+    /// When a displacement is not finite, the minimiser fails, or a pin is out of the model's reach.
+    ///
+    /// # Panics
+    /// If the recipe has no step, or not the masks that it had.
+    pub fn solve(&mut self, recipe: &Recipe) -> Result<StepOutcome, RecipeError> {
+        let at_step = |error: MorphError| recipe.impossible(&recipe.step[0], error);
+        let step = recipe.step[0].get_ref();
+        let amount = recipe.amount * step.amount;
+        let Self { unmoved, model, drawn, energy } = self;
+        for (k, pair) in drawn.pair_of.iter().enumerate() {
+            let asked = step.mask[pair.mask].get_ref().displacement.unwrap_or_default();
+            let asked = vector(asked, drawn.frame.as_ref(), amount);
+            let displacement = pair.displacement(asked, drawn.frame.as_ref());
+            drawn.morph.pairs[k].displacement = displacement;
+            if let Some(energy) = energy {
+                energy.set_displacement(k, displacement).map_err(at_step)?;
+            }
+        }
+        let (positions, energy) = match energy {
+            None => (drawn.morph.apply(&unmoved.positions).map_err(at_step)?, None),
+            Some(energy) => {
+                let (positions, report) = energy.solve().map_err(at_step)?;
+                (positions, Some(report))
+            }
+        };
+        let change = unmoved.change(&positions).map_err(at_step)?;
+        let report = drawn.report(step.name.clone(), *model, change, positions.len(), energy).map_err(at_step)?;
+        Ok(StepOutcome { masks: drawn.masks.clone(), protected: drawn.protected.clone(), positions, report })
+    }
+}
+
+/// A step's masks on a mesh.
+struct Drawn {
+    morph: MorphStep,
+    constraints: Constraints,
+    masks: Vec<DrawnMask>,
+    protected: Vec<f64>,
+    /// Where each pair of `morph` comes from.
+    pair_of: Vec<PairOf>,
+    frame: Option<LandmarkFrame>,
+}
+
+/// A mask of a step, or its mirror image.
+struct PairOf {
+    mask: usize,
+    mirrored: bool,
+}
+
+impl PairOf {
+    /// The displacement of a mask, reflected if this is its mirror image.
+    fn displacement(&self, of_mask: Vec3, frame: Option<&LandmarkFrame>) -> Vec3 {
+        let plane = frame.filter(|_| self.mirrored).map(LandmarkFrame::mirror_plane);
+        plane.map_or(of_mask, |plane| plane.reflect_direction(of_mask))
+    }
+}
+
+impl Drawn {
+    fn report(
+        &self,
+        step: String,
+        model: MorphModel,
+        change: MorphChange,
+        vertices: usize,
+        energy: Option<EnergyReport>,
+    ) -> Result<StepReport, MorphError> {
+        let Self { morph, constraints, .. } = self;
+        let free = |v: usize| constraints.free.iter().any(|w| w.values()[v] > morph.threshold);
+        let moves = morph.moves(vertices)?;
+        Ok(StepReport {
+            step,
+            model,
+            moving: (0..vertices).filter(|v| moves[*v] || free(*v)).count(),
+            asked: morph.pairs.iter().map(|pair| pair.displacement.norm()).fold(0.0, f64::max),
+            change,
+            energy,
+        })
+    }
+}
+
+/// A vector given in the frame, or in the mesh's axes where there is none, times an amount.
+fn vector(d: [f64; 3], frame: Option<&LandmarkFrame>, amount: f64) -> Vec3 {
+    frame.map_or_else(|| Vec3::from(d), |frame| frame.direction(d)) * amount
 }
 
 /// A step on the mesh as the one before has left it.
@@ -121,22 +241,41 @@ struct Stage<'a> {
 
 impl Stage<'_> {
     fn run(&self, model: MorphModel) -> Result<StepOutcome, RecipeError> {
+        let drawn = self.drawn()?;
+        let energy = self.energy(model, &drawn, &self.step.get_ref().energy)?;
+        let at_step = |error: MorphError| self.recipe.impossible(self.step, error);
+        let (positions, energy) = match energy {
+            None => (drawn.morph.apply(&self.mesh.positions).map_err(at_step)?, None),
+            Some(mut energy) => {
+                let (positions, report) = energy.solve().map_err(at_step)?;
+                (positions, Some(report))
+            }
+        };
+        let name = self.step.get_ref().name.clone();
+        let change = MorphChange::of(self.mesh, &positions).map_err(at_step)?;
+        let report = drawn.report(name, model, change, positions.len(), energy).map_err(at_step)?;
+        Ok(StepOutcome { masks: drawn.masks, protected: drawn.protected, positions, report })
+    }
+
+    /// The step's masks on the mesh.
+    fn drawn(&self) -> Result<Drawn, RecipeError> {
         let step = self.step.get_ref();
         let at_step = |error: MorphError| self.recipe.impossible(self.step, error);
         let frame = step.frame.as_ref().or(self.recipe.frame.as_ref());
         let frame = frame.map(|spec| self.frame(spec)).transpose().map_err(at_step)?;
         let mut protected = vec![0.0; self.mesh.positions.len()];
         for spec in &step.protect {
-            for weights in self.draw(spec, frame.as_ref())?.1 {
+            for weights in self.draw(spec, Blur { iterations: 0, ..Blur::default() }, frame.as_ref())?.1 {
                 protected.iter_mut().zip(weights.values()).for_each(|(p, w): (&mut f64, _)| *p = p.max(*w));
             }
         }
         let mut morph = MorphStep { threshold: step.threshold, ..MorphStep::default() };
         let mut constraints = Constraints::default();
         let mut masks = Vec::new();
-        for spec in &step.mask {
+        let mut pair_of = Vec::new();
+        for (place, spec) in step.mask.iter().enumerate() {
             let mask = spec.get_ref();
-            let (texture, drawn) = self.draw(spec, frame.as_ref())?;
+            let (texture, drawn) = self.draw(spec, Blur::default(), frame.as_ref())?;
             let drawn: Vec<Weights> = drawn.iter().map(|weights| weights.without(&protected)).collect();
             let displacement = mask.displacement.map(|d| self.vector(d, frame.as_ref()));
             for (k, weights) in drawn.iter().enumerate() {
@@ -144,9 +283,10 @@ impl Stage<'_> {
                 match displacement {
                     None => constraints.free.push(weights),
                     Some(displacement) => {
-                        let mirror = frame.filter(|_| k == 1).map(|f| f.mirror_plane());
-                        let displacement = mirror.map_or(displacement, |plane| plane.reflect_direction(displacement));
+                        let pair = PairOf { mask: place, mirrored: k == 1 };
+                        let displacement = pair.displacement(displacement, frame.as_ref());
                         morph.pairs.push(MaskedDisplacement { weights, displacement });
+                        pair_of.push(pair);
                     }
                 }
             }
@@ -157,43 +297,29 @@ impl Stage<'_> {
         let goal = |goal| Ok((self.point(goal, frame.as_ref())?, goal.get_ref().weight));
         constraints.goals = step.goal.iter().map(goal).collect::<Result<_, RecipeError>>()?;
 
-        let (positions, energy) = if model == MorphModel::Direct {
-            if constraints != Constraints::default() {
+        Ok(Drawn { morph, constraints, masks, protected, pair_of, frame })
+    }
+
+    /// The step's energy; none of the direct model.
+    fn energy(
+        &self,
+        model: MorphModel,
+        drawn: &Drawn,
+        options: &EnergyOptions,
+    ) -> Result<Option<MorphEnergy>, RecipeError> {
+        let Drawn { morph, constraints, .. } = drawn;
+        let at_step = |error: MorphError| self.recipe.impossible(self.step, error);
+        if model == MorphModel::Direct {
+            if *constraints != Constraints::default() {
                 return Err(at_step(MorphError::NoEnergy));
             }
             if !morph.moves(self.mesh.positions.len()).map_err(at_step)?.contains(&true) {
                 return Err(at_step(MorphError::NothingMoves));
             }
-            (morph.apply(&self.mesh.positions).map_err(at_step)?, None)
-        } else {
-            let Self { triangles, subject, .. } = self;
-            let energy = MorphEnergy::new(triangles, &morph, &constraints, model, subject.shapes, &step.energy);
-            let (positions, report) = energy.and_then(|mut energy| energy.solve()).map_err(at_step)?;
-            (positions, Some(report))
-        };
-        let report = self.report(model, &morph, &constraints, &positions, energy).map_err(at_step)?;
-        Ok(StepOutcome { masks, positions, report })
-    }
-
-    fn report(
-        &self,
-        model: MorphModel,
-        morph: &MorphStep,
-        constraints: &Constraints,
-        positions: &[Vec3],
-        energy: Option<EnergyReport>,
-    ) -> Result<StepReport, MorphError> {
-        let vertices = self.mesh.positions.len();
-        let free = |v: usize| constraints.free.iter().any(|w| w.values()[v] > morph.threshold);
-        let moves = morph.moves(vertices)?;
-        Ok(StepReport {
-            step: self.step.get_ref().name.clone(),
-            model,
-            moving: (0..vertices).filter(|v| moves[*v] || free(*v)).count(),
-            asked: morph.pairs.iter().map(|pair| pair.displacement.norm()).fold(0.0, f64::max),
-            change: MorphChange::of(self.mesh, positions)?,
-            energy,
-        })
+            return Ok(None);
+        }
+        let energy = MorphEnergy::new(&self.triangles, morph, constraints, model, self.subject.shapes, options);
+        energy.map(Some).map_err(at_step)
     }
 
     fn frame(&self, spec: &FrameSpec) -> Result<LandmarkFrame, MorphError> {
@@ -220,9 +346,8 @@ impl Stage<'_> {
         found.map(|(_, point)| *point).ok_or_else(|| MorphError::unknown_landmark(name, known))
     }
 
-    /// A vector given in the frame, or in the mesh's axes where there is none, times the amount.
     fn vector(&self, d: [f64; 3], frame: Option<&LandmarkFrame>) -> Vec3 {
-        frame.map_or_else(|| Vec3::from(d), |frame| frame.direction(d)) * self.amount
+        vector(d, frame, self.amount)
     }
 
     fn point(&self, spec: &Spanned<PointSpec>, frame: Option<&LandmarkFrame>) -> Result<PlacedPoint, RecipeError> {
@@ -247,13 +372,15 @@ impl Stage<'_> {
         Ok(PlacedPoint { name, point, target: p.to.map_or_else(by, Vec3::from) })
     }
 
-    /// The texture of a mask, if it has one, and its weights, then those of its mirror image, if it has one.
+    /// The texture of a mask, blurred as usual unless it says how, if it has one, and its weights, then those of its mirror image, if it has one.
     fn draw(
         &self,
         spec: &Spanned<MaskSpec>,
+        usual: Blur,
         frame: Option<&LandmarkFrame>,
     ) -> Result<(Option<Texture>, Vec<Weights>), RecipeError> {
         let mask = spec.get_ref();
+        let blur = mask.blur.unwrap_or(usual);
         let fail = |error: MorphError| self.recipe.impossible(spec, error);
         let project = |projector: &Projector, texture: &Texture| {
             projector.weights(&self.triangles, texture, mask.sampling, mask.visibility)
@@ -265,8 +392,9 @@ impl Stage<'_> {
             (None, None, Weights::new(weights).map_err(fail)?)
         } else {
             let picture = mask.png.as_ref().map(|path| Texture::read_png(&self.recipe.file(path), mask.grey));
-            let Drawing { texture, projector } = self.drawing(mask, picture.transpose()?, frame).map_err(fail)?;
-            let texture = mask.blur.apply(&texture).map_err(fail)?;
+            let Drawing { texture, projector } =
+                self.drawing(mask, &blur, picture.transpose()?, frame).map_err(fail)?;
+            let texture = blur.apply(&texture).map_err(fail)?;
             let weights = match &projector {
                 Some(projector) => project(projector, &texture),
                 None => uv_weights(self.mesh, &texture, mask.sampling),
@@ -289,6 +417,7 @@ impl Stage<'_> {
     fn drawing(
         &self,
         mask: &MaskSpec,
+        blur: &Blur,
         picture: Option<Texture>,
         frame: Option<&LandmarkFrame>,
     ) -> Result<Drawing, MorphError> {
@@ -319,7 +448,7 @@ impl Stage<'_> {
                 let [low, high] = match (covers, &mask.region) {
                     (Some(covers), _) => *covers,
                     (None, Some(region)) => {
-                        let margin = MARGIN * mask.blur.deviation() / pixels_per_mm + 2.0 / pixels_per_mm;
+                        let margin = MARGIN * blur.deviation() / pixels_per_mm + 2.0 / pixels_per_mm;
                         let [low, high] = region.bounds();
                         [low.map(|c| c - margin), high.map(|c| c + margin)]
                     }

@@ -8,7 +8,7 @@ use image::{ExtendedColorType, ImageEncoder, ImageFormat, Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
 
 use super::MorphError;
-use crate::mesh::io::{Place, ReadError, WriteError, read_file, write_atomically};
+use crate::io::{Place, ReadError, WriteError, read_file, write_atomically};
 
 /// Longest side of a texture, pixels.
 pub const MAX_TEXTURE_SIDE: usize = 1 << 15;

@@ -5,8 +5,8 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::{MorphError, check_positions};
+use crate::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
 use crate::mesh::{MirrorPlane, TriangleMesh};
 
 /// A weight from 0 to 1 for each vertex.

@@ -229,21 +229,3 @@ impl Tile for GramTile<'_> {
         }
     }
 }
-
-/// `block += scale sum_r left_r right_r'` for `R` rows; `block` is `W x W`, row-major.
-#[inline(always)]
-pub fn add_block<const W: usize, const R: usize>(
-    block: &mut [f64],
-    left: [&[f64; W]; R],
-    right: [&[f64; W]; R],
-    scale: f64,
-) {
-    for (i, row) in block.chunks_exact_mut(W).take(W).enumerate() {
-        for r in 0..R {
-            let l = scale * left[r][i];
-            for j in 0..W {
-                row[j] = l.mul_add(right[r][j], row[j]);
-            }
-        }
-    }
-}

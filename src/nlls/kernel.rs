@@ -136,6 +136,12 @@ impl Kernel {
         }
     }
 
+    /// The kernel with its scale times `factor`: for residuals in another unit.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        self.scale().map_or(self, |scale| self.with_scale(scale * factor))
+    }
+
     /// The same kernel at another scale.
     #[must_use]
     pub fn with_scale(self, scale: f64) -> Self {

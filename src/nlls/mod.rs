@@ -10,6 +10,7 @@
 //! | state a problem residual by residual | [`Residual`], [`Family`], [`ResidualProblem`] |
 //! | bring a residual's Jacobian, or its size at run time | [`AnalyticResidual`], [`AnalyticFamily`] |
 //! | bring derivatives of your own | [`Problem`], [`BlockStructure`], [`NormalEquations`] |
+//! | bring Jacobians of many residuals over few blocks each | [`Assembly`] |
 //! | minimise | [`Minimizer`], [`Options`], [`Workspace`], [`Summary`] |
 //! | watch and stop | [`Observer`] |
 //! | resist outliers | [`Kernel`], [`RobustKernel`], [`mad_scale`] |
@@ -52,6 +53,7 @@
 //! Results are the same bits at any number of threads, and after its first iteration a [`Workspace`] allocates nothing.
 //! This module may import nothing from the rest of the crate.
 
+mod assembly;
 mod bounds;
 mod check;
 mod covariance;
@@ -68,6 +70,8 @@ mod residual;
 mod scalar;
 mod structure;
 
+pub(crate) use assembly::FillRows;
+pub use assembly::{Assembly, ItemRows};
 pub use bounds::{BorderBounds, Bounded, BoundsError};
 pub use check::{GradientCheck, GradientEntry, GradientReport, HessianReport, check_gradient, check_hessian};
 pub use covariance::border_covariance;

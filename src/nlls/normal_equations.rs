@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use nalgebra::{Matrix3, Vector3};
 use nalgebra_sparse::{CooMatrix, CscMatrix};
 
 use super::BlockStructure;
@@ -117,8 +118,13 @@ impl NormalEquations {
             for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
                 let d_j = &d_g[s.offset(j)..s.offset(j) + s.size(j)];
                 let block = &self.blocks[s.values(slot)];
-                let product: f64 =
-                    d_i.iter().zip(block.chunks_exact(s.size(j))).map(|(x, row)| x * dot(row, d_j)).sum();
+                // Points in space have many small blocks, for which a call each is too much.
+                let product = if let ([_, _, _], [_, _, _]) = (d_i, d_j) {
+                    let [left, right] = [d_i, d_j].map(Vector3::from_column_slice);
+                    left.dot(&(Matrix3::from_row_slice(block) * right))
+                } else {
+                    d_i.iter().zip(block.chunks_exact(s.size(j))).map(|(x, row)| x * dot(row, d_j)).sum()
+                };
                 sum += if i == j { product } else { 2.0 * product };
             }
             if m > 0 {

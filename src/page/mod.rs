@@ -15,7 +15,9 @@ figcaption,caption{color:#555b66;font-size:14px;text-align:left;padding:6px 0;ma
 table{border-collapse:collapse;font-size:14px;margin:18px 0}div.wide{overflow-x:auto}\
 th,td{padding:4px 10px;text-align:right;border-bottom:1px solid #e6e8ec;vertical-align:top}\
 th{background:#f4f5f7;white-space:nowrap}td:first-child,th:first-child,table.text td,table.text th{text-align:left}\
-code{background:#f4f5f7;padding:1px 4px}";
+code{background:#f4f5f7;padding:1px 4px}\
+@media print{body{max-width:none;padding:0;font-size:11pt}h2{margin-top:18pt;break-after:avoid}figure,tr{break-inside:avoid}\
+div.wide{overflow:visible}}@page{margin:16mm}";
 
 /// A whole page: `title` is text, `style` more CSS, `body` HTML.
 #[must_use]

@@ -3,10 +3,10 @@
 use std::ops::ControlFlow;
 
 use super::{
-    ModelFactory as _, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    Schedule, StepRecord, WarmStart, register,
+    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, Schedule, StepRecord,
+    WarmStart, register,
 };
-use crate::mesh::io::Landmark;
+use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::rig::ShapeBasis;
 
@@ -14,7 +14,7 @@ use crate::rig::ShapeBasis;
 ///
 /// ```
 /// use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-/// use nonrigid::mesh::io::Landmark;
+/// use nonrigid::landmark::Landmark;
 /// use nonrigid::registration::Registration;
 ///
 /// // A bowl of 9 x 9 vertices, and the same bowl 5 mm higher.

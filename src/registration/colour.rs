@@ -12,8 +12,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::masks::check_mask;
-use super::{RegistrationError, RegistrationInput, ScanOptions, ScanSurface, VertexMasks, WITHIN_MM};
+use super::input::check_mask;
+use super::{RegistrationError, RegistrationInput, WITHIN_MM};
+use crate::correspondence::{ScanOptions, ScanSurface, VertexMasks};
 use crate::mesh::adjacency::{Components, EdgeGraph};
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};

@@ -136,7 +136,7 @@ impl Doubt {
             Risk::Distance | Risk::DistanceSpread => Self::HighResidual { median: evidence.coverage.distance * size },
             Risk::LandmarkRms | Risk::LandmarkWorst | Risk::LandmarkSuspects => {
                 let distance =
-                    |l: &&crate::mesh::io::Landmark| (l.template.position(&result.positions) - l.target).norm();
+                    |l: &&crate::landmark::Landmark| (l.template.position(&result.positions) - l.target).norm();
                 let worst = input.landmarks.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)));
                 Self::Landmarks {
                     rms: evidence.landmark_rms * size,

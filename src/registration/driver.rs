@@ -4,192 +4,43 @@
 use std::borrow::Cow;
 use std::ops::ControlFlow;
 
-use serde::Serialize;
-
-use super::facing::{self, Faced, ScanFacing, ScanFlip};
-use super::start::{self, LandmarkStart, Start, StartInput};
+use super::facing::{self, Faced};
+use super::input::{check_geometry, check_input};
+use super::rest::Rest;
+use super::start::{self, Start, StartInput};
 use super::{
-    Correspondences, KernelScale, Level, ModelFactory, ModelInput, RegistrationError, RegistrationModel,
-    RegistrationTerm, ScanPoints, ScanSurface, Schedule, ScheduleError, Seams, SolverOptions, StartSearch,
-    StepAlgorithm, TermFactory, TermInput, TermKind, VertexMasks, WarmStart, masks, scan,
+    KernelScale, Level, NamedWeight, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
+    RegistrationStop, ScanFacing, Schedule, SolverOptions, StartSearch, StepAlgorithm, StepRecord, WarmStart,
 };
-use crate::energy::{Deformation, DeformationModel as _, Samples};
-use crate::mesh::adjacency::EdgeGraph;
-use crate::mesh::io::{Landmark, TemplatePoint};
-use crate::mesh::normals::{NormalWeighting, vertex_normals};
-use crate::mesh::{MeshError, PolygonMesh, Pose, TriangleMesh, Vec3, referenced, surface_points};
-use crate::model::Linearisation;
+use crate::correspondence::{Correspondences, ScanFlip, ScanSurface};
+use crate::energy::{Deformation, DeformationModel as _, Options, OptionsError, Samples};
+use crate::landmark::{Landmark, TemplatePoint};
+use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
+use crate::model::{ModelFactory, ModelInput, RegistrationModel};
 use crate::nlls::{
-    Algorithm, Dogleg, GaussNewton, IterationRecord, LevenbergMarquardt, Minimizer, Options, Problem as _, StopReason,
-    Workspace,
+    self, Algorithm, Dogleg, GaussNewton, IterationRecord, Kernel, LevenbergMarquardt, Minimizer, NormalEquations,
+    Problem as _, StopReason, Workspace,
 };
 use crate::rig::ShapeBasis;
-
-/// What is registered to what.
-#[derive(Debug, Clone, Copy)]
-pub struct RegistrationInput<'a> {
-    /// The template: polygons, and positions unless `neutral` is given.
-    pub template: &'a PolygonMesh,
-    /// The rest shape, if it is not the template's own: one position per template vertex.
-    pub neutral: Option<&'a [Vec3]>,
-    /// Blendshapes on the template's vertices; [`ShapeBasis::none`] for models without.
-    pub shapes: &'a ShapeBasis,
-    /// The scan: triangles, or a point cloud without any.
-    pub scan: &'a TriangleMesh,
-    /// The scan's own vertex normals, where it has any; computed from the triangles otherwise. A point cloud needs them.
-    pub scan_normals: Option<&'a [Vec3]>,
-    /// Landmarks. Three or more start the registration, fewer hold the search of a start; all of them take part in it where the schedule weights them.
-    pub landmarks: &'a [Landmark],
-    /// Weight of the data terms at each template vertex, 0 to 1: what the scan says there counts as much. Landmarks keep
-    /// their own weight, and where the mask is 0 the prediction takes over.
-    pub mask: Option<&'a [f64]>,
-    /// Share by which each template vertex is free, 0 to 1: 1 for a vertex that follows smoothness alone, without
-    /// correspondences, prediction and seams, such as the bags of eyes and mouth.
-    pub free_mask: Option<&'a [f64]>,
-    /// Where the registration of the frame before has ended, to go on from there.
-    pub warm_start: Option<&'a WarmStart>,
-}
-
-impl<'a> RegistrationInput<'a> {
-    /// A template and a scan, nothing else: no neutral, no shapes, no landmarks.
-    ///
-    /// Add the rest with `RegistrationInput { shapes: &shapes, ..RegistrationInput::new(&template, &scan) }`.
-    #[must_use]
-    pub fn new(template: &'a PolygonMesh, scan: &'a TriangleMesh) -> Self {
-        static NO_SHAPES: std::sync::LazyLock<ShapeBasis> = std::sync::LazyLock::new(ShapeBasis::none);
-        Self {
-            template,
-            neutral: None,
-            shapes: &NO_SHAPES,
-            scan,
-            scan_normals: None,
-            landmarks: &[],
-            mask: None,
-            free_mask: None,
-            warm_start: None,
-        }
-    }
-
-    /// The positions that the registration deforms: `neutral`, or else the template's.
-    #[must_use]
-    pub fn rest_positions(&self) -> &[Vec3] {
-        self.neutral.unwrap_or(&self.template.positions)
-    }
-}
-
-/// What happened in one step, as an observer sees it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StepRecord {
-    /// Level, from 0; counts on over the stages of the schedule.
-    pub level: usize,
-    /// Step within the level, from 0.
-    pub step: usize,
-    /// Energy before the step, at the step's correspondences.
-    pub energy_before: f64,
-    /// Energy after the step, at the step's correspondences: never more than before.
-    pub energy: f64,
-    /// The same by term and regulariser.
-    pub energies: Vec<(String, f64)>,
-    /// Share of the template's vertices with an accepted correspondence.
-    pub inliers: f64,
-    /// Largest motion of a vertex in this step, millimetres.
-    pub motion: f64,
-}
-
-/// Sees every step and may stop the run; the result is then what was reached.
-pub trait RegistrationObserver {
-    /// Called once before the first step with the number of levels and the greatest number of steps.
-    fn on_start(&mut self, _levels: usize, _steps: usize) {}
-
-    /// Called after every step.
-    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()>;
-
-    /// Whether [`on_positions`](Self::on_positions) is called, asked after every step; positions cost nothing unless it says yes.
-    fn wants_positions(&self) -> bool {
-        false
-    }
-
-    /// Called right after [`on_step`](Self::on_step), also where that stops the run, with one position per template vertex in the
-    /// scan's frame; those of the last call are the result's.
-    fn on_positions(&mut self, _record: &StepRecord, _positions: &[Vec3]) {}
-}
-
-impl<F: FnMut(&StepRecord) -> ControlFlow<()>> RegistrationObserver for F {
-    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
-        self(record)
-    }
-}
-
-/// Why a registration ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RegistrationStop {
-    /// The schedule was run to its end.
-    Finished,
-    /// The observer asked for it.
-    StoppedByObserver,
-}
-
-/// A blendshape weight of a result.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct NamedWeight {
-    /// The shape.
-    pub name: String,
-    /// `w_k`.
-    pub value: f64,
-    /// Its standard deviation `sigma sqrt((S^-1)_kk)`: see [`border_covariance`](crate::nlls::border_covariance), and
-    /// [`Deformation::residual_variance`] for sigma.
-    ///
-    /// It takes the correspondences of the last step as they are, the model as right, and the residuals as independent;
-    /// neighbouring errors of a scan are alike, so read it as a lower bound and for comparing weights. `None` at a bound, where
-    /// the curvature says nothing; and where neither data nor regulariser determine the weights.
-    pub deviation: Option<f64>,
-    /// Whether a bound of the schedule holds it.
-    pub at_bound: bool,
-}
-
-/// A registered template.
-#[derive(Debug, Clone)]
-pub struct RegistrationResult {
-    /// One position per template vertex, in the scan's frame.
-    pub positions: Vec<Vec3>,
-    /// Where the registration started.
-    pub start: Pose,
-    /// Where it ended, for the next frame.
-    pub end: WarmStart,
-    /// How the start was found, where it was searched: fewer than three landmarks gave it, or they left much of it open.
-    pub start_search: Option<StartSearch>,
-    /// What the landmarks say of the start, where three or more gave it.
-    pub start_landmarks: Option<LandmarkStart>,
-    /// What was done to the scan so that it faces outwards.
-    pub scan_facing: ScanFacing,
-    /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
-    pub weights: Vec<NamedWeight>,
-    /// Which vertices had an accepted correspondence at the end.
-    pub accepted: Vec<bool>,
-    /// Directions that nothing observed and damping held still, in the last step. Models of single vertices count the shifts of
-    /// whole parts.
-    pub weak_directions: usize,
-    /// Every step.
-    pub history: Vec<StepRecord>,
-    /// Why it ended.
-    pub stop: RegistrationStop,
-    /// The schedule as it was used.
-    pub schedule: Schedule,
-}
+use crate::term::{RegistrationTerm, Step, TERMS, TermFactory, TermInput, TermLevel};
 
 /// Registers the template with the given model and the terms that come with the crate.
+///
+/// # Errors
+/// When the inputs do not fit together, the schedule is wrong, no start is found, or the minimisation fails.
 pub fn register(
     input: &RegistrationInput<'_>,
     model: &dyn ModelFactory,
     schedule: &Schedule,
     observer: &mut dyn RegistrationObserver,
 ) -> Result<RegistrationResult, RegistrationError> {
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
-    register_with(input, model, &terms, schedule, observer)
+    register_with(input, model, &TERMS, schedule, observer)
 }
 
 /// [`register`] with any terms.
+///
+/// # Errors
+/// As [`register`].
 pub fn register_with(
     input: &RegistrationInput<'_>,
     model: &dyn ModelFactory,
@@ -197,123 +48,401 @@ pub fn register_with(
     schedule: &Schedule,
     observer: &mut dyn RegistrationObserver,
 ) -> Result<RegistrationResult, RegistrationError> {
-    schedule.validate()?;
+    let schedule = schedule.resolved(model, terms)?;
     check_input(input, model)?;
-    let mut template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
-    let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
-    let model_name = model.name().to_owned();
-    let model = build(model, &ModelInput { rest: &template.mesh, shapes: &shapes, schedule })?;
-    let mut samples = Samples::vertices(template.mesh.positions.len());
-    let mut on_template = Vec::new();
-    for landmark in input.landmarks {
-        on_template.push(match landmark.template {
-            TemplatePoint::Vertex(vertex) => vertex as usize,
-            TemplatePoint::Face { corners, weights } => {
-                samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?
-            }
-        });
+    let mut run = Run::new(input, model, terms, &schedule, start::Cancel(observer.cancel()))?;
+    run.all_stages(&schedule, input.warm_start.is_some(), observer)?;
+    if observer.wants_equations() {
+        let mut equations = NormalEquations::new(run.problem.structure().clone());
+        run.problem.linearize(&run.x, &mut equations);
+        observer.on_equations(&equations);
     }
-    let mut problem: RegistrationProblem = Deformation::new(model, samples);
+    Ok(run.finish(model.name().to_owned(), schedule))
+}
+
+type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>;
+
+/// A registration under way, in the frame of the model: where the template rests, centred, and the scan is brought to it by the
+/// start.
+struct Run {
+    template: Rest,
+    scan: ScanSurface,
+    start: Start,
+    scan_facing: ScanFacing,
+    problem: RegistrationProblem,
+    x: Vec<f64>,
+    workspace: Workspace,
+    correspondences: Correspondences,
+    predictions: Vec<Vec3>,
+    /// Where the vertices are.
+    vertices: Vec<Vec3>,
+    /// Names of the terms, in order.
+    term_names: Vec<String>,
+    /// Names of all stages' levels, and how many of them are done.
+    level_names: Vec<String>,
+    levels_done: usize,
+    history: Vec<StepRecord>,
+    /// Parameters at the end of the first stage, and its weights.
+    first_stage: (Vec<f64>, Vec<NamedWeight>),
+    stop: RegistrationStop,
+}
+
+/// Where a step is in the schedule, for errors.
+struct At<'a> {
+    level: &'a str,
+    step: usize,
+}
+
+impl Run {
+    /// Everything before the first step: the model at rest, a start, the scan where that puts it, the terms.
+    fn new(
+        input: &RegistrationInput<'_>,
+        model: &dyn ModelFactory,
+        terms: &[&dyn TermFactory],
+        schedule: &Schedule,
+        cancel: start::Cancel<'_>,
+    ) -> Result<Self, RegistrationError> {
+        let template = Rest::new(input, schedule);
+        let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
+        let shapes = shapes.with_beyond(|shape| schedule.sigma.beyond(shape));
+        let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
+        let mut samples = Samples::vertices(template.mesh.positions.len());
+        let on_template = landmark_samples(input.landmarks, &mut samples)?;
+        let mut problem = RegistrationProblem::new(model.build(&model_input(&template, &shapes, schedule))?, samples);
+        let x = first_parameters(&mut problem, model.name(), input.warm_start)?;
+        let faced = agreeing(input);
+        let start = match input.warm_start {
+            None => start_of(input, &faced.0, &template, schedule, cancel)?,
+            Some(warm) => warm_pose(warm, input.landmarks, problem.vertices(&x), template.centre),
+        };
+        cancel.check()?;
+        let vertices = problem.vertices(&x).to_vec();
+        let (scan, scan_facing) = place_scan(faced, &start, &template, &vertices, schedule)?;
+        problem.terms = build_terms(terms, input.landmarks, &on_template, &start, &template, schedule)?;
+        Ok(Self {
+            template,
+            scan,
+            start,
+            scan_facing,
+            problem,
+            x,
+            workspace: Workspace::new(),
+            correspondences: Correspondences::default(),
+            predictions: Vec::new(),
+            vertices,
+            term_names: terms.iter().map(|t| t.name().to_owned()).collect(),
+            level_names: schedule.levels_by_name().map(|l| l.0).collect(),
+            levels_done: 0,
+            history: Vec::new(),
+            first_stage: Default::default(),
+            stop: RegistrationStop::Finished,
+        })
+    }
+
+    /// The first stage, and those after it: each deforms the shape that the one before has found.
+    fn all_stages(
+        &mut self,
+        schedule: &Schedule,
+        warm: bool,
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<(), RegistrationError> {
+        let most_steps = if warm { schedule.warm_start.steps } else { usize::MAX };
+        let first = schedule.levels.iter().map(|level| level.steps.min(most_steps));
+        let later = schedule.levels_by_name().skip(schedule.levels.len()).map(|(_, level)| level.steps);
+        observer.on_start(self.level_names.len(), first.chain(later).sum());
+        let mut flow = self.stage(schedule, most_steps, observer)?;
+        self.first_stage = (self.x.clone(), weights(&mut self.problem, &self.x, &mut self.workspace));
+        let mut next = schedule.next_stage();
+        while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
+            self.template.mesh.positions.copy_from_slice(&self.vertices);
+            let model = model.build(&model_input(&self.template, &ShapeBasis::none(), schedule))?;
+            let terms = std::mem::take(&mut self.problem.terms);
+            self.problem = Deformation::new(model, self.problem.samples().clone());
+            self.problem.terms = terms;
+            self.x = self.problem.model.rest_parameters();
+            self.workspace = Workspace::new();
+            flow = self.stage(schedule, usize::MAX, observer)?;
+            next = schedule.next_stage();
+        }
+        if flow.is_break() {
+            self.stop = RegistrationStop::StoppedByObserver;
+        }
+        Ok(())
+    }
+
+    /// All levels of one stage, of at most so many steps each; `schedule` is as if that stage were the first.
+    fn stage(
+        &mut self,
+        schedule: &Schedule,
+        most_steps: usize,
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<ControlFlow<()>, RegistrationError> {
+        for level in &schedule.levels {
+            if self.level(level, most_steps, schedule, observer)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+            self.levels_done += 1;
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Steps until nothing changes any more.
+    fn level(
+        &mut self,
+        level: &Level,
+        most_steps: usize,
+        schedule: &Schedule,
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<ControlFlow<()>, RegistrationError> {
+        let name = self.level_names[self.levels_done].clone();
+        let misfit = |error| RegistrationError::Options { level: name.clone(), error };
+        self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit)?;
+        if level.scale == KernelScale::Fixed {
+            self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit)?;
+        }
+        let mut last_energy = f64::INFINITY;
+        for step in 0..level.steps.min(most_steps) {
+            let at = At { level: &name, step: step + 1 };
+            self.find_correspondences(level, &at)?;
+            if level.scale == KernelScale::Mad {
+                let kernel = self.measured_kernel(level);
+                self.weigh_terms(level, kernel).map_err(misfit)?;
+            }
+            self.tell_terms(level, &at)?;
+            let record = self.step(step, &schedule.solver, &at)?;
+            let flow = observer.on_step(&record);
+            if observer.wants_positions() {
+                observer.on_positions(&record, &self.positions());
+            }
+            let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);
+            let still = record.motion <= schedule.stop.motion && change <= schedule.stop.energy;
+            last_energy = record.energy;
+            self.history.push(record);
+            if flow.is_break() {
+                return Ok(flow);
+            }
+            if still {
+                break;
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Tells all terms what they weigh.
+    fn weigh_terms(&mut self, level: &Level, kernel: Kernel) -> Result<(), OptionsError> {
+        let (density, unit) = (self.template.density, self.template.unit);
+        for (name, term) in self.term_names.iter().zip(&mut self.problem.terms) {
+            let options = &level.terms[name];
+            term.set_level(&TermLevel { options, kernel, density, unit })?;
+        }
+        Ok(())
+    }
+
+    /// The closest point of the scan for every vertex; and the model hears what is not seen.
+    fn find_correspondences(&mut self, level: &Level, at: &At<'_>) -> Result<(), RegistrationError> {
+        let Self { template, scan, correspondences, .. } = self;
+        let accept = level.acceptance(template.unit);
+        correspondences.find(scan, &self.vertices, &template.mesh, &template.masks, &accept);
+        if !correspondences.any() {
+            return Err(RegistrationError::NoOverlap { level: at.level.to_owned(), cap: level.distance_cap });
+        }
+        self.problem.model.set_unseen(&correspondences.unseen);
+        Ok(())
+    }
+
+    /// The level's kernel, its scale counted in robust deviations of the residuals.
+    fn measured_kernel(&self, level: &Level) -> Kernel {
+        let Some(scale) = level.kernel.scale() else { return level.kernel };
+        let deviation = self.correspondences.residual_scale(&self.vertices);
+        // Where half of the template fits exactly, only rounding is left to scale with.
+        let floor = 1e-6 * level.distance_cap * self.template.unit;
+        level.kernel.with_scale(scale * deviation.unwrap_or(floor).max(floor))
+    }
+
+    /// Tells all terms what the next step acts on.
+    fn tell_terms(&mut self, level: &Level, at: &At<'_>) -> Result<(), RegistrationError> {
+        self.predictions.clear();
+        if self.problem.terms.iter().any(|t| t.needs_predictions()) {
+            self.problem.model.prediction(&self.x, &self.template.mesh.positions, &mut self.predictions);
+            pose_predictions(&mut self.predictions, &self.vertices, &self.correspondences.weights);
+        }
+        let step = Step {
+            scan: &self.scan,
+            vertices: &self.vertices,
+            rest: &self.template.mesh,
+            masks: &self.template.masks,
+            correspondences: &self.correspondences,
+            accept: level.acceptance(self.template.unit),
+            predictions: &self.predictions,
+        };
+        let told = self.problem.terms.iter_mut().try_for_each(|t| t.update(&step));
+        told.map_err(|_| RegistrationError::Diverged { level: at.level.to_owned(), step: at.step })
+    }
+
+    /// One step of the solver at fixed correspondences; `step` counts within the level, from 0.
+    fn step(&mut self, step: usize, solver: &SolverOptions, at: &At<'_>) -> Result<StepRecord, RegistrationError> {
+        let (problem, x) = (&mut self.problem, &mut self.x[..]);
+        let summary = minimizer(solver, step > 0).minimize_with(problem, x, &mut self.workspace, &mut one_step);
+        let (level, number) = (at.level.to_owned(), at.step);
+        match &summary.stop {
+            StopReason::LinearSolverFailed(reason) => {
+                return Err(RegistrationError::Solver { level, step: number, reason: reason.to_string() });
+            }
+            StopReason::NonFinite => return Err(RegistrationError::Diverged { level, step: number }),
+            _ => {}
+        }
+        let (energy_before, energy) = (summary.initial_energy, summary.final_energy);
+        let moved = problem.vertices(x);
+        let pairs = moved.iter().zip(&self.vertices).zip(&self.template.used);
+        let motion = pairs.filter(|p| *p.1).map(|((a, b), _)| (a - b).norm()).fold(0.0, f64::max);
+        self.vertices.copy_from_slice(moved);
+        Ok(StepRecord {
+            level: self.levels_done,
+            step,
+            energy_before,
+            energy,
+            energies: problem.energies(x),
+            inliers: self.correspondences.inlier_share(),
+            motion: motion / self.template.unit,
+        })
+    }
+
+    /// Where the vertices are in the scan's frame.
+    fn positions(&self) -> Vec<Vec3> {
+        self.vertices.iter().map(|&v| self.start.pose.apply(v + self.template.centre)).collect()
+    }
+
+    fn finish(self, model: String, schedule: Schedule) -> RegistrationResult {
+        let unobserved = self.problem.model.unobserved_directions();
+        let positions = self.positions();
+        let (parameters, weights) = self.first_stage;
+        let Start { pose, search, by_landmarks } = self.start;
+        RegistrationResult {
+            positions,
+            start: pose,
+            end: WarmStart { model, pose, parameters },
+            start_search: search,
+            start_landmarks: by_landmarks,
+            scan_facing: self.scan_facing,
+            weights,
+            accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
+            unobserved_directions: unobserved.unwrap_or_else(|| self.workspace.summary().unobserved_directions()),
+            history: self.history,
+            stop: self.stop,
+            schedule,
+        }
+    }
+}
+
+/// A sample for every landmark: the vertex' own, or a new one inside a face.
+fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec<usize>, RegistrationError> {
+    let sample = |landmark: &Landmark| match landmark.template {
+        TemplatePoint::Vertex(vertex) => Ok(vertex as usize),
+        TemplatePoint::Face { corners, weights } => {
+            Ok(samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?)
+        }
+    };
+    landmarks.iter().map(sample).collect()
+}
+
+fn model_input<'a>(template: &'a Rest, shapes: &'a ShapeBasis, schedule: &'a Schedule) -> ModelInput<'a> {
+    let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
+    ModelInput { rest: &template.mesh, shapes, options, reference_vertices }
+}
+
+/// The parameters to start with: of rest, or of a warm start, within bounds.
+fn first_parameters(
+    problem: &mut RegistrationProblem,
+    model: &str,
+    warm_start: Option<&WarmStart>,
+) -> Result<Vec<f64>, RegistrationError> {
     let mut x = problem.model.rest_parameters();
-    if let Some(warm) = input.warm_start {
-        warm.check(&model_name, x.len())?;
+    if let Some(warm) = warm_start {
+        warm.check(model, x.len())?;
         x.copy_from_slice(&warm.parameters);
     }
     if let Some(bounds) = problem.border_bounds() {
         bounds.validate(problem.structure().border(), x.len())?;
         bounds.project(&mut x);
     }
-    let (faced, turned) = agreeing(input);
-    let Start { pose: start, search: start_search, by_landmarks } = match input.warm_start {
-        None => start_of(input, &faced, &template, schedule)?,
-        Some(warm) => {
-            let vertices = problem.vertices(&x);
-            let at = |l: &Landmark| (l.template.position(vertices) + template.centre, l.target, l.weight(1.0));
-            let pose = warm.pose_by(&input.landmarks.iter().map(at).collect::<Vec<_>>());
-            Start { pose, search: None, by_landmarks: None }
-        }
-    };
-    let to_rest = |p: Vec3| start.apply_inverse(p) - template.centre;
-    let in_rest = |(scan, normals): &Faced<'_>| {
-        let positions = scan.positions.iter().map(|&p| to_rest(p)).collect();
+    Ok(x)
+}
+
+/// The pose of a warm start, moved as its landmarks have.
+fn warm_pose(warm: &WarmStart, landmarks: &[Landmark], vertices: &[Vec3], centre: Vec3) -> Start {
+    let at = |l: &Landmark| (l.template.position(vertices) + centre, l.target, l.weight(1.0));
+    let pose = warm.pose_by(&landmarks.iter().map(at).collect::<Vec<_>>());
+    Start { pose, search: None, by_landmarks: None }
+}
+
+/// The scan in the model's frame, facing outwards, and what was done to it for that.
+fn place_scan(
+    (faced, turned): (Faced<'_>, usize),
+    start: &Start,
+    template: &Rest,
+    vertices: &[Vec3],
+    schedule: &Schedule,
+) -> Result<(ScanSurface, ScanFacing), RegistrationError> {
+    let placed = |(scan, normals): &Faced<'_>| {
+        let positions = scan.positions.iter().map(|&p| start.pose.apply_inverse(p) - template.centre).collect();
         let normals: Option<Vec<Vec3>> =
-            normals.as_ref().map(|n| n.iter().map(|&n| start.rotation.tr_mul(&n)).collect());
+            normals.as_ref().map(|n| n.iter().map(|&n| start.pose.rotation.tr_mul(&n)).collect());
         let scan = TriangleMesh { positions, triangles: scan.triangles.clone() };
         ScanSurface::new(scan, normals.as_deref(), &schedule.scan)
     };
-    let searched = start_search.as_ref().map(|search| search.flipped);
-    let (mut scan, mut scan_facing) = (None, ScanFacing { turned, flipped: schedule.scan.flip == ScanFlip::Yes });
+    let mut facing = ScanFacing { turned, flipped: schedule.scan.flip == ScanFlip::Yes };
     if schedule.scan.flip == ScanFlip::Auto {
-        scan_facing.flipped = searched.unwrap_or(false);
-        if searched.is_none() {
-            let as_given = in_rest(&faced)?;
-            scan_facing.flipped = template.sees_the_inside(&as_given, problem.vertices(&x));
-            scan = Some(as_given).filter(|_| !scan_facing.flipped);
+        match &start.search {
+            Some(search) => facing.flipped = search.flipped,
+            None => {
+                let as_given = placed(&faced)?;
+                facing.flipped = template.sees_the_inside(&as_given, vertices);
+                if !facing.flipped {
+                    return Ok((as_given, facing));
+                }
+            }
         }
     }
-    let scan = match scan {
-        Some(scan) => scan,
-        None if scan_facing.flipped => in_rest(&facing::flipped(faced))?,
-        None => in_rest(&faced)?,
-    };
-    let from_scan = schedule.levels_by_name().any(|(_, level)| level.scan_to_template > 0.0);
-    let scan_points = from_scan.then(|| ScanPoints::new(&scan, &template.mesh));
-
-    let sigma = schedule.sigma.landmark * template.unit * start.scale;
-    let suspects = by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
-    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
-    let targets = input.landmarks.iter().map(|l| (to_rest(l.target), weight(l)));
-    let landmarks: Vec<(usize, Vec3, f64)> =
-        on_template.into_iter().zip(targets).map(|(s, (p, w))| (s, p, w)).collect();
-    let frame = Pose { translation: start.apply(template.centre), ..start };
-    problem.terms.extend(terms.iter().map(|t| t.build(&TermInput { landmarks: &landmarks, frame })));
-    let mut run = Run {
-        start,
-        scan_points,
-        correspondences: Correspondences::default(),
-        workspace: Workspace::new(),
-        history: Vec::new(),
-        vertices: problem.vertices(&x).to_vec(),
-        level_names: schedule.levels_by_name().map(|l| l.0).collect(),
-        first_level: 0,
-    };
-    let most_steps = input.warm_start.map_or(usize::MAX, |_| schedule.warm_start.steps);
-    let first = schedule.levels.iter().map(|level| level.steps.min(most_steps));
-    let later = schedule.levels_by_name().skip(schedule.levels.len()).map(|(_, level)| level.steps);
-    observer.on_start(run.level_names.len(), first.chain(later).sum());
-    let mut flow = run.stage(most_steps, schedule, &template, &scan, &mut problem, &mut x, observer)?;
-    let end = WarmStart { model: model_name, pose: start, parameters: x.clone() };
-    let weights = weights(&mut problem, &x, &mut run.workspace);
-    let mut next = schedule.next_stage();
-    while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
-        template.mesh.positions.copy_from_slice(&run.vertices);
-        let model = build(model, &ModelInput { rest: &template.mesh, shapes: &ShapeBasis::none(), schedule })?;
-        let terms = std::mem::take(&mut problem.terms);
-        problem = Deformation::new(model, problem.samples().clone());
-        problem.terms = terms;
-        x = problem.model.rest_parameters();
-        run.workspace = Workspace::new();
-        flow = run.stage(usize::MAX, schedule, &template, &scan, &mut problem, &mut x, observer)?;
-        next = schedule.next_stage();
-    }
-    Ok(RegistrationResult {
-        positions: run.positions(template.centre),
-        start,
-        end,
-        start_search,
-        start_landmarks: by_landmarks,
-        scan_facing,
-        weights,
-        accepted: run.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
-        weak_directions: problem.model.weak_directions().unwrap_or_else(|| run.workspace.summary().weak_directions()),
-        history: run.history,
-        stop: if flow.is_break() { RegistrationStop::StoppedByObserver } else { RegistrationStop::Finished },
-        schedule: schedule.clone(),
-    })
+    let scan = if facing.flipped { placed(&facing::flipped(faced))? } else { placed(&faced)? };
+    Ok((scan, facing))
 }
 
-/// Damping of what nothing observes: see [`Options::damping_floor`].
+/// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.
+fn build_terms(
+    terms: &[&dyn TermFactory],
+    landmarks: &[Landmark],
+    on_template: &[usize],
+    start: &Start,
+    template: &Rest,
+    schedule: &Schedule,
+) -> Result<Vec<Box<dyn RegistrationTerm>>, RegistrationError> {
+    let pose = start.pose;
+    let sigma = schedule.sigma.landmark * template.unit * pose.scale;
+    let suspects = start.by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
+    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
+    let placed = |l: &Landmark| pose.apply_inverse(l.target) - template.centre;
+    let landmarks: Vec<(usize, Vec3, f64)> =
+        landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();
+    let frame = Pose { translation: pose.apply(template.centre), ..pose };
+    let none = Options::new();
+    let build = |term: &&dyn TermFactory| {
+        let options = schedule.terms.get(term.name()).unwrap_or(&none);
+        let (rest, unit) = (&template.mesh, template.unit);
+        Ok(term.build(&TermInput { options, landmarks: &landmarks, rest, unit, frame })?)
+    };
+    terms.iter().map(build).collect()
+}
+
+/// Moves predictions, as a model wrote them, into the rigid pose that fits `positions` best where correspondences have weight.
+fn pose_predictions(predictions: &mut [Vec3], positions: &[Vec3], weights: &[f64]) {
+    let pairs = predictions.iter().zip(positions).zip(weights).map(|((&p, &v), &w)| (p, v, w));
+    match weighted_closest_pose(pairs, PoseKind::Rigid) {
+        Ok(pose) => predictions.iter_mut().for_each(|p| *p = pose.apply(*p)),
+        Err(_) => predictions.copy_from_slice(positions),
+    }
+}
+
+/// Damping of what nothing observes: see [`nlls::Options::damping_floor`].
 const DAMPING_FLOOR: f64 = 1e-9;
 
 /// The minimiser of a level's first step, or of a later one, which carries on from the step before.
@@ -326,7 +455,7 @@ fn minimizer(solver: &SolverOptions, carry_on: bool) -> Minimizer {
         }),
         StepAlgorithm::Dogleg => Algorithm::Dogleg(Dogleg { reuse_radius: carry_on, ..Dogleg::default() }),
     };
-    let options = Options::default().with_algorithm(algorithm).with_linear_solver(solver.linear_solver);
+    let options = nlls::Options::default().with_algorithm(algorithm).with_linear_solver(solver.linear_solver);
     let options = options.with_damping_floor(DAMPING_FLOOR);
     Minimizer::new(options).expect("proven: the defaults and the floor are in bounds")
 }
@@ -334,16 +463,6 @@ fn minimizer(solver: &SolverOptions, carry_on: bool) -> Minimizer {
 /// Ends a minimisation with its first step; those that are rejected before are trials.
 fn one_step(record: &IterationRecord) -> ControlFlow<()> {
     if record.accepted { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-}
-
-/// The model, with the linearisation that the schedule names.
-fn build(factory: &dyn ModelFactory, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
-    let mut model = factory.build(input)?;
-    let linearisation = input.schedule.solver.linearisation;
-    if linearisation == Linearisation::Reference && !model.set_linearisation(linearisation) {
-        return Err(ScheduleError::Linearisation { model: factory.name().to_owned() }.into());
-    }
-    Ok(model)
 }
 
 /// The blendshape weights at the end, and how well the last correspondences determine them.
@@ -358,8 +477,8 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
     let bounds = problem.border_bounds().filter(|b| b.lower.len() == named.len());
     let weight = |(k, (name, value))| {
         let at_bound = bounds.is_some_and(|b| b.at_bound(x, k));
-        let deviation = covariance.as_ref().filter(|_| !at_bound).map(|(c, variance)| (variance * c[(k, k)]).sqrt());
-        NamedWeight { name, value, deviation, at_bound }
+        let std_dev = covariance.as_ref().filter(|_| !at_bound).map(|(c, variance)| (variance * c[(k, k)]).sqrt());
+        NamedWeight { name, value, std_dev, at_bound }
     };
     named.into_iter().enumerate().map(weight).collect()
 }
@@ -374,8 +493,8 @@ pub fn find_start(
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     schedule.validate()?;
     check_geometry(input)?;
-    let template = Rest::new(input, schedule).map_err(|e| RegistrationError::Template(e.to_string()))?;
-    let start = start_of(input, &agreeing(input).0, &template, schedule)?;
+    let template = Rest::new(input, schedule);
+    let start = start_of(input, &agreeing(input).0, &template, schedule, start::Cancel(None))?;
     Ok((start.pose, start.search))
 }
 
@@ -399,6 +518,7 @@ fn start_of(
     (scan, scan_normals): &Faced<'_>,
     rest: &Rest,
     schedule: &Schedule,
+    cancel: start::Cancel<'_>,
 ) -> Result<Start, RegistrationError> {
     let (scan, scan_normals): (&TriangleMesh, Option<&[Vec3]>) = (scan, scan_normals.as_deref());
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
@@ -419,264 +539,9 @@ fn start_of(
         landmarks: &landmarks,
         sigma: schedule.sigma.landmark * rest.unit,
         flip: schedule.scan.flip,
+        cancel,
     };
     start::find_start(&search, schedule.start, &schedule.search)
-}
-
-/// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
-struct Rest {
-    mesh: TriangleMesh,
-    /// Vertices that a triangle uses.
-    used: Vec<bool>,
-    masks: VertexMasks,
-    seams: Seams,
-    centre: Vec3,
-    /// Length of one of the schedule's millimetres.
-    unit: f64,
-    /// Weight per vertex for weight one on the schedule's reference template.
-    density: f64,
-}
-
-impl Rest {
-    fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, MeshError> {
-        let mut mesh = input.template.triangulate();
-        mesh.positions.copy_from_slice(input.rest_positions());
-        let corners = || mesh.triangles.as_flattened().iter().copied();
-        let used = referenced(mesh.positions.len(), corners());
-        let points = surface_points(&mesh.positions, corners());
-        let count = points.len() as f64;
-        let centre = points.iter().sum::<Vec3>() / count;
-        let size = (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt();
-        mesh.positions.iter_mut().for_each(|p| *p -= centre);
-        let unit = size / schedule.reference_size;
-        let finer = (count / schedule.reference_vertices).sqrt();
-        let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
-        let masks = VertexMasks::new(input.mask, input.free_mask, rim).of_surface(&used);
-        let seams = Seams::find(&mesh, schedule.seam.width * unit)?;
-        let density = schedule.reference_vertices / count;
-        Ok(Self { mesh, used, masks, seams, centre, unit, density })
-    }
-
-    /// Whether the scan faces inwards, by its normals near vertices of the model.
-    fn sees_the_inside(&self, scan: &ScanSurface, vertices: &[Vec3]) -> bool {
-        let normals = vertex_normals(vertices, &self.mesh.triangles, NormalWeighting::Area);
-        let unseen = self.masks.unseen();
-        let each = vertices.len() / FACING_VERTICES + 1;
-        let chosen = || (0..vertices.len()).step_by(each).filter(|&v| !unseen[v] && normals[v] != Vec3::zeros());
-        let points: Vec<Vec3> = chosen().map(|v| vertices[v]).collect();
-        let normals: Vec<Vec3> = chosen().map(|v| normals[v]).collect();
-        facing::faces_inwards(scan, &points, &normals, FACING_REACH * self.unit)
-    }
-}
-
-/// Vertices of the template that are asked, about, and how far from the scan they may be, millimetres.
-const FACING_VERTICES: usize = 1000;
-const FACING_REACH: f64 = 20.0;
-
-/// The vertices within `rings` rings of the open boundary; the boundary itself is the first.
-fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
-    let edges = EdgeGraph::of(mesh);
-    let mut marked = if rings > 0 { edges.boundary_vertices() } else { vec![false; mesh.positions.len()] };
-    for _ in 1..rings {
-        let grown = (0..marked.len()).map(|i| marked[i] || edges.neighbours(i).iter().any(|&j| marked[j as usize]));
-        marked = grown.collect();
-    }
-    marked
-}
-
-fn check_input(input: &RegistrationInput<'_>, model: &dyn ModelFactory) -> Result<(), RegistrationError> {
-    check_geometry(input)?;
-    if model.needs_shapes() && input.shapes.is_empty() {
-        return Err(RegistrationError::NeedsShapes(model.name().to_owned()));
-    }
-    Ok(())
-}
-
-fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
-    let vertices = input.template.positions.len();
-    if input.template.polygon_count() == 0 {
-        return Err(RegistrationError::EmptyTemplate);
-    }
-    check_numbers(input)?;
-    scan::check_normals(input.scan, input.scan_normals)?;
-    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
-        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
-    }
-    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
-        let found = input.shapes.vertex_count();
-        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
-    }
-    masks::check_mask("mask", input.mask, vertices)?;
-    masks::check_mask("free mask", input.free_mask, vertices)?;
-    if VertexMasks::new(input.mask, input.free_mask, vec![false; vertices]).counted() == 0 {
-        return Err(RegistrationError::EmptyMask);
-    }
-    Ok(())
-}
-
-/// Refuses coordinates that are not finite and triangles of vertices that do not exist. Files have none; callers may.
-fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError> {
-    let targets: Vec<Vec3> = input.landmarks.iter().map(|l| l.target).collect();
-    for (what, points) in [
-        ("template", &input.template.positions[..]),
-        ("neutral", input.neutral.unwrap_or_default()),
-        ("scan", &input.scan.positions),
-        ("landmarks", &targets),
-    ] {
-        if let Some(index) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(RegistrationError::NotFinite { what, index });
-        }
-    }
-    for landmark in input.landmarks {
-        if let Some(sigma) = landmark.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
-            return Err(RegistrationError::LandmarkSigma { name: landmark.name.clone(), sigma });
-        }
-    }
-    input.scan.check_indices().map_err(|e| RegistrationError::Scan(e.to_string()))?;
-    input.template.triangulate().check_indices().map_err(|e| RegistrationError::Template(e.to_string()))
-}
-
-struct Run {
-    start: Pose,
-    /// Whether a level has found the scan's vertices to coincide with the template's; it is not asked again.
-    /// Points of the scan that look for the template, where a level asks for them.
-    scan_points: Option<ScanPoints>,
-    correspondences: Correspondences,
-    workspace: Workspace,
-    history: Vec<StepRecord>,
-    /// Current vertex positions, model frame.
-    vertices: Vec<Vec3>,
-    /// Names of all stages' levels, and how many of them lie in earlier stages.
-    level_names: Vec<String>,
-    first_level: usize,
-}
-
-type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>;
-
-impl Run {
-    /// Current vertex positions in the scan's frame.
-    fn positions(&self, centre: Vec3) -> Vec<Vec3> {
-        self.vertices.iter().map(|&v| self.start.apply(v + centre)).collect()
-    }
-
-    /// All levels of one stage, of at most so many steps each; `schedule` is as if that stage were the first.
-    #[allow(clippy::too_many_arguments)]
-    fn stage(
-        &mut self,
-        most_steps: usize,
-        schedule: &Schedule,
-        rest: &Rest,
-        scan: &ScanSurface,
-        problem: &mut RegistrationProblem,
-        x: &mut [f64],
-        observer: &mut dyn RegistrationObserver,
-    ) -> Result<ControlFlow<()>, RegistrationError> {
-        for level in 0..schedule.levels.len() {
-            if self.level(level, most_steps, schedule, rest, scan, problem, x, observer)?.is_break() {
-                return Ok(ControlFlow::Break(()));
-            }
-        }
-        self.first_level += schedule.levels.len();
-        Ok(ControlFlow::Continue(()))
-    }
-
-    #[allow(clippy::too_many_arguments)]
-    fn level(
-        &mut self,
-        index: usize,
-        most_steps: usize,
-        schedule: &Schedule,
-        rest: &Rest,
-        scan: &ScanSurface,
-        problem: &mut RegistrationProblem,
-        x: &mut [f64],
-        observer: &mut dyn RegistrationObserver,
-    ) -> Result<ControlFlow<()>, RegistrationError> {
-        let number = self.first_level + index;
-        let level = schedule.levels[index].scaled(rest.unit);
-        problem.model.set_level(&level);
-        problem.terms.iter_mut().for_each(|t| t.set_level(&level, rest.density));
-        let mut last_energy = f64::INFINITY;
-        for step in 0..level.steps.min(most_steps) {
-            self.correspondences.find(scan, &self.vertices, &rest.mesh, &rest.masks, &level);
-            if !self.correspondences.any() {
-                return Err(RegistrationError::NoOverlap {
-                    level: self.level_names[number].clone(),
-                    cap: schedule.levels[index].distance_cap,
-                });
-            }
-            let unseen = &self.correspondences.prediction_weights;
-            problem.model.set_unseen(unseen, schedule.graph.lambda_unseen);
-            problem.model.prediction(x, &rest.mesh.positions, &mut self.correspondences.predictions);
-            self.correspondences.pose_predictions(&self.vertices);
-            let c = &mut self.correspondences;
-            let widest = schedule.seam.widest * rest.unit;
-            rest.seams.targets(scan, &self.vertices, widest, &mut c.seam_points, &mut c.seam_weights);
-            c.seam_weights.iter_mut().zip(&rest.masks.data).for_each(|(weight, data)| *weight *= data);
-            if let Some(points) = self.scan_points.as_ref().filter(|_| level.scan_to_template > 0.0) {
-                c.find_from_scan(points, &self.vertices, &rest.mesh, &rest.masks, &level).map_err(|_| {
-                    RegistrationError::Diverged { level: self.level_names[number].clone(), step: step + 1 }
-                })?;
-            }
-            if level.scale == KernelScale::Mad
-                && let (Some(delta), Some(deviation)) =
-                    (level.kernel.scale(), self.correspondences.residual_scale(&self.vertices))
-            {
-                // Where half of the template fits exactly, only rounding is left to scale with.
-                let deviation = deviation.max(1e-6 * level.distance_cap);
-                let measured = Level { kernel: level.kernel.with_scale(delta * deviation), ..level };
-                problem.terms.iter_mut().for_each(|t| t.set_level(&measured, rest.density));
-            }
-            problem.terms.iter_mut().for_each(|t| t.update(&self.correspondences));
-            let minimizer = minimizer(&schedule.solver, step > 0);
-            let summary = minimizer.minimize_with(problem, x, &mut self.workspace, &mut one_step);
-            let final_energy = summary.final_energy;
-            match summary.stop {
-                StopReason::LinearSolverFailed(reason) => {
-                    let reason = reason.to_string();
-                    return Err(RegistrationError::Solver {
-                        level: self.level_names[number].clone(),
-                        step: step + 1,
-                        reason,
-                    });
-                }
-                StopReason::NonFinite => {
-                    return Err(RegistrationError::Diverged {
-                        level: self.level_names[number].clone(),
-                        step: step + 1,
-                    });
-                }
-                _ => {}
-            }
-            let moved = problem.vertices(x);
-            let pairs = moved.iter().zip(&self.vertices).zip(&rest.used);
-            let motion = pairs.filter(|p| *p.1).map(|((a, b), _)| (a - b).norm()).fold(0.0, f64::max) / rest.unit;
-            self.vertices.copy_from_slice(moved);
-            let record = StepRecord {
-                level: number,
-                step,
-                energy_before: summary.initial_energy,
-                energy: final_energy,
-                energies: problem.energies(x),
-                inliers: self.correspondences.inlier_share(),
-                motion,
-            };
-            let flow = observer.on_step(&record);
-            if observer.wants_positions() {
-                observer.on_positions(&record, &self.positions(rest.centre));
-            }
-            let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);
-            last_energy = record.energy;
-            self.history.push(record);
-            if flow.is_break() {
-                return Ok(flow);
-            }
-            if motion <= schedule.stop.motion && change <= schedule.stop.energy {
-                break;
-            }
-        }
-        Ok(ControlFlow::Continue(()))
-    }
 }
 
 #[cfg(test)]
@@ -684,8 +549,10 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::mesh::testing::sheet;
-    use crate::nlls::{BlockStructure, NormalEquations, Problem};
+    use nalgebra::Rotation3;
+
+    use crate::mesh::testing::noise;
+    use crate::nlls::{BlockStructure, Problem};
 
     /// E(x) = atan(x)^2: from 10, an undamped step lands beyond 100 on the other side.
     struct Overshooting(Arc<BlockStructure>);
@@ -755,24 +622,25 @@ mod tests {
     }
 
     #[test]
-    fn the_rim_grows_ring_by_ring() {
-        let mesh = sheet(9, 7, |c, r| Vec3::new(c, r, 0.0));
-        for (rings, marked) in [(0, 0), (1, 28), (2, 48), (3, 60), (4, 63), (9, 63)] {
-            let rim = rim(&mesh, rings);
-            assert_eq!(rim.iter().filter(|m| **m).count(), marked, "{rings} rings");
-            for (p, in_rim) in mesh.positions.iter().zip(rim) {
-                let depth = p.x.min(8.0 - p.x).min(p.y).min(6.0 - p.y);
-                assert_eq!(in_rim, depth < rings as f64, "{rings} rings, {p}");
-            }
+    fn predictions_take_the_pose_of_the_accepted_vertices() {
+        let pose = Pose {
+            scale: 1.0,
+            rotation: Rotation3::from_euler_angles(0.4, -0.2, 0.9).into_inner(),
+            translation: Vec3::new(3.0, -8.0, 1.0),
+        };
+        let predicted: Vec<Vec3> = (0..12).map(|i| Vec3::new(noise(i), noise(50 + i), noise(90 + i)) * 10.0).collect();
+        let weights: Vec<f64> = (0..12).map(|i| f64::from(u8::from(i % 2 == 0))).collect();
+        // What is not accepted may be anywhere.
+        let place = |(i, p): (usize, &Vec3)| if i % 2 == 0 { pose.apply(*p) } else { Vec3::new(700.0, i as f64, 0.0) };
+        let positions: Vec<Vec3> = predicted.iter().enumerate().map(place).collect();
+        let mut posed = predicted.clone();
+        pose_predictions(&mut posed, &positions, &weights);
+        for (p, q) in predicted.iter().zip(&posed) {
+            approx::assert_abs_diff_eq!(pose.apply(*p), *q, epsilon = 1e-9);
         }
-    }
-
-    #[test]
-    fn a_closed_surface_has_no_rim() {
-        let positions = vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z()];
-        let closed = TriangleMesh { positions, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]] };
-        assert_eq!(rim(&closed, 3), [false; 4]);
-        let opened = TriangleMesh { triangles: closed.triangles[..3].to_vec(), ..closed };
-        assert_eq!(rim(&opened, 1), [true, false, true, true]);
+        // Two vertices determine no pose: stay where they are.
+        let weights: Vec<f64> = (0..12).map(|i| f64::from(u8::from(i < 2))).collect();
+        pose_predictions(&mut posed, &positions, &weights);
+        assert_eq!(posed, positions);
     }
 }

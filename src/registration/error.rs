@@ -3,10 +3,12 @@
 use thiserror::Error;
 
 use super::{ScheduleError, StartFit, StartSearch};
-use crate::energy::SampleError;
+use crate::correspondence::ScanError;
+use crate::energy::{OptionsError, SampleError};
 use crate::mesh::PoseError;
-use crate::model::AutodiffError;
+use crate::model::ModelError;
 use crate::nlls::BoundsError;
+use crate::term::TermError;
 
 /// Why a registration could not be run or did not succeed.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -26,12 +28,6 @@ pub enum RegistrationError {
     /// The template has no faces.
     #[error("the template has no faces; a registration needs its surface")]
     EmptyTemplate,
-    /// The scan has neither triangles nor normals.
-    #[error(
-        "the scan has no triangles and no normals, so its surface is not known; give a mesh, or points that have normals: \
-         nx, ny, nz in PLY, columns 4 to 6 in XYZ (point cloud programs compute them)"
-    )]
-    EmptyScan,
     /// A mask is no share.
     #[error("the {what} is {value} at vertex {vertex}; it must be from 0 to 1")]
     MaskValue {
@@ -81,9 +77,23 @@ pub enum RegistrationError {
     /// The model cannot move without blendshapes.
     #[error("model '{0}' needs blendshapes; give a rig")]
     NeedsShapes(String),
-    /// A model of one's own is stated wrongly.
-    #[error("model {0}")]
-    Model(#[from] AutodiffError),
+    /// The model could not be built.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A data term could not be built.
+    #[error(transparent)]
+    Term(#[from] TermError),
+    /// A model or term does not take a level's options.
+    #[error("{level}: {error}")]
+    Options {
+        /// Which level.
+        level: String,
+        /// Why not.
+        error: OptionsError,
+    },
+    /// The scan cannot be searched.
+    #[error(transparent)]
+    Surface(#[from] ScanError),
     /// The template's geometry cannot be used.
     #[error("template: {0}")]
     Template(String),
@@ -121,6 +131,9 @@ pub enum RegistrationError {
         /// Scan over template.
         ratio: f64,
     },
+    /// The observer's flag was set before the first step.
+    #[error("stopped while the start was searched")]
+    Cancelled,
     /// No pose fits.
     #[error(
         "no start found: in the best of {tried} poses {share:.0} % of the template match the scan, with a loss of {loss:.2}; \
@@ -192,7 +205,8 @@ impl RegistrationError {
     pub fn is_input(&self) -> bool {
         !matches!(
             self,
-            Self::NoStart { .. }
+            Self::Cancelled
+                | Self::NoStart { .. }
                 | Self::AmbiguousStart { .. }
                 | Self::NoOverlap { .. }
                 | Self::Solver { .. }

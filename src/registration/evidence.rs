@@ -6,12 +6,11 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{
-    Handedness, Quality, QualityError, RegistrationInput, RegistrationResult, ScanOptions, ScanSurface, VertexMasks,
-};
+use super::{Handedness, Quality, QualityError, RegistrationInput, RegistrationResult};
+use crate::correspondence::{ScanOptions, ScanSurface, VertexMasks};
+use crate::landmark::Landmark;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::io::Landmark;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, referenced, surface_points};
 
@@ -36,7 +35,7 @@ pub struct Evidence {
     pub landmark_rms: f64,
     /// Largest distance of a landmark from its target; that of a landmark of standard deviation sigma counts `1 / sigma`.
     pub landmark_worst: f64,
-    /// How far the landmarks leave the start open: [`LandmarkStart::deviation`](super::LandmarkStart::deviation).
+    /// How far the landmarks leave the start open: [`LandmarkStart::std_dev`](super::LandmarkStart::std_dev).
     pub landmark_freedom: f64,
     /// Share of the landmarks that contradict the others and took no part.
     pub landmark_suspects: f64,
@@ -202,7 +201,7 @@ impl Evidence {
             landmarks: input.landmarks.len(),
             landmark_rms: if total > 0.0 { (squares / total).sqrt() } else { 0.0 },
             landmark_worst: landmarks.iter().map(|(w, d)| w.sqrt() * d).fold(0.0, f64::max),
-            landmark_freedom: by_landmarks.map_or(0.0, |l| (l.deviation / size).min(1.0)),
+            landmark_freedom: by_landmarks.map_or(0.0, |l| (l.std_dev / size).min(1.0)),
             landmark_suspects: suspects.len() as f64 / input.landmarks.len().max(1) as f64,
             handedness: Handedness::of(input, result, size),
             shapes: result.weights.len(),
@@ -218,7 +217,7 @@ impl Evidence {
             curvature_kept: curvature_kept(input, result),
             scale: result.start.scale,
             last_motion: result.history.last().map_or(0.0, |h| h.motion) / result.schedule.reference_size,
-            unobserved_directions: result.weak_directions as f64 / result.positions.len().max(1) as f64,
+            unobserved_directions: result.unobserved_directions as f64 / result.positions.len().max(1) as f64,
         }
     }
 }
@@ -250,7 +249,7 @@ fn weight_uncertainty(input: &RegistrationInput<'_>, result: &RegistrationResult
     if count == 0 || result.weights.len() != count {
         return 0.0;
     }
-    let variances: Vec<f64> = result.weights.iter().map(|w| w.deviation.unwrap_or(0.0).powi(2)).collect();
+    let variances: Vec<f64> = result.weights.iter().map(|w| w.std_dev.unwrap_or(0.0).powi(2)).collect();
     let vertex = |i: usize| -> f64 {
         let rows = input.shapes.vertex(i).chunks_exact(count);
         rows.flat_map(|row| row.iter().zip(&variances).map(|(d, v)| f64::from(*d).powi(2) * v)).sum()

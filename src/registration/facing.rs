@@ -3,24 +3,11 @@
 
 use std::borrow::Cow;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-use super::ScanSurface;
+use crate::correspondence::ScanSurface;
 use crate::mesh::normals::face_areas;
 use crate::mesh::{TriangleMesh, Vec3};
-
-/// Whether a scan is turned over before it is registered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ScanFlip {
-    /// Where it fits the template better so.
-    #[default]
-    Auto,
-    /// Always.
-    Yes,
-    /// Never.
-    No,
-}
 
 /// What was done to a scan so that it faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]

@@ -8,11 +8,12 @@ use serde::Serialize;
 
 use super::evidence::Seen;
 use super::{
-    Coverage, LandmarkStart, NamedWeight, RegistrationError, RegistrationInput, RegistrationResult, RegistrationStop,
-    Reliability, ScanFacing, Schedule, StartSearch, StepRecord,
+    Coverage, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Reliability,
+    ScanFacing, Schedule, StartSearch, StepRecord,
 };
+use crate::correspondence::ScanError;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
-use crate::mesh::io::{Input, KnownUnit, sha256_of_file};
+use crate::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
 
 /// A file that was read.
@@ -106,7 +107,7 @@ pub enum QualityError {
     Evaluation(#[from] EvaluationError),
     /// The scan has no surface.
     #[error(transparent)]
-    Registration(#[from] RegistrationError),
+    Scan(#[from] ScanError),
 }
 
 /// The report, as it is written to JSON.
@@ -139,11 +140,14 @@ pub struct Report {
     /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
     pub inliers: f64,
     /// Directions that nothing observed and damping held still, in the last step.
-    pub weak_directions: usize,
+    pub unobserved_directions: usize,
     /// How well the result fits.
     pub quality: Quality,
     /// Vertices whose colour the scan shows, of those of the template; `None` without colours.
     pub colors_observed: Option<usize>,
+    /// Share of the template's part of a baked texture that the scan shows; `None` if none was baked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub texture_seen: Option<f64>,
     /// Probability that the result is wrong, what speaks for it, and what both rest on.
     #[serde(flatten)]
     pub reliability: Reliability,
@@ -177,9 +181,10 @@ impl Report {
             scan_facing: result.scan_facing,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
-            weak_directions: result.weak_directions,
+            unobserved_directions: result.unobserved_directions,
             quality,
             colors_observed: None,
+            texture_seen: None,
             reliability,
             weights: result.weights.clone(),
             history: result.history.clone(),

@@ -1,14 +1,19 @@
-//! The schedule of a registration: levels from stiff to soft. Schedules are data, TOML files; the defaults are in
-//! `schedules/`, one for each model.
+//! The schedule of a registration: levels from stiff to soft. Schedules are data, TOML files; each model brings its
+//! default.
+
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{ModelKind, ScanFlip, StartOptions};
+use super::StartOptions;
+use crate::correspondence::{Acceptance, ScanOptions};
+use crate::energy::{Options, OptionsError, nearest_key};
 use crate::mesh::PoseKind;
-use crate::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
+use crate::model::{ModelFactory, ModelKind};
 use crate::nlls::{Kernel, LinearSolverKind};
-use crate::rig::Family;
+use crate::rig::{Family, Shape};
+use crate::term::TermFactory;
 use crate::text;
 
 /// Everything that steers a registration.
@@ -29,27 +34,18 @@ pub struct Schedule {
     pub reference_size: f64,
     /// Number of template vertices that the weights below are meant for.
     pub reference_vertices: f64,
-    /// The deformation graph; only models with one read it.
+    /// What the model is told, as its own documentation has it: `GraphOptions` and the like of [`model`](crate::model).
     #[serde(default)]
-    pub graph: GraphOptions,
-    /// The smoothness of free vertices; only they read it.
-    #[serde(default)]
-    pub smooth: SmoothOptions,
-    /// How as-rigid-as-possible surfaces are solved; only they read it.
-    #[serde(default)]
-    pub arap: RigidityOptions,
-    /// Per-vertex affine maps; only the model of that name reads it.
-    #[serde(default)]
-    pub affine: AffineOptions,
+    pub model: Options,
+    /// What data terms are told, by name: [`SeamOptions`](crate::term::SeamOptions).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub terms: BTreeMap<String, Options>,
     /// What of the scan is believed.
     #[serde(default)]
     pub scan: ScanOptions,
     /// How the energy is minimised.
     #[serde(default)]
     pub solver: SolverOptions,
-    /// Where sheets of the template touch without being joined, as lips do.
-    #[serde(default)]
-    pub seam: SeamOptions,
     /// When a level ends before its last step.
     #[serde(default)]
     pub stop: StopOptions,
@@ -76,10 +72,7 @@ pub struct Schedule {
 #[serde(deny_unknown_fields)]
 pub struct Stage {
     /// The model; one without blendshapes, for these have had their turn.
-    pub model: ModelKind,
-    /// The deformation graph; only models with one read it.
-    #[serde(default)]
-    pub graph: GraphOptions,
+    pub model: StageModel,
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
@@ -88,107 +81,14 @@ pub struct Stage {
     pub then: Option<Box<Stage>>,
 }
 
-/// How the deformation graph is made.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GraphOptions {
-    /// Number of nodes.
-    pub nodes: usize,
-    /// Nodes that move each vertex, `K`.
-    pub influences: usize,
-    /// How distances are measured.
-    pub distance: GraphDistance,
-    /// How a node moves.
-    pub node: NodeKind,
-    /// What the rotation of a rigid node is parametrised by.
-    pub rotation: RotationKind,
-    /// Stiffness below which the graph does not fall where the scan shows nothing, in the unit of
-    /// [`lambda_graph`](Level::lambda_graph): an edge of (7) counts `(lambda_unseen / lambda_graph)^u` times where that is more
-    /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
-    /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
-    pub lambda_unseen: f64,
-}
-
-impl Default for GraphOptions {
-    fn default() -> Self {
-        Self {
-            nodes: 400,
-            influences: 4,
-            distance: GraphDistance::Surface,
-            node: NodeKind::Rigid,
-            rotation: RotationKind::Matrix,
-            lambda_unseen: 0.0,
-        }
-    }
-}
-
-impl GraphOptions {
-    /// For affine nodes, `nodes` saying whose; `prefix` is where the options stand in the file.
-    pub(super) fn require_no_rotation(&self, prefix: &str, nodes: &'static str) -> Result<(), ScheduleError> {
-        if self.rotation == RotationKind::Matrix {
-            return Ok(());
-        }
-        Err(ScheduleError::Rotation { field: format!("{prefix}graph.rotation"), nodes })
-    }
-}
-
-/// How per-vertex affine maps differ at a cost.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct AffineOptions {
-    /// `gamma` of Amberg et al. 2007: weight of differences of translation against those of the linear parts, both as
-    /// displacements at the template's root-mean-square size.
-    pub gamma: f64,
-}
-
-impl Default for AffineOptions {
-    fn default() -> Self {
-        Self { gamma: 1.0 }
-    }
-}
-
-/// Distance between nodes and vertices.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum GraphDistance {
-    /// Along the surface's edges: the two lips touch in space without sharing nodes.
-    Surface,
-    /// Through space.
-    Euclidean,
-}
-
-/// The motion of a node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NodeKind {
-    /// Rotation and translation (Klimov 2020).
-    Rigid,
-    /// Any affine map, kept near the rotations by `lambda_rotation` (Sumner et al. 2007).
-    Affine,
-}
-
-/// The parametrisation of a rigid node's rotation. An affine node has none: to name another than the default for it is an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RotationKind {
-    /// A 3 x 3 matrix with steps from the left, `R <- exp(omega^) R`: [`RigidMotion`](crate::model::RigidMotion).
-    #[default]
-    Matrix,
-    /// A unit quaternion with the same steps: [`QuaternionMotion`](crate::model::QuaternionMotion).
-    Quaternion,
-    /// The rotation vector itself, `R = exp(r^)`, `r <- r + delta`; for turns well below `2 pi`:
-    /// [`AngleAxisMotion`](crate::model::AngleAxisMotion).
-    AngleAxis,
-}
-
-/// The smoothness of free vertices.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SmoothOptions {
-    /// Which derivative of the displacements costs: `laplacian` (default) or `bilaplacian`.
-    pub kind: Smoothness,
-    /// How edges weigh: `uniform` (default) or `cotangent`.
-    pub weights: EdgeWeights,
+/// `[then.model]`: the model's name, and what it is told.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageModel {
+    /// Its name.
+    pub name: ModelKind,
+    /// Its options.
+    #[serde(flatten)]
+    pub options: Options,
 }
 
 /// How a registration runs that goes on from another one's end ([`WarmStart`](super::WarmStart)).
@@ -207,14 +107,6 @@ impl Default for WarmStartOptions {
     }
 }
 
-/// How as-rigid-as-possible surfaces are solved.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RigidityOptions {
-    /// `local_global` (default) or `joint`.
-    pub solver: ArapSolver,
-}
-
 /// How the energy of each set of correspondences is minimised: by one step, which never raises it. Steps that would are
 /// shortened and tried again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -225,9 +117,6 @@ pub struct SolverOptions {
     /// What solves the normal equations: `auto` (default, [by size](crate::nlls::linear::choose)), `dense`, `bordered` or
     /// `block_jacobi`.
     pub linear_solver: LinearSolverKind,
-    /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding, for models made of nodes
-    /// and blendshapes. An error for others.
-    pub linearisation: Linearisation,
 }
 
 /// Which step is taken, with the settings of [`nlls`](crate::nlls::Options).
@@ -242,45 +131,6 @@ pub enum StepAlgorithm {
     LevenbergMarquardt,
     /// A step within a trust region, whose radius carries on and starts anew as the damping does.
     Dogleg,
-}
-
-/// What of the scan is believed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ScanOptions {
-    /// Rounds of averaging of the scan's vertex normals with their neighbours'.
-    pub normal_smoothing: usize,
-    /// Whether the scan is turned over first: `auto` (default), `yes` or `no`.
-    pub flip: ScanFlip,
-    /// Reject correspondences on the scan's open boundary.
-    pub reject_boundary: bool,
-    /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
-    /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
-    /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
-    pub template_rim: f64,
-}
-
-impl Default for ScanOptions {
-    fn default() -> Self {
-        Self { normal_smoothing: 2, flip: ScanFlip::Auto, reject_boundary: true, template_rim: 0.0 }
-    }
-}
-
-/// Seams of the template, which close where the scan spans them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SeamOptions {
-    /// Vertices of the rest shape that lie nearer than this, but far apart along the surface, form a seam, millimetres; zero
-    /// for no seams.
-    pub width: f64,
-    /// Gaps wider than this are open, millimetres.
-    pub widest: f64,
-}
-
-impl Default for SeamOptions {
-    fn default() -> Self {
-        Self { width: 2.0, widest: 6.0 }
-    }
 }
 
 /// When a level ends early.
@@ -307,8 +157,14 @@ pub struct SigmaOptions {
     pub expression: f64,
     /// Identity modes, scaled to standard deviation one by the rig.
     pub identity: f64,
+    /// How far beyond 0 and 1 the weight of an expression lies that is meant to lie between: one with a name of ARKit's
+    /// ([`Shape::from_zero_to_one`](crate::rig::Shape::from_zero_to_one)). Nothing unless stated.
+    ///
+    /// Without it, expressions of both signs explain how a person differs from the rig.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beyond: Option<f64>,
     /// `sigma_0` of a landmark that states none, millimetres. One that states `sigma` counts `(sigma_0 / sigma)^2` times the
-    /// [level's weight](Level::landmarks) and, next to the others, as much in the start.
+    /// [level's weight](crate::term::LandmarkLevel) and, next to the others, as much in the start.
     ///
     /// A constant and not, say, the median of what a file states, so that landmarks that are all vague hold the template less
     /// against the scan, and one more landmark does not change what the others count.
@@ -317,7 +173,7 @@ pub struct SigmaOptions {
 
 impl Default for SigmaOptions {
     fn default() -> Self {
-        Self { expression: 1.0, identity: 1.0, landmark: 1.0 }
+        Self { expression: 1.0, identity: 1.0, beyond: None, landmark: 1.0 }
     }
 }
 
@@ -329,6 +185,12 @@ impl SigmaOptions {
             Family::Identity => self.identity,
             Family::Expression | Family::Other => self.expression,
         }
+    }
+
+    /// `sigma_beyond` of a shape, infinite for none.
+    #[must_use]
+    pub fn beyond(&self, shape: &Shape) -> f64 {
+        self.beyond.filter(|_| shape.from_zero_to_one()).unwrap_or(f64::INFINITY)
     }
 }
 
@@ -367,60 +229,27 @@ impl BoundsOptions {
 }
 
 /// One level: a stiffness, a kernel scale, and what counts as a correspondence.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Level {
     /// Steps of the solver at most, each with new correspondences.
     pub steps: usize,
-    /// `lambda_graph` of (7), per directed edge.
-    #[serde(default)]
-    pub lambda_graph: f64,
-    /// `lambda_blend` of (5), per shape.
-    #[serde(default)]
-    pub lambda_blend: f64,
-    /// `lambda_smooth` of the models with one regulariser: free vertices, ARAP, per-vertex affine.
-    #[serde(default)]
-    pub lambda_smooth: f64,
-    /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph` and the square of a node's reach
-    /// ([`NodeGraph::squared_reach`](crate::model::NodeGraph::squared_reach)): dimensionless, and a ratio to (7), so that
-    /// softening `lambda_graph` softens both.
-    #[serde(default)]
-    pub lambda_rotation: f64,
-    /// Weight of point-to-plane (3) per accepted vertex.
-    #[serde(default = "one")]
-    pub point_to_plane: f64,
-    /// Weight of symmetric point-to-plane (Rusinkiewicz 2019) per accepted vertex.
-    #[serde(default)]
-    pub symmetric: f64,
-    /// Weight of scan points towards the template, for as many of them as the template has vertices.
-    #[serde(default)]
-    pub scan_to_template: f64,
-    /// Weight of point-to-point (2), towards the closest point of the scan's surface, per accepted vertex.
-    #[serde(default)]
-    pub point_to_point: f64,
-    /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it [states](SigmaOptions::landmark) sigma.
-    #[serde(default)]
-    pub landmarks: f64,
-    /// Robust kernel of landmarks, scale in millimetres: one that is wrong by much pulls no more than one at the scale.
-    #[serde(default)]
-    pub landmark_kernel: Kernel,
-    /// Weight, per vertex without an accepted correspondence, of staying where the blendshapes in one rigid pose predict it. For
-    /// subjects that are rigid as a whole, if at all: a limb that moves is torn off.
-    /// [`lambda_unseen`](GraphOptions::lambda_unseen) holds to the form instead.
-    #[serde(default)]
-    pub prediction: f64,
-    /// Weight, per vertex of a seam that the scan spans, of closing it.
-    #[serde(default)]
-    pub seam: f64,
+    /// Longest correspondence, millimetres.
+    pub distance_cap: f64,
+    /// Largest angle between the normals of a correspondence, degrees.
+    pub normal_angle: f64,
     /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
     pub kernel: Kernel,
     /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
     #[serde(default)]
     pub scale: KernelScale,
-    /// Longest correspondence, millimetres.
-    pub distance_cap: f64,
-    /// Largest angle between the normals of a correspondence, degrees.
-    pub normal_angle: f64,
+    /// How stiff the model is, as its own documentation has it: `HybridLevel` and the like of [`model`](crate::model).
+    #[serde(default)]
+    pub model: Options,
+    /// Weights of data terms by name ([`term`](crate::term)): `terms.landmarks = { weight = 0.5 }`. Without any,
+    /// `point_to_plane` has weight 1 and the others 0.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub terms: BTreeMap<String, Options>,
 }
 
 /// One step of point-to-plane without a kernel, up to 5 mm and 60 degrees, and no regulariser.
@@ -428,38 +257,46 @@ impl Default for Level {
     fn default() -> Self {
         Self {
             steps: 1,
-            lambda_graph: 0.0,
-            lambda_blend: 0.0,
-            lambda_smooth: 0.0,
-            lambda_rotation: 0.0,
-            point_to_plane: 1.0,
-            symmetric: 0.0,
-            scan_to_template: 0.0,
-            point_to_point: 0.0,
-            landmarks: 0.0,
-            prediction: 0.0,
-            seam: 0.0,
-            kernel: Kernel::None,
-            landmark_kernel: Kernel::None,
-            scale: KernelScale::Fixed,
             distance_cap: 5.0,
             normal_angle: 60.0,
+            kernel: Kernel::None,
+            scale: KernelScale::Fixed,
+            model: Options::new(),
+            terms: BTreeMap::new(),
         }
     }
 }
 
 impl Level {
-    /// The level with its lengths times `unit` (and energies times its square).
+    /// The level with an option of the model set.
     #[must_use]
-    pub fn scaled(&self, unit: f64) -> Self {
-        let scaled = |kernel: Kernel| kernel.scale().map_or(kernel, |s| kernel.with_scale(s * unit));
-        Self {
-            lambda_blend: self.lambda_blend * unit * unit,
-            kernel: if self.scale == KernelScale::Fixed { scaled(self.kernel) } else { self.kernel },
-            landmark_kernel: scaled(self.landmark_kernel),
-            distance_cap: self.distance_cap * unit,
-            ..*self
-        }
+    pub fn with_model(mut self, key: &str, value: f64) -> Self {
+        self.model.set(key, value);
+        self
+    }
+
+    /// The level with the weight of a term set.
+    #[must_use]
+    pub fn with_term(mut self, term: &str, weight: f64) -> Self {
+        self.set_term(term, weight);
+        self
+    }
+
+    /// The weight of a term, where it is stated.
+    #[must_use]
+    pub fn term(&self, term: &str) -> Option<f64> {
+        self.terms.get(term)?.number("weight")
+    }
+
+    /// Sets the weight of a term.
+    pub fn set_term(&mut self, term: &str, weight: f64) {
+        self.terms.entry(term.to_owned()).or_default().set("weight", weight);
+    }
+
+    /// What a pair must keep to be accepted, for a model whose length of a millimetre is `unit`.
+    #[must_use]
+    pub fn acceptance(&self, unit: f64) -> Acceptance {
+        Acceptance { distance: self.distance_cap * unit, angle: self.normal_angle }
     }
 }
 
@@ -472,42 +309,55 @@ pub enum KernelScale {
     Fixed,
     /// Robust standard deviations of the residuals ([`mad_scale`](crate::nlls::mad_scale)), found anew at each step from the distances of
     /// the accepted vertices to their planes: `{ tukey = { delta = 4.685 } }` keeps 95 % of the efficiency of plain least squares
-    /// on Gaussian noise of any size. [`landmark_kernel`](Level::landmark_kernel) stays in millimetres.
+    /// on Gaussian noise of any size. The kernel of [landmarks](crate::term::LandmarkLevel) stays in millimetres.
     Mad,
 }
 
 /// Keys that schedules had, and what stands for them.
-const FORMER_KEYS: [(&str, &str); 2] = [
+const FORMER_KEYS: [(&str, &str); 19] = [
     ("point_kernel", "`kernel` is that of every data term; leave this key out"),
     (
         "test_vertices",
         "`point_to_point` goes to the closest point of the surface, which needs no test; leave this key out",
     ),
+    ("lambda_graph", "options of the model stand together: model = { lambda_graph = 1.0 }"),
+    ("lambda_blend", "options of the model stand together: model = { lambda_blend = 1.0 }"),
+    ("lambda_smooth", "options of the model stand together: model = { lambda_smooth = 1.0 }"),
+    ("lambda_rotation", "options of the model stand together: model = { lambda_rotation = 1.0 }"),
+    ("point_to_plane", "data terms have tables of their own: terms.point_to_plane = { weight = 1.0 }"),
+    ("point_to_point", "data terms have tables of their own: terms.point_to_point = { weight = 1.0 }"),
+    ("symmetric", "data terms have tables of their own: terms.symmetric = { weight = 1.0 }"),
+    ("scan_to_template", "data terms have tables of their own: terms.scan_to_template = { weight = 1.0 }"),
+    ("landmarks", "data terms have tables of their own: terms.landmarks = { weight = 1.0 }"),
+    (
+        "landmark_kernel",
+        "it belongs to the landmarks: terms.landmarks = { weight = 1.0, kernel = { huber = { delta = 3.0 } } }",
+    ),
+    ("prediction", "data terms have tables of their own: terms.prediction = { weight = 1.0 }"),
+    ("seam", "data terms have tables of their own: [terms.seam], and in a level terms.seam = { weight = 0.3 }"),
+    ("graph", "options of the model stand in [model], in later stages in [then.model]"),
+    ("smooth", "options of the model stand in [model], in later stages in [then.model]"),
+    ("arap", "options of the model stand in [model], in later stages in [then.model]"),
+    ("affine", "options of the model stand in [model], in later stages in [then.model]"),
+    ("linearisation", "it is an option of the model now: [model] linearisation = \"reference\""),
 ];
 
 /// What is wrong with a text, and what to write instead of an unknown key.
 fn syntax_error(error: &toml::de::Error) -> ScheduleError {
     let mut message = error.to_string().trim_end().to_owned();
-    // "unknown field `stepps`, expected one of `steps`, `lambda_graph`": every second piece is a name.
-    let names: Vec<&str> = error.message().split('`').skip(1).step_by(2).collect();
-    if let (true, [key, known @ ..]) = (error.message().starts_with("unknown field"), &names[..]) {
-        match FORMER_KEYS.iter().find(|(former, _)| former == key) {
-            Some((_, advice)) => message += &format!("\n{advice}"),
-            None => {
-                message += &text::most_similar(key, known.iter().copied())
-                    .map_or(String::new(), |k| format!("\ndid you mean `{k}`?"))
-            }
-        }
+    let unknown = error.message().strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
+    if let Some((_, advice)) = FORMER_KEYS.iter().find(|(former, _)| Some(*former) == unknown) {
+        message += &format!("\n{advice}");
+    } else if error.message().contains("expected struct StageModel") {
+        message += "\na later stage's model is a table: [then.model] name = \"graph\", and its options beside";
+    } else if let Some(key) = nearest_key(error.message()) {
+        message += &format!("\ndid you mean `{key}`?");
     }
     ScheduleError::Syntax(message)
 }
 
 /// Greatest count that a schedule may ask for.
 const MOST: usize = 1_000_000;
-
-fn one() -> f64 {
-    1.0
-}
 
 /// Why a schedule cannot be used.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -535,6 +385,14 @@ pub enum ScheduleError {
         /// The upper bound.
         upper: f64,
     },
+    /// A table of options that its model or term does not take.
+    #[error("{}", in_table(place, error))]
+    Options {
+        /// Which table: `model`, `level 2: terms.landmarks`, `then.level 1: model`.
+        place: String,
+        /// What is wrong with it.
+        error: OptionsError,
+    },
     /// A kernel's scale out of bounds.
     #[error("{level}: {reason}")]
     Kernel {
@@ -542,6 +400,16 @@ pub enum ScheduleError {
         level: String,
         /// Field, value and bound.
         reason: String,
+    },
+    /// Options of a term that there is not.
+    #[error("{place}.{name}: there is no such data term; known: {known}")]
+    UnknownTerm {
+        /// Where, as in the file.
+        place: String,
+        /// The name.
+        name: String,
+        /// Names that there are, and the nearest.
+        known: String,
     },
     /// No levels.
     #[error("the schedule has no [[{0}]]")]
@@ -557,53 +425,44 @@ pub enum ScheduleError {
         /// What was given.
         model: ModelKind,
     },
-    /// An affine node has no rotation to parametrise.
-    #[error(
-        "{field} is not \"matrix\", but {nodes} nodes are affine and have no rotation; leave it out, or let nodes be rigid"
-    )]
-    Rotation {
-        /// Where, as in the file.
-        field: String,
-        /// Whose.
-        nodes: &'static str,
-    },
-    /// A model with one linearisation only.
-    #[error(
-        "solver.linearisation = \"reference\", but model '{model}' has only one linearisation; leave it out, or choose a model made \
-         of nodes and blendshapes, such as 'hybrid'"
-    )]
-    Linearisation {
-        /// The model.
-        model: String,
-    },
     /// A sequence of one.
     #[error(
         "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
     )]
     NoSecondStage,
-    /// No default for this model.
-    #[error("no default schedule for model '{0}'; known: {known}", known = super::DEFAULT_SCHEDULES.iter().map(|s| s.0).collect::<Vec<_>>().join(", "))]
-    UnknownModel(String),
+}
+
+fn in_table(place: &str, error: &OptionsError) -> String {
+    match error {
+        OptionsError::OutOfBounds { .. } | OptionsError::Conflict { .. } => format!("{place}.{error}"),
+        _ => format!("{place}: {error}"),
+    }
 }
 
 impl Schedule {
     /// The default schedule of a model.
-    pub fn default_for(model: &str) -> Result<Self, ScheduleError> {
-        let (_, text) = super::DEFAULT_SCHEDULES
-            .iter()
-            .find(|s| s.0 == model)
-            .ok_or_else(|| ScheduleError::UnknownModel(model.to_owned()))?;
-        Self::from_toml(text)
+    ///
+    /// # Errors
+    /// When that is no schedule, which those of the crate are.
+    pub fn default_for(model: &(impl ModelFactory + ?Sized)) -> Result<Self, ScheduleError> {
+        Self::from_toml(model.default_schedule())
     }
 
-    /// Reads and validates a schedule. The error quotes the line of an unknown key or a malformed value.
+    /// Reads and validates a schedule, all but what belongs to models and terms. The error quotes the line of an unknown key or a
+    /// malformed value.
+    ///
+    /// # Errors
+    /// With the first thing that is wrong.
     pub fn from_toml(text: &str) -> Result<Self, ScheduleError> {
         let schedule: Self = toml::from_str(text).map_err(|e| syntax_error(&e))?;
         schedule.validate()?;
         Ok(schedule)
     }
 
-    /// Checks every number against its bounds.
+    /// Checks every number against its bounds, all but those that belong to models and terms.
+    ///
+    /// # Errors
+    /// With the first that is out of bounds.
     pub fn validate(&self) -> Result<(), ScheduleError> {
         let positive = |field: String, value: f64| check(field, value, value > 0.0, "positive and finite");
         let not_negative =
@@ -612,21 +471,12 @@ impl Schedule {
         let count = |field: String, value: usize| check(field, value as f64, value <= MOST, "at most 1000000");
         positive("reference_size".into(), self.reference_size)?;
         positive("reference_vertices".into(), self.reference_vertices)?;
-        for (prefix, graph, levels) in self.stages() {
+        for (prefix, levels) in self.stages() {
             if levels.is_empty() {
                 return Err(ScheduleError::NoLevels(format!("{prefix}level")));
             }
-            positive(format!("{prefix}graph.nodes"), graph.nodes as f64)?;
-            positive(format!("{prefix}graph.influences"), graph.influences as f64)?;
-            not_negative(format!("{prefix}graph.lambda_unseen"), graph.lambda_unseen)?;
-            count(format!("{prefix}graph.nodes"), graph.nodes)?;
-            count(format!("{prefix}graph.influences"), graph.influences)?;
-            if graph.node == NodeKind::Affine {
-                graph.require_no_rotation(&prefix, "these")?;
-            }
         }
         positive("warm_start.steps".into(), self.warm_start.steps as f64)?;
-        positive("affine.gamma".into(), self.affine.gamma)?;
         positive("search.rotations".into(), self.search.rotations as f64)?;
         positive("search.spacing".into(), self.search.spacing)?;
         positive("search.coarse".into(), self.search.coarse as f64)?;
@@ -642,33 +492,22 @@ impl Schedule {
         count("scan.normal_smoothing".into(), self.scan.normal_smoothing)?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
-        not_negative("seam.width".into(), self.seam.width)?;
-        not_negative("seam.widest".into(), self.seam.widest)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
         not_negative("stop.motion".into(), self.stop.motion)?;
         positive("sigma.expression".into(), self.sigma.expression)?;
         positive("sigma.identity".into(), self.sigma.identity)?;
         positive("sigma.landmark".into(), self.sigma.landmark)?;
+        positive("sigma.beyond".into(), self.sigma.beyond.unwrap_or(1.0))?;
         BoundsOptions::validate("bounds.expression", self.bounds.expression)?;
         BoundsOptions::validate("bounds.identity", self.bounds.identity)?;
         for (place, level) in self.levels_by_name() {
             let name = |field: &str| format!("{place}: {field}");
             positive(name("steps"), level.steps as f64)?;
             count(name("steps"), level.steps)?;
-            not_negative(name("lambda_graph"), level.lambda_graph)?;
-            not_negative(name("lambda_blend"), level.lambda_blend)?;
-            not_negative(name("lambda_smooth"), level.lambda_smooth)?;
-            not_negative(name("lambda_rotation"), level.lambda_rotation)?;
-            not_negative(name("point_to_plane"), level.point_to_plane)?;
-            not_negative(name("symmetric"), level.symmetric)?;
-            not_negative(name("scan_to_template"), level.scan_to_template)?;
-            not_negative(name("point_to_point"), level.point_to_point)?;
-            not_negative(name("landmarks"), level.landmarks)?;
-            not_negative(name("prediction"), level.prediction)?;
-            not_negative(name("seam"), level.seam)?;
-            for kernel in [level.kernel, level.landmark_kernel] {
-                kernel.validate().map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
-            }
+            level
+                .kernel
+                .validate()
+                .map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
             positive(name("distance_cap"), level.distance_cap)?;
             check(
                 name("normal_angle"),
@@ -678,43 +517,114 @@ impl Schedule {
             )?;
         }
         for (k, stage) in self.later_stages().enumerate() {
-            if stage.model.uses_shapes() {
-                return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model: stage.model });
-            }
-            if stage.model == ModelKind::Sumner {
-                stage.graph.require_no_rotation(&"then.".repeat(k + 1), "Sumner's")?;
-            }
-            if self.solver.linearisation == Linearisation::Reference && !stage.model.is_assembled() {
-                return Err(ScheduleError::Linearisation { model: stage.model.to_string() });
+            let model = stage.model.name;
+            if model.uses_shapes() {
+                return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model });
             }
         }
         Ok(())
     }
 
+    /// The schedule with all that `model`, the models of later stages, and `terms` are told, checked by them and their defaults
+    /// filled in.
+    ///
+    /// # Errors
+    /// With the first thing that is wrong.
+    pub fn resolved(&self, model: &dyn ModelFactory, terms: &[&dyn TermFactory]) -> Result<Self, ScheduleError> {
+        self.validate()?;
+        if model.needs_second_stage() && self.then.is_none() {
+            return Err(ScheduleError::NoSecondStage);
+        }
+        let place = |error, place: String| ScheduleError::Options { place, error };
+        let mut resolved = self.clone();
+        resolved.model = model.options(&self.model).map_err(|e| place(e, "model".into()))?;
+        for term in terms {
+            let given = self.terms.get(term.name()).cloned().unwrap_or_default();
+            let options = term.options(&given).map_err(|e| place(e, format!("terms.{}", term.name())))?;
+            resolved.terms.insert(term.name().to_owned(), options);
+        }
+        known_terms(&self.terms, "terms", terms)?;
+        resolved.terms.retain(|_, options| !options.is_empty());
+        resolve_levels(&mut resolved.levels, "", model, terms)?;
+        let (mut stage, mut prefix) = (resolved.then.as_deref_mut(), String::from("then."));
+        while let Some(next) = stage {
+            let StageModel { name, options } = &mut next.model;
+            *options = name.options(options).map_err(|e| place(e, format!("{prefix}model")))?;
+            resolve_levels(&mut next.levels, &prefix, name, terms)?;
+            prefix += "then.";
+            stage = next.then.as_deref_mut();
+        }
+        Ok(resolved)
+    }
+
     /// The next stage's model, and the schedule as if that stage were the first.
     #[must_use]
     pub fn next_stage(&self) -> Option<(ModelKind, Self)> {
-        let Stage { model, graph, levels, then } = self.then.as_deref()?.clone();
-        Some((model, Self { graph, levels, then, ..self.clone() }))
+        let Stage { model, levels, then } = self.then.as_deref()?.clone();
+        Some((model.name, Self { model: model.options, levels, then, ..self.clone() }))
     }
 
     /// Levels of all stages, with the names that messages give them: `level 1`, `then.level 2`.
     pub fn levels_by_name(&self) -> impl Iterator<Item = (String, &Level)> {
-        self.stages().flat_map(|(prefix, _, levels)| {
+        self.stages().flat_map(|(prefix, levels)| {
             levels.iter().enumerate().map(move |(i, level)| (format!("{prefix}level {}", i + 1), level))
         })
     }
 
-    /// Graph options and levels of each stage, with where they stand in the file: nowhere, `then.`, `then.then.`.
-    fn stages(&self) -> impl Iterator<Item = (String, &GraphOptions, &[Level])> {
-        let first = std::iter::once((&self.graph, &self.levels));
-        let all = first.chain(self.later_stages().map(|stage| (&stage.graph, &stage.levels)));
-        all.enumerate().map(|(k, (graph, levels))| ("then.".repeat(k), graph, levels.as_slice()))
+    /// Levels of each stage, with where they stand in the file: nowhere, `then.`, `then.then.`.
+    fn stages(&self) -> impl Iterator<Item = (String, &[Level])> {
+        let all = std::iter::once(&self.levels).chain(self.later_stages().map(|stage| &stage.levels));
+        all.enumerate().map(|(k, levels)| ("then.".repeat(k), levels.as_slice()))
     }
 
     fn later_stages(&self) -> impl Iterator<Item = &Stage> {
         std::iter::successors(self.then.as_deref(), |stage| stage.then.as_deref())
     }
+}
+
+impl ModelKind {
+    /// The model's default schedule.
+    ///
+    /// # Errors
+    /// None: the schedules of the crate can be read.
+    pub fn schedule(self) -> Result<Schedule, ScheduleError> {
+        Schedule::default_for(&self)
+    }
+}
+
+/// Fills in what the levels of a stage tell the model and the terms.
+fn resolve_levels(
+    levels: &mut [Level],
+    prefix: &str,
+    model: &dyn ModelFactory,
+    terms: &[&dyn TermFactory],
+) -> Result<(), ScheduleError> {
+    for (k, level) in levels.iter_mut().enumerate() {
+        let at = |what: &str| format!("{prefix}level {}: {what}", k + 1);
+        let options = model.level_options(&level.model);
+        level.model = options.map_err(|error| ScheduleError::Options { place: at("model"), error })?;
+        known_terms(&level.terms, &at("terms"), terms)?;
+        for term in terms {
+            let place = at(&format!("terms.{}", term.name()));
+            let given = level.terms.remove(term.name()).unwrap_or_default();
+            let options = term.level_options(&given).map_err(|error| ScheduleError::Options { place, error })?;
+            level.terms.insert(term.name().to_owned(), options);
+        }
+    }
+    Ok(())
+}
+
+/// Refuses options of terms that there are not.
+fn known_terms(
+    given: &BTreeMap<String, Options>,
+    place: &str,
+    terms: &[&dyn TermFactory],
+) -> Result<(), ScheduleError> {
+    let Some(name) = given.keys().find(|name| terms.iter().all(|t| t.name() != name.as_str())) else { return Ok(()) };
+    let nearest = text::most_similar(name, terms.iter().map(|t| t.name()));
+    let meant = nearest.map_or(String::new(), |n| format!("; did you mean `{n}`?"));
+    let known = terms.iter().map(|t| t.name()).collect::<Vec<_>>().join(", ") + &meant;
+    Err(ScheduleError::UnknownTerm { place: place.to_owned(), name: name.clone(), known })
 }
 
 fn check(field: String, value: f64, holds: bool, bound: &'static str) -> Result<(), ScheduleError> {
@@ -728,7 +638,7 @@ mod tests {
     #[test]
     fn an_unknown_key_is_answered_with_the_nearest_and_a_former_one_with_what_stands_for_it() {
         let with = |line: &str| {
-            let text = super::super::DEFAULT_SCHEDULES[0].1.replacen("steps = 5", &format!("steps = 5\n{line}"), 1);
+            let text = ModelKind::Hybrid.default_schedule().replacen("steps = 5", &format!("steps = 5\n{line}"), 1);
             Schedule::from_toml(&text).unwrap_err().to_string()
         };
         let message = with("distance_kap = 3.0");
@@ -736,5 +646,15 @@ mod tests {
         assert!(message.ends_with("did you mean `distance_cap`?"), "{message}");
         let message = with("point_kernel = \"none\"");
         assert!(message.contains("`kernel` is that of every data term"), "{message}");
+        let of_file = |text: &str| {
+            let head = "reference_size = 67.0\nreference_vertices = 6706\n";
+            Schedule::from_toml(&format!("{head}{text}")).unwrap_err().to_string()
+        };
+        for former in ["graph", "smooth", "arap", "affine"] {
+            let message = of_file(&format!("[{former}]\nnodes = 3\n"));
+            assert!(message.contains("stand in [model]"), "{message}");
+        }
+        let message = of_file("[then]\nmodel = \"arap\"\n");
+        assert!(message.contains("[then.model] name = "), "{message}");
     }
 }

@@ -22,19 +22,23 @@
 //! Whether the winner is right cannot be read off its loss alone: half a face has more than the back of a head. But on smooth
 //! things many poses are as good as the best. So a start is refused where its loss is high or a pose elsewhere comes close.
 
+mod landmarks;
+
 use std::borrow::Cow;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use self::landmarks::{deviation, landmark_pose};
 use super::surfels::{Frame, Lattice, Surfel, farthest_points, surfels};
 use super::{RegistrationError, ScanFlip};
+use crate::landmark::Landmark;
 use crate::mesh::adjacency::vertex_triangles;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::io::Landmark;
 use crate::mesh::normals::face_areas;
-use crate::mesh::{MeshError, Pose, PoseError, PoseKind, TriangleMesh, Vec3, closest_pose, weighted_closest_pose};
+use crate::mesh::{MeshError, Pose, PoseError, PoseKind, TriangleMesh, Vec3, closest_pose};
 use crate::rig::{Family, ShapeBasis};
 
 /// How a start is searched where fewer than three landmarks give it. Lengths as in [`Schedule`](super::Schedule).
@@ -124,7 +128,7 @@ pub struct LandmarkStart {
     pub rms: f64,
     /// Predicted root mean square error at the template's vertices, millimetres: from the covariance of the pose, where each
     /// landmark is off by its own deviation and by what people differ.
-    pub deviation: f64,
+    pub std_dev: f64,
     /// Landmarks that took no part, as they contradict all their neighbours; the farthest off first.
     pub suspects: Vec<SuspectLandmark>,
     /// Whether a search found a better pose than the landmarks alone, which it tries where they say little.
@@ -161,6 +165,24 @@ pub(super) struct StartInput<'a> {
     pub sigma: f64,
     /// Whether the scan may be, or is, inside out.
     pub flip: ScanFlip,
+    /// What ends the search.
+    pub cancel: Cancel<'a>,
+}
+
+/// A flag that another thread sets to end a search.
+#[derive(Clone, Copy)]
+pub(super) struct Cancel<'a>(pub Option<&'a AtomicBool>);
+
+impl Cancel<'_> {
+    fn is_set(self) -> bool {
+        self.0.is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
+
+    /// # Errors
+    /// [`RegistrationError::Cancelled`] once it is set.
+    pub(super) fn check(self) -> Result<(), RegistrationError> {
+        if self.is_set() { Err(RegistrationError::Cancelled) } else { Ok(()) }
+    }
 }
 
 /// Where a registration starts.
@@ -187,7 +209,10 @@ pub(super) fn find_start(
         Ok(found) => found,
         // On a line, they leave a turn open.
         Err(RegistrationError::Start(PoseError::Collinear(count))) => {
-            let (pose, search) = search_start(input, kind, options, None).map_err(|_| PoseError::Collinear(count))?;
+            let (pose, search) = search_start(input, kind, options, None).map_err(|e| match e {
+                RegistrationError::Cancelled => e,
+                _ => PoseError::Collinear(count).into(),
+            })?;
             return Ok(Start { pose, search: Some(search), by_landmarks: None });
         }
         Err(e) => return Err(e),
@@ -207,6 +232,7 @@ pub(super) fn find_start(
             }
             start.search = Some(search);
         }
+        input.cancel.check()?;
     }
     let away = |(p, l): &(Vec3, &Landmark)| (start.pose.apply(*p) - l.target).norm();
     let weight = |l: &Landmark| l.weight(start.pose.scale * input.sigma);
@@ -218,136 +244,12 @@ pub(super) fn find_start(
     };
     let searched = start.search.as_ref().is_some_and(|search| !search.given);
     start.by_landmarks =
-        Some(LandmarkStart { rms, deviation, suspects: suspects.iter().map(named).collect(), searched });
+        Some(LandmarkStart { rms, std_dev: deviation, suspects: suspects.iter().map(named).collect(), searched });
     Ok(start)
 }
 
-/// By how much a template differs from another person at a landmark, millimetres.
-const MISMATCH: f64 = 4.0;
 /// Deviation of a pose by landmarks above which it is searched as well, millimetres at the template's vertices.
 const VAGUE: f64 = 8.0;
-/// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
-const STRAY: f64 = 25.0;
-const STRAY_SLOPE: f64 = 0.25;
-const NEAREST: usize = 3;
-/// More than this share of the landmarks cannot be suspect: then nothing says which are right.
-const MOST_SUSPECTS: f64 = 0.25;
-/// Landmarks are mirrored if their mirror image fits so many times better, and they are off by so many millimetres.
-const MIRRORED: f64 = 2.0;
-const MIRRORED_RMS: f64 = 6.0;
-
-/// The pose by landmarks, and which of them took no part: their numbers and distances, the farthest first.
-fn landmark_pose(
-    input: &StartInput<'_>,
-    kind: PoseKind,
-    options: &StartOptions,
-) -> Result<(Pose, Vec<(usize, f64)>), RegistrationError> {
-    let all = input.landmarks;
-    let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
-        weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
-    };
-    let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
-        let free = fit(kept, PoseKind::Similarity, input.sigma)?;
-        let spread = spread(kept.iter().map(|&i| all[i].0)).max(f64::MIN_POSITIVE);
-        let doubt = MISMATCH * input.unit / (spread * (kept.len() as f64).sqrt());
-        let other_size = options.scale_sigma > 0.0 && free.scale.ln().abs() > OTHER_SIZE.max(3.0 * doubt);
-        if kind == PoseKind::Similarity {
-            return Ok(fit(kept, kind, free.scale * input.sigma)?);
-        }
-        if !(0.5..=2.0).contains(&free.scale) {
-            return Err(RegistrationError::Scale { scale: free.scale });
-        }
-        let kind = if other_size { PoseKind::Similarity } else { kind };
-        Ok(fit(kept, kind, input.sigma)?)
-    };
-    let mut kept: Vec<usize> = (0..all.len()).collect();
-    let mut pose = by_kind(&kept)?;
-    let mut suspects = Vec::new();
-    while let Some((i, _)) = stray(input, &kept, &pose) {
-        kept.retain(|k| *k != i);
-        suspects.push(i);
-        if suspects.len() as f64 > MOST_SUSPECTS * all.len() as f64 || kept.len() < 3 {
-            (kept, suspects) = ((0..all.len()).collect(), Vec::new());
-            pose = by_kind(&kept)?;
-            break;
-        }
-        pose = by_kind(&kept)?;
-    }
-    // Of the mirrored template, turned about: whatever the plane.
-    let rms = |pose: &Pose, sign: f64| {
-        let away = |&i: &usize| {
-            let p = Vec3::new(sign * all[i].0.x, all[i].0.y, all[i].0.z);
-            (pose.apply(p) - all[i].1.target).norm_squared()
-        };
-        (kept.iter().map(away).sum::<f64>() / kept.len() as f64).sqrt()
-    };
-    let mirrored = kept.iter().map(|&i| {
-        let p = all[i].0;
-        (Vec3::new(-p.x, p.y, p.z), all[i].1.target, all[i].1.weight(input.sigma))
-    });
-    if let (true, Ok(mirrored)) = (kept.len() > 3, weighted_closest_pose(mirrored, PoseKind::Similarity)) {
-        let (rms, reflected) = (rms(&pose, 1.0), rms(&mirrored, -1.0));
-        if rms > MIRRORED * reflected && rms > MIRRORED_RMS * input.unit * pose.scale {
-            return Err(RegistrationError::Mirrored { rms, reflected });
-        }
-    }
-    let mut found: Vec<(usize, f64)> =
-        suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
-    found.sort_by(|a, b| b.1.total_cmp(&a.1));
-    Ok((pose, found))
-}
-
-/// Root mean square distance of points from their middle.
-fn spread(points: impl Iterator<Item = Vec3> + Clone) -> f64 {
-    let count = points.clone().count().max(1) as f64;
-    let middle = points.clone().sum::<Vec3>() / count;
-    (points.map(|p| (p - middle).norm_squared()).sum::<f64>() / count).sqrt()
-}
-
-/// The landmark that differs most from its nearest ones, of those that differ too much. A jaw that opens moves all that is near.
-fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> Option<(usize, f64)> {
-    if kept.len() < 5 {
-        return None;
-    }
-    let unit = input.unit * pose.scale;
-    let way: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0)).collect();
-    let excess = |a: usize| {
-        let apart = |b: usize| (input.landmarks[kept[a]].0 - input.landmarks[kept[b]].0).norm();
-        let mut others: Vec<usize> = (0..kept.len()).filter(|&b| b != a).collect();
-        others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
-        let over = |&b: &usize| (way[a] - way[b]).norm() - STRAY_SLOPE * apart(b) * pose.scale;
-        let own = input.landmarks[kept[a]].1.sigma.unwrap_or(0.0);
-        others.iter().take(NEAREST).map(over).fold(f64::INFINITY, f64::min) - (STRAY * unit).max(4.0 * own)
-    };
-    let worst = (0..kept.len()).map(|a| (kept[a], excess(a))).filter(|w| w.1 > 0.0);
-    worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
-}
-
-/// Predicted root mean square error of a pose by landmarks at the template's vertices.
-fn deviation(input: &StartInput<'_>, landmarks: &[(Vec3, &Landmark)], pose: &Pose) -> f64 {
-    let jacobian = |p: Vec3| {
-        let arm = pose.rotation * (p - input.centre) * pose.scale;
-        let turn = -arm.cross_matrix();
-        let mut j = SMatrix::<f64, 3, 6>::zeros();
-        j.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
-        j
-    };
-    let scale = input.unit * pose.scale;
-    let mut information = SMatrix::<f64, 6, 6>::zeros();
-    for (p, l) in landmarks {
-        let j = jacobian(*p);
-        let own = l.sigma.unwrap_or(input.sigma * pose.scale);
-        information += j.tr_mul(&j) / (own * own + (MISMATCH * scale).powi(2));
-    }
-    let Some(covariance) = information.try_inverse() else { return f64::INFINITY };
-    let vertices = &input.template.positions;
-    let variance = |p: &Vec3| {
-        let j = jacobian(p + input.centre);
-        (j * covariance * j.transpose()).trace()
-    };
-    (vertices.iter().map(variance).sum::<f64>() / vertices.len().max(1) as f64).max(0.0).sqrt()
-}
 
 /// Sizes of the scan's surfels in the first look and in the end, millimetres.
 const COARSE_SURFEL: f64 = 8.0;
@@ -410,6 +312,7 @@ struct Problem<'a> {
     kind: PoseKind,
     /// Prior standard deviation of the scale's logarithm.
     scale_sigma: f64,
+    cancel: Cancel<'a>,
 }
 
 /// How surfels find each other.
@@ -544,7 +447,7 @@ impl Problem<'_> {
     /// Trimmed ICP until it moves less than `still`, for `steps` at most.
     fn descend(&self, pose: &mut Pose, how: Matching, steps: usize, still: f64) {
         for _ in 0..steps {
-            if self.step(pose, how).is_none_or(|moved| moved < still) {
+            if self.cancel.is_set() || self.step(pose, how).is_none_or(|moved| moved < still) {
                 break;
             }
         }
@@ -673,6 +576,8 @@ fn search_at(
     flipped: bool,
     given: Option<&Pose>,
 ) -> Result<(Pose, StartSearch), RegistrationError> {
+    let cancel = input.cancel;
+    cancel.check()?;
     let frame = Frame::principal(input.scan, input.unit * factor);
     let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
     let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
@@ -683,7 +588,10 @@ fn search_at(
         }
         surfels
     };
-    let (coarse, fine) = (of_scan(COARSE_SURFEL), of_scan(FINE_SURFEL));
+    let coarse = of_scan(COARSE_SURFEL);
+    cancel.check()?;
+    let fine = of_scan(FINE_SURFEL);
+    cancel.check()?;
     if even.is_empty() {
         return Err(RegistrationError::Template(NO_NORMALS.into()));
     }
@@ -709,7 +617,7 @@ fn search_at(
     let scales = kind == PoseKind::Similarity || options.scale_sigma > 0.0;
     let freest = if scales { PoseKind::Similarity } else { PoseKind::Rigid };
     let scale_sigma = if options.scale_sigma > 0.0 { options.scale_sigma } else { SCALE_SIGMA };
-    let mut problem = Problem { template, scan: &scan, landmarks: &landmarks, kind: freest, scale_sigma };
+    let mut problem = Problem { template, scan: &scan, landmarks: &landmarks, kind: freest, scale_sigma, cancel };
     let from = given.copied().unwrap_or_else(Pose::identity);
     let given = Pose {
         scale: from.scale / factor,
@@ -717,6 +625,7 @@ fn search_at(
         translation: frame.to_local(from.apply(input.centre)),
     };
     let (tried, poses) = look(&problem, &given, options);
+    cancel.check()?;
     let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
     let refined: Vec<Candidate> = poses
         .into_par_iter()
@@ -739,6 +648,7 @@ fn search_at(
             Candidate { fit: problem.fit(&c.pose, fine(options.reach)), ..c }
         })
         .collect();
+    cancel.check()?;
     let refined = ends.len();
     let ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
     let winner = ends[0];
@@ -813,6 +723,9 @@ impl Expressions {
     ) -> Result<Vec<(String, f64)>, RegistrationError> {
         let shapes = input.shapes.shapes();
         let fitted = |weights: &[f64], mut pose: Pose| {
+            if problem.cancel.is_set() {
+                return (f64::INFINITY, pose);
+            }
             let deformed = Problem { template: self.surfels(input, weights), ..*problem };
             let exact = |reach: f64| Matching { count: EXPRESSION, reach, exact: true };
             deformed.descend(&mut pose, Matching { count: EXPRESSION, reach: LOOK_REACH, exact: false }, 4, 0.05);
@@ -832,6 +745,7 @@ impl Expressions {
                     fitted(&tried, best.1)
                 })
                 .collect();
+            problem.cancel.check()?;
             let better = (0..ends.len()).min_by(|&a, &b| ends[a].0.total_cmp(&ends[b].0));
             let Some(i) = better.filter(|&i| ends[i].0 < (1.0 - EXPRESSION_GAIN) * best.0) else { break };
             weights[trials[i].0] = trials[i].1;
@@ -904,6 +818,9 @@ fn look(problem: &Problem<'_>, given: &Pose, options: &StartOptions) -> (usize, 
     let best: Vec<(usize, Vec<Candidate>)> = rotations(given, options.rotations)
         .into_par_iter()
         .map(|rotation| {
+            if problem.cancel.is_set() {
+                return (0, Vec::new());
+            }
             let all = poses(rotation);
             let tried = all.len();
             let better = sorted(all, GLANCE, LOOKED_AT).into_iter().map(|c| c.pose).collect();

@@ -126,27 +126,54 @@ pub struct Camera {
     projection: Projection,
 }
 
+/// Why a camera cannot be set up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the camera cannot be set up: {0}")]
+pub struct CameraError(pub(crate) &'static str);
+
 /// Share of the image that a frame fills; the rest is margin.
 const FILL: f64 = 0.92;
 /// A portrait lens: little distortion of the nose, still a sense of depth.
 const DEFAULT_FOV_DEGREES: f64 = 22.0;
 
 impl Camera {
-    /// A camera at `eye` that looks at `target` with `up` (approximately) upwards. Coinciding or parallel arguments fall back
-    /// to looking along -Z with Y up.
-    #[must_use]
-    pub fn look(eye: Vec3, target: Vec3, up: Vec3, projection: Projection) -> Self {
-        let back = (eye - target).try_normalize(1e-12).unwrap_or_else(Vec3::z);
-        let right =
-            [up, Vec3::y(), Vec3::z()].iter().find_map(|u| u.cross(&back).try_normalize(1e-9)).unwrap_or_else(Vec3::x);
-        Self { eye, right, up: back.cross(&right), back, projection }
+    /// A camera at `eye` that looks at `target` with `up` approximately upwards.
+    ///
+    /// # Errors
+    /// When arguments are not finite, `eye` is at `target`, `up` points along the view, or the angle or height is out of range.
+    pub fn look(eye: Vec3, target: Vec3, up: Vec3, projection: Projection) -> Result<Self, CameraError> {
+        if !(eye + target + up).iter().all(|c| c.is_finite()) {
+            return Err(CameraError("eye, target and up must be finite"));
+        }
+        match projection {
+            Projection::Perspective { vertical_fov } if !(vertical_fov > 0.0 && vertical_fov < 180.0) => {
+                return Err(CameraError("the vertical angle must be above 0 and below 180 degrees"));
+            }
+            Projection::Orthographic { height } if !(height > 0.0 && height.is_finite()) => {
+                return Err(CameraError("the height of an orthographic picture must be positive"));
+            }
+            _ => {}
+        }
+        let back = (eye - target).try_normalize(1e-12).ok_or(CameraError("eye and target coincide"))?;
+        let right = up.cross(&back).try_normalize(1e-9 * up.norm());
+        let right = right.ok_or(CameraError("up is zero or points along the view"))?;
+        Ok(Self { eye, right, up: back.cross(&right), back, projection })
+    }
+
+    /// A camera at the middle of `frame`, to be moved back until it sees all of it.
+    fn within(frame: &Frame, view: View, projection: Projection) -> Self {
+        let back = view.direction();
+        // From straight above or below, Z is as good as any direction to the top of the picture.
+        let right = [Vec3::y(), Vec3::z()].iter().find_map(|up| up.cross(&back).try_normalize(1e-9));
+        let right = right.unwrap_or_else(Vec3::x);
+        Self { eye: frame.centre, right, up: back.cross(&right), back, projection }
     }
 
     /// A perspective camera that shows all of `frame` in an image of `size` (width, height) pixels.
     #[must_use]
     pub fn framing(frame: &Frame, view: View, size: [u32; 2]) -> Self {
         let projection = Projection::Perspective { vertical_fov: DEFAULT_FOV_DEGREES };
-        let mut camera = Self::look(frame.centre + view.direction(), frame.centre, Vec3::y(), projection);
+        let mut camera = Self::within(frame, view, projection);
         let tangent = (DEFAULT_FOV_DEGREES.to_radians() / 2.0).tan() * FILL;
         let aspect = aspect(size);
         let distance = camera
@@ -161,7 +188,7 @@ impl Camera {
     #[must_use]
     pub fn framing_orthographic(frame: &Frame, view: View, size: [u32; 2]) -> Self {
         let unit = Projection::Orthographic { height: 1.0 };
-        let mut camera = Self::look(frame.centre + view.direction(), frame.centre, Vec3::y(), unit);
+        let mut camera = Self::within(frame, view, unit);
         let aspect = aspect(size);
         let half = camera.corners(frame).map(|[x, y, _]| y.abs().max(x.abs() / aspect)).fold(1e-9, f64::max);
         camera.projection = Projection::Orthographic { height: 2.0 * half / FILL };

@@ -31,7 +31,7 @@ mod text;
 
 pub use image::RgbImage;
 
-pub use camera::{Camera, Frame, Projection, View};
+pub use camera::{Camera, CameraError, Frame, Projection, View};
 pub use colour::{ColourMap, ColourScale, Rgb8};
 pub use png::{PictureError, encode_png, save_png};
 pub use raster::{RenderOptions, render, render_with};

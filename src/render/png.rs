@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
 
-use crate::mesh::io::{WriteError, write_atomically};
+use crate::io::{WriteError, write_atomically};
 
 /// Why a picture was not written.
 #[derive(Debug, thiserror::Error)]

@@ -13,6 +13,7 @@ use super::scene::{Points, Scene, Style, Surface, Wires};
 use super::{ColourScale, Rgb8};
 use crate::mesh::Vec3;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::srgb::{from_light, to_light};
 
 /// Quality and background of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -258,9 +259,7 @@ impl<'p, 'a> Band<'p, 'a> {
                     }
                 }
             }
-            for c in 0..3 {
-                pixel[c] = to_srgb(sum[c] * weight);
-            }
+            pixel.copy_from_slice(&from_light(sum.map(|c| f64::from(c * weight)).into()));
         }
     }
 
@@ -490,17 +489,9 @@ fn mix(under: Linear, over: Linear, opacity: f32) -> Linear {
     [0, 1, 2].map(|c| under[c] + (over[c] - under[c]) * opacity)
 }
 
+/// The light of a colour, in the 32 bits of the samples.
 fn to_linear(colour: Rgb8) -> Linear {
-    colour.map(|c| {
-        let c = f32::from(c) / 255.0;
-        if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-    })
-}
-
-fn to_srgb(c: f32) -> u8 {
-    let c = c.clamp(0.0, 1.0);
-    let c = if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
-    (c * 255.0 + 0.5) as u8
+    to_light(colour).map(|c| c as f32).into()
 }
 
 #[cfg(test)]
@@ -612,7 +603,7 @@ mod tests {
         assert_eq!(render(&scene, &camera(), SIZE), empty);
         assert_eq!(render(&scene, &camera(), [0, 7]).dimensions(), (0, 7));
         let inside =
-            Camera::look(Vec3::zeros(), Vec3::zeros(), Vec3::zeros(), Projection::Perspective { vertical_fov: 60.0 });
+            Camera::look(Vec3::zeros(), -Vec3::z(), Vec3::y(), Projection::Perspective { vertical_fov: 60.0 }).unwrap();
         let _ = render(&scene.mesh(&square(0.0, 1e9).triangulate(), Style::Clay), &inside, SIZE);
     }
 

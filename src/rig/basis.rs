@@ -11,6 +11,8 @@ use crate::mesh::Vec3;
 pub struct ShapeBasis {
     shapes: Vec<Shape>,
     sigmas: Vec<f64>,
+    /// Standard deviation of what lies beyond 0 and 1; infinite where nothing is said.
+    beyond: Vec<f64>,
     /// Of the weights, lower and upper; both empty for none.
     bounds: [Vec<f64>; 2],
     slab: Arc<Vec<f32>>,
@@ -32,13 +34,21 @@ impl ShapeBasis {
     #[must_use]
     pub fn new(shapes: Vec<Shape>, slab: Vec<f32>) -> Self {
         assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
-        Self { sigmas: vec![1.0; shapes.len()], bounds: Default::default(), shapes, slab: Arc::new(slab) }
+        let beyond = vec![f64::INFINITY; shapes.len()];
+        Self { sigmas: vec![1.0; shapes.len()], beyond, bounds: Default::default(), shapes, slab: Arc::new(slab) }
     }
 
     /// The same shapes with `sigma_k = sigma(shape k)`.
     #[must_use]
     pub fn with_sigmas(mut self, sigma: impl Fn(&Shape) -> f64) -> Self {
         self.sigmas = self.shapes.iter().map(sigma).collect();
+        self
+    }
+
+    /// The same shapes with a prior on how far weights lie outside 0 to 1, `sigma(shape k)` its standard deviation; infinite for none.
+    #[must_use]
+    pub fn with_beyond(mut self, sigma: impl Fn(&Shape) -> f64) -> Self {
+        self.beyond = self.shapes.iter().map(sigma).collect();
         self
     }
 
@@ -94,6 +104,19 @@ impl ShapeBasis {
     #[must_use]
     pub fn sigmas(&self) -> &[f64] {
         &self.sigmas
+    }
+
+    /// The prior of weight `k` at `w`: `(w / sigma)^2 + ((w - clamp(w, 0, 1)) / sigma_beyond)^2`, half its derivative, and half its
+    /// second derivative.
+    ///
+    /// # Panics
+    /// When there is no such shape.
+    #[must_use]
+    pub fn prior(&self, k: usize, w: f64) -> [f64; 3] {
+        let outside = w - w.clamp(0.0, 1.0);
+        let [own, beyond] = [self.sigmas[k], self.beyond[k]].map(|sigma| 1.0 / (sigma * sigma));
+        let beyond = if outside == 0.0 { 0.0 } else { beyond };
+        [own * w * w + beyond * outside * outside, own * w + beyond * outside, own + beyond]
     }
 
     /// Bounds `l` and `u` of the weights, if there are any.
@@ -152,4 +175,34 @@ fn dot(a: &[f32], b: &[f64]) -> f64 {
     }
     let pairs: [f64; 4] = std::array::from_fn(|l| sums[l] + sums[l + 4]);
     (pairs[0] + pairs[1]) + (pairs[2] + pairs[3])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::Family;
+
+    /// The prior's derivatives are those of differences, and names decide who is held between 0 and 1.
+    #[test]
+    fn expressions_pay_for_what_lies_beyond_zero_and_one() {
+        let shape = |name: &str, family| Shape { name: name.into(), family };
+        let shapes = vec![
+            shape("jawOpen", Family::Expression),
+            shape("jawOpen", Family::Identity),
+            shape("mode3", Family::Other),
+        ];
+        let basis = ShapeBasis::new(shapes, vec![0.0; 9])
+            .with_sigmas(|_| 2.0)
+            .with_beyond(|s| if s.from_zero_to_one() { 0.1 } else { f64::INFINITY });
+        for w in [-1.5, -0.2, 0.3, 0.9, 1.1, 4.0] {
+            for k in 0..3 {
+                let (h, [_, slope, curvature]) = (1e-4, basis.prior(k, w));
+                let [before, here, after] = [w - h, w, w + h].map(|w| basis.prior(k, w)[0]);
+                assert!((slope - (after - before) / (4.0 * h)).abs() < 1e-6, "{k} {w}");
+                assert!((curvature - (after - 2.0 * here + before) / (2.0 * h * h)).abs() < 1e-3, "{k} {w}");
+                let outside = if k == 0 { w - w.clamp(0.0, 1.0) } else { 0.0 };
+                assert!((here - (w * w / 4.0 + 100.0 * outside * outside)).abs() < 1e-9, "{k} {w}");
+            }
+        }
+    }
 }

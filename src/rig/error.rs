@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::Unlike;
-use crate::mesh::io::ReadError;
+use crate::io::ReadError;
 
 /// A rig cannot be read or used.
 #[derive(Debug, thiserror::Error)]

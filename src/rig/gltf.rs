@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{Family, Regions, Rig, RigError, RigWarning, Shape};
+use crate::io::{GltfMesh, Place, ReadError, WriteError, read_gltf, write_glb};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{GltfMesh, Place, ReadError, WriteError, read_gltf, write_glb};
 
 /// What a rig has beside its mesh and the differences of its shapes.
 #[derive(Debug, Default, Serialize, Deserialize)]

@@ -5,6 +5,7 @@
 //! 64-bit numbers that the solver reads. Identity modes come from a [`Population`] of meshes by [`ShapePca`]; [`Rig::transfer`] makes a
 //! personal rig, [`WeightFitter`] finds the weights of registered meshes. Stands on [`crate::mesh`] and [`crate::nlls`].
 
+mod arkit;
 mod basis;
 mod error;
 mod fit;
@@ -32,8 +33,9 @@ pub use transfer::{TransferError, TransferOptions};
 pub use write::RIG_FILES;
 
 use std::borrow::Cow;
+use std::path::Path;
 
-use crate::mesh::io::LARGEST_COORDINATE;
+use crate::io::{LARGEST_COORDINATE, Place, ReadError};
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 use crate::text::{self, LONGEST_NAME};
 
@@ -63,6 +65,14 @@ pub struct Shape {
     pub name: String,
     /// What it describes.
     pub family: Family,
+}
+
+impl Shape {
+    /// Whether its weight is meant to lie between 0 and 1: an expression with one of ARKit's names.
+    #[must_use]
+    pub fn from_zero_to_one(&self) -> bool {
+        self.family != Family::Identity && arkit::from_zero_to_one(&self.name)
+    }
 }
 
 /// A neutral mesh and the differences of shapes to it.
@@ -223,6 +233,32 @@ impl Rig {
     #[must_use]
     pub fn regions(&self) -> Option<&Regions> {
         self.regions.as_ref()
+    }
+
+    /// The same with landmarks, as vertex indices: the 68 of Multi-PIE/iBUG, in their order.
+    ///
+    /// # Errors
+    /// When one is no vertex.
+    pub fn with_landmarks(mut self, landmarks: Vec<u32>) -> Result<Self, RigError> {
+        if let Some(vertex) = landmarks.iter().find(|v| **v as usize >= self.neutral.len()) {
+            let expected = format!("vertex indices below {}", self.neutral.len());
+            return Err(ReadError::malformed(Path::new("landmarks"), Place::File, expected, vertex.to_string()).into());
+        }
+        self.landmarks = Some(landmarks);
+        Ok(self)
+    }
+
+    /// The same with named regions.
+    ///
+    /// # Errors
+    /// When they are those of another number of vertices.
+    pub fn with_regions(mut self, regions: Regions) -> Result<Self, RigError> {
+        let (found, expected) = (regions.vertex_count(), self.neutral.len());
+        if found != expected {
+            return Err(RigError::VertexCount { what: "the regions".into(), found, expected });
+        }
+        self.regions = Some(regions);
+        Ok(self)
     }
 
     /// Differences of shape `k` to the neutral, vertex by vertex, x y z: millimetres.

@@ -13,8 +13,8 @@
 use std::path::Path;
 
 use super::{Family, Regions, Rig, RigError, RigWarning, Shape};
+use crate::io::{Npz, NpzContents, Place, ReadError, WriteError};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{Npz, NpzContents, Place, ReadError, WriteError};
 
 impl Rig {
     /// Writes an `.npz` archive with the arrays above; shapes of no known family go with the expressions.

@@ -8,7 +8,7 @@ use faer::linalg::svd::{ComputeSvdVectors, SvdError, svd, svd_scratch};
 use faer::{MatMut, MatRef, Par};
 
 use super::{Family, Population, PopulationError, Rig, RigError, RigWarning, Shape};
-use crate::mesh::io::{WriteError, write_folder, write_npy};
+use crate::io::{WriteError, write_folder, write_npy};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// Singular values below this mean nothing, whatever the data: their squares would vanish.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::read::mesh_files;
-use crate::mesh::io::{Noting, ReadError, read_polygon_mesh};
+use crate::io::{Noting, NpyArray, ReadError, read_polygon_mesh};
 use crate::mesh::{PolygonMesh, Pose, PoseError, PoseKind, Vec3, weighted_closest_pose};
 
 /// Coordinates beyond this are no lengths; below, the fourth powers that alignment needs are far from overflow.
@@ -163,6 +163,21 @@ impl Population {
             samples.push(positions?);
         }
         Self { names, samples, mesh: Some(mesh) }.checked(Some(folder))
+    }
+
+    /// Reads shapes that are stacked in one array, N x V x 3, of the topology of `mesh`.
+    ///
+    /// # Errors
+    /// When the file cannot be read, has another shape, or holds fewer than two shapes or a number that is not finite.
+    pub fn read_npy(path: &Path, mesh: PolygonMesh) -> Result<Self, PopulationError> {
+        let array = NpyArray::open(path)?;
+        let vertices = mesh.positions.len();
+        array.expect_shape(&[None, Some(vertices), Some(3)])?;
+        let values = array.read_f64()?;
+        let points: Vec<Vec3> = values.chunks_exact(3).map(Vec3::from_column_slice).collect();
+        let samples: Vec<Vec<Vec3>> = points.chunks_exact(vertices).map(<[Vec3]>::to_vec).collect();
+        let names = (0..samples.len()).map(|i| format!("{}: shape {i}", path.display())).collect();
+        Self { names, samples, mesh: Some(mesh) }.checked(Some(path))
     }
 
     fn checked(self, folder: Option<&Path>) -> Result<Self, PopulationError> {

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
-use crate::mesh::io::{
+use crate::io::{
     Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh,
     refuse_unfinished,
 };

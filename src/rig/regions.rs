@@ -9,8 +9,8 @@ use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use super::RigError;
 use super::read::read_json;
 use super::write::write_json;
+use crate::io::{Place, ReadError, WriteError};
 use crate::mesh::PolygonMesh;
-use crate::mesh::io::{Place, ReadError, WriteError};
 use crate::text::{self, LONGEST_NAME};
 
 /// Sets of a template's vertices by name. A vertex may belong to any number of them.
@@ -28,6 +28,20 @@ impl Regions {
     pub fn read(path: &Path, vertex_count: usize) -> Result<Self, ReadError> {
         let File(regions) = read_json(path, "{\"name\": [vertex, ...], ...}")?;
         Self::checked(path, regions, vertex_count)
+    }
+
+    /// Regions of a template with `vertex_count` vertices, by name.
+    ///
+    /// # Errors
+    /// When a name comes twice or there is no such vertex.
+    pub fn new(vertex_count: usize, regions: Vec<(String, Vec<u32>)>) -> Result<Self, ReadError> {
+        Self::checked(Path::new("regions"), regions, vertex_count)
+    }
+
+    /// Vertices of the template.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.vertex_count
     }
 
     /// Regions of a file.
@@ -160,7 +174,7 @@ impl<'de> Deserialize<'de> for File {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::io::parse_obj;
+    use crate::io::parse_obj;
 
     fn read(text: &str) -> Result<Regions, String> {
         let folder = tempfile::tempdir().unwrap();

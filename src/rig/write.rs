@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Family, Rig};
-use crate::mesh::io::{WriteError, write_atomically, write_folder, write_npy, write_npy_points, write_obj};
+use crate::io::{WriteError, write_atomically, write_folder, write_npy, write_npy_points, write_obj};
 use crate::mesh::{PolygonMesh, Vec3};
 use crate::text;
 

@@ -1,7 +1,7 @@
 //! A face in millimetres, by formula: template, shapes, and a scan of another expression with other vertices, so that the truth is
 //! known exactly. Nothing in it is symmetric or regular: no two distances are equal, and no choice hangs on the last digit.
 
-use crate::mesh::io::{Landmark, TemplatePoint};
+use crate::landmark::{Landmark, TemplatePoint};
 use crate::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use crate::rig::{Family, Shape, ShapeBasis};
 

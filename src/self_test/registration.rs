@@ -7,7 +7,7 @@ use super::Check;
 use super::face::Face;
 use crate::evaluation::TruthErrors;
 use crate::mesh::Vec3;
-use crate::registration::{ModelFactory as _, ModelKind, RegistrationError, RegistrationInput, StepRecord, register};
+use crate::registration::{ModelKind, RegistrationError, RegistrationInput, StepRecord, register};
 
 /// Forty steps choose closest points anew, and what differs in the last digit may choose another one: of two hundred thousand
 /// choices, each would have to lie within some 1e-13 mm of where it turns. `tests/registration/self_test.rs` moves every
@@ -15,7 +15,7 @@ use crate::registration::{ModelFactory as _, ModelKind, RegistrationError, Regis
 /// tenth of the tolerance.
 pub const ERROR: Check = Check {
     what: "hybrid registration of 5016 vertices: rmse against the truth / mm",
-    expected: 0.425_131,
+    expected: 0.484_446,
     tolerance: 1e-5,
     compute: || registration_rmse(&Face::new()),
 };

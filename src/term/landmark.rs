@@ -1,9 +1,12 @@
 //! Landmarks: named points of the template, at a vertex or inside a face, pulled to known places: `r = v - c`.
 
+use serde::{Deserialize, Serialize};
+
 use super::UNIT;
-use crate::energy::SampleResidual;
+use super::factory::{RegistrationTerm, Scheduled, TermError, TermFactory, TermInput, TermLevel};
+use crate::energy::{OptionTable, Options, OptionsError, Pointwise, SampleResidual};
 use crate::mesh::Vec3;
-use crate::nlls::Scalar;
+use crate::nlls::{Kernel, Scalar};
 
 /// Pulls sample `samples[m]` towards `targets[m]` with weight `weights[m] * scale`.
 #[derive(Debug, Clone, Default)]
@@ -41,5 +44,50 @@ impl SampleResidual<3> for Landmarks {
     #[inline(always)]
     fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
         (self.residual(m, v), UNIT)
+    }
+}
+
+/// `[level.terms.landmarks]`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LandmarkLevel {
+    /// Weight of each landmark, 1 / square millimetre; times `(sigma_0 / sigma)^2` where it states sigma.
+    pub weight: f64,
+    /// Robust kernel, scale in millimetres: a landmark that is wrong by much pulls no more than one at the scale.
+    pub kernel: Kernel,
+}
+
+impl OptionTable for LandmarkLevel {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::not_negative("weight", self.weight)?;
+        OptionsError::kernel(self.kernel)
+    }
+}
+
+impl Scheduled<3> for Landmarks {
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        let LandmarkLevel { weight, kernel } = level.options.read()?;
+        self.scale = weight;
+        Ok(kernel.scaled(level.unit))
+    }
+}
+
+pub(super) struct Factory;
+
+impl TermFactory for Factory {
+    fn name(&self) -> &'static str {
+        "landmarks"
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<LandmarkLevel>()
+    }
+
+    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        let samples = input.landmarks.iter().map(|l| l.0).collect();
+        let targets = input.landmarks.iter().map(|l| l.1).collect();
+        let weights = input.landmarks.iter().map(|l| l.2).collect();
+        let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
+        Ok(Box::new(Pointwise::new("landmarks", residuals, Kernel::None)))
     }
 }

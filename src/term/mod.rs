@@ -1,16 +1,35 @@
 //! Data terms: one file each. Each is a residual of one sample's position; see [`SampleResidual`](crate::energy::SampleResidual).
 
+mod factory;
+mod guess;
 mod landmark;
 mod point_to_plane;
 mod point_to_point;
+mod prediction;
+mod scan_points;
 mod scan_to_template;
+mod seam;
 mod symmetric;
 
-pub use landmark::Landmarks;
-pub use point_to_plane::PointToPlane;
+pub use factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+pub use landmark::{LandmarkLevel, Landmarks};
+pub use point_to_plane::{PlaneWeight, PointToPlane};
 pub use point_to_point::PointToPoint;
+pub use scan_points::ScanPoints;
 pub use scan_to_template::ScanToTemplate;
+pub use seam::{SeamOptions, Seams};
 pub use symmetric::Symmetric;
+
+/// The terms that come with the crate. Which of them take part is a matter of the schedule's weights.
+pub const TERMS: [&dyn TermFactory; 7] = [
+    &point_to_plane::Factory,
+    &symmetric::Factory,
+    &scan_to_template::Factory,
+    &point_to_point::Factory,
+    &landmark::Factory,
+    &prediction::Factory,
+    &seam::Factory,
+];
 
 use crate::mesh::Vec3;
 use crate::nlls::Scalar;

@@ -1,9 +1,12 @@
 //! Point-to-plane distance, eq. (3) of Klimov 2020 (squared, under the kernel): `r = n . (v - c)`.
 
+use serde::{Deserialize, Serialize};
+
 use super::along;
-use crate::energy::SampleResidual;
-use crate::mesh::Vec3;
-use crate::nlls::Scalar;
+use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel};
+use crate::energy::{OptionTable, Options, OptionsError, Pointwise, SampleResidual};
+use crate::mesh::{MeshError, Vec3};
+use crate::nlls::{Kernel, Scalar};
 
 /// Pulls sample `m` towards the plane through `targets[m]` with unit normal `normals[m]`, weight `scale * weights[m]`.
 #[derive(Debug, Clone, Default)]
@@ -40,5 +43,55 @@ impl SampleResidual<1> for PointToPlane {
     #[inline(always)]
     fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 1], [[f64; 3]; 1]) {
         (self.residual(m, v), [self.normals[m].into()])
+    }
+}
+
+/// `[level.terms.point_to_plane]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlaneWeight {
+    /// Weight per accepted vertex: 1 unless stated.
+    pub weight: f64,
+}
+
+impl Default for PlaneWeight {
+    fn default() -> Self {
+        Self { weight: 1.0 }
+    }
+}
+
+impl OptionTable for PlaneWeight {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::not_negative("weight", self.weight)
+    }
+}
+
+impl Scheduled<1> for PointToPlane {
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        self.scale = level.options.read::<PlaneWeight>()?.weight * level.density;
+        Ok(level.kernel)
+    }
+
+    fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
+        self.targets.clone_from(&step.correspondences.points);
+        self.normals.clone_from(&step.correspondences.normals);
+        self.weights.clone_from(&step.correspondences.weights);
+        Ok(())
+    }
+}
+
+pub(super) struct Factory;
+
+impl TermFactory for Factory {
+    fn name(&self) -> &'static str {
+        "point_to_plane"
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<PlaneWeight>()
+    }
+
+    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        Ok(Box::new(Pointwise::new("point to plane (3)", PointToPlane::default(), Kernel::None)))
     }
 }

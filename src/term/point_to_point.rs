@@ -1,9 +1,10 @@
 //! Point-to-point distance, eq. (2) of Klimov 2020 (squared, under the kernel): `r = v - c`.
 
 use super::UNIT;
-use crate::energy::SampleResidual;
-use crate::mesh::Vec3;
-use crate::nlls::Scalar;
+use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use crate::energy::{OptionsError, Pointwise, SampleResidual};
+use crate::mesh::{MeshError, Vec3};
+use crate::nlls::{Kernel, Scalar};
 
 /// Pulls sample `m` (the m-th of the problem's samples) towards `targets[m]` with weight `scale * weights[m]`.
 #[derive(Debug, Clone, Default)]
@@ -38,5 +39,30 @@ impl SampleResidual<3> for PointToPoint {
     #[inline(always)]
     fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
         (self.residual(m, v), UNIT)
+    }
+}
+
+impl Scheduled<3> for PointToPoint {
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        self.scale = level.options.read::<TermWeight>()?.weight * level.density;
+        Ok(level.kernel)
+    }
+
+    fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
+        self.targets.clone_from(&step.correspondences.points);
+        self.weights.clone_from(&step.correspondences.weights);
+        Ok(())
+    }
+}
+
+pub(super) struct Factory;
+
+impl TermFactory for Factory {
+    fn name(&self) -> &'static str {
+        "point_to_point"
+    }
+
+    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        Ok(Box::new(Pointwise::new("point to point (2)", PointToPoint::default(), Kernel::None)))
     }
 }

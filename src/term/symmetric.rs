@@ -5,9 +5,10 @@
 //! along a curved surface costs less than with point-to-plane.
 
 use super::along;
-use crate::energy::SampleResidual;
-use crate::mesh::Vec3;
-use crate::nlls::Scalar;
+use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use crate::energy::{OptionsError, Pointwise, SampleResidual};
+use crate::mesh::{MeshError, Vec3};
+use crate::nlls::{Kernel, Scalar};
 
 /// Pulls sample `m` towards `targets[m]` along the mean of both normals, weight `scale * weights[m]`.
 #[derive(Debug, Clone, Default)]
@@ -52,6 +53,33 @@ impl SampleResidual<1> for Symmetric {
     #[inline(always)]
     fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 1], [[f64; 3]; 1]) {
         (self.residual(m, v), [self.normal(m).into()])
+    }
+}
+
+impl Scheduled<1> for Symmetric {
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        self.scale = level.options.read::<TermWeight>()?.weight * level.density;
+        Ok(level.kernel)
+    }
+
+    fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
+        self.targets.clone_from(&step.correspondences.points);
+        self.source_normals.clone_from(&step.correspondences.template_normals);
+        self.target_normals.clone_from(&step.correspondences.normals);
+        self.weights.clone_from(&step.correspondences.weights);
+        Ok(())
+    }
+}
+
+pub(super) struct Factory;
+
+impl TermFactory for Factory {
+    fn name(&self) -> &'static str {
+        "symmetric"
+    }
+
+    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        Ok(Box::new(Pointwise::new("symmetric point to plane", Symmetric::default(), Kernel::None)))
     }
 }
 

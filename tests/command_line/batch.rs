@@ -8,9 +8,7 @@ use std::time::Duration;
 
 use crate::support::{Bench, files_in, landmarks_json};
 use data_gen::{Motion, ScanOptions, Subject, simulate_scan, write_case};
-use nonrigid::mesh::io::{
-    PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh,
-};
+use nonrigid::io::{PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
 
@@ -177,7 +175,7 @@ fn parts_give_what_the_whole_gives_also_by_the_recipe_for_gnu_parallel() {
     assert!(bench.path("parts/summary.2-of-3.timing.json").exists());
     assert!(left(&bench, "parts") == whole, "the last part wrote the summary of all");
 
-    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/batch.md")).unwrap();
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/src/howto/batches.md")).unwrap();
     let recipe = page.split("### GNU parallel").nth(1).unwrap().split("```").nth(1).unwrap().trim_start_matches("sh\n");
     let recipe = recipe.replace("--template face.obj --rig rig", OPTIONS).replace("--out wrapped", "--out by_parallel");
     assert!(recipe.matches(OPTIONS).count() == 2 && recipe.contains("::: 1 2 3 4"), "{recipe}");
@@ -417,8 +415,8 @@ fn children(pid: u32) -> Vec<String> {
 fn a_folder_has_one_batch_and_survives_its_end() {
     let bench = bench();
     list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
-    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[graph]\nnodes = 60\n\
-                 [[level]]\nsteps = 1000000\nlambda_graph = 1.0\nlandmarks = 1.0\nkernel = \"none\"\n\
+    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[model]\nnodes = 60\n\
+                 [[level]]\nsteps = 1000000\nmodel = { lambda_graph = 1.0 }\nterms.landmarks = { weight = 1.0 }\nkernel = \"none\"\n\
                  distance_cap = 25.0\nnormal_angle = 60.0\n";
     bench.write("endless.toml", steps);
     let start = || {

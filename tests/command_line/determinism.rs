@@ -2,7 +2,7 @@
 
 use crate::repeats::leaves_equal_files;
 use crate::support::Bench;
-use nonrigid::mesh::io::write_obj;
+use nonrigid::io::write_obj;
 use nonrigid::morph::MorphModel;
 use nonrigid::registration::ModelKind;
 

@@ -11,6 +11,40 @@ fn every_help_ends_with_examples_that_parse() {
 }
 
 #[test]
+fn the_reference_of_options_is_that_of_the_code() {
+    let repository = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    crate::generated_page::check(repository, "nonrigid.md", &crate::command_page::page(&nonrigid::cli::command()));
+    crate::generated_page::check(repository, "data_gen.md", &crate::command_page::page(&data_gen::command::command()));
+}
+
+/// Commands of a page's fenced `sh` blocks, continued lines joined.
+fn commands(page: &str) -> Vec<String> {
+    let blocks = page.split("```").skip(1).step_by(2).filter_map(|b| b.strip_prefix("sh\n"));
+    let lines = |block: &str| block.replace("\\\n", " ").lines().map(|l| l.trim().to_owned()).collect::<Vec<_>>();
+    blocks.flat_map(lines).filter(|l| l.starts_with("nonrigid ") && !l.contains('$')).collect()
+}
+
+#[test]
+fn commands_of_the_book_parse() {
+    let repository = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut pages = vec![repository.join("README.md"), repository.join("docs/src/install.md")];
+    for folder in ["tutorials", "howto", "reference", "explanation"] {
+        let files = std::fs::read_dir(repository.join("docs/src").join(folder)).unwrap();
+        pages.extend(files.map(|f| f.unwrap().path()));
+    }
+    let mut count = 0;
+    for page in pages {
+        for line in commands(&std::fs::read_to_string(&page).unwrap()) {
+            count += 1;
+            if let Err(e) = nonrigid::cli::command().try_get_matches_from(crate::help::words(&line)) {
+                panic!("{}: {line}\n{e}", page.display());
+            }
+        }
+    }
+    assert!(count > 50, "{count}");
+}
+
+#[test]
 fn the_reader_of_examples_sees_what_is_wrong() {
     let text = "Usage\n\nExamples, of two commands:\n  a b \\\n      --c\n  a d > e  # f\n";
     assert_eq!(crate::help::examples(text), ["a b        --c", "a d > e  # f"]);

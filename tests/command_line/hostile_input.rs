@@ -1,5 +1,5 @@
 //! Inputs that are made to do harm, or that do it by their shape: names that are more than names, files that come to far more than
-//! their length, pipes and devices, meshes that are none of a rig. `docs/reliability.md` states the multiples that are tested here.
+//! their length, pipes and devices, meshes that are none of a rig. `docs/src/explanation/reliability.md` states the multiples that are tested here.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -7,10 +7,8 @@ use std::process::{Command, Output};
 
 use crate::refusal::{COMPUTATION, LOADING, all_hold, refuses};
 use crate::support::Bench;
-use nonrigid::mesh::io::{
-    LandmarkFormat, PlyOptions, parse_gltf, parse_landmark_set, read_obj, write_colored_mesh, write_landmark_set,
-    write_obj, write_ply,
-};
+use nonrigid::io::{PlyOptions, parse_gltf, read_obj, write_colored_mesh, write_obj, write_ply};
+use nonrigid::landmark::{LandmarkFormat, parse_landmark_set, write_landmark_set};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, Vec3};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
 use nonrigid::text::{LONGEST_NAME, is_hidden};

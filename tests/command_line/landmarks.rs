@@ -1,7 +1,8 @@
 //! `nonrigid landmarks` on generated data.
 
 use crate::support::{Bench, farthest};
-use nonrigid::mesh::io::{read_landmark_set, read_template_landmarks, write_obj};
+use nonrigid::io::write_obj;
+use nonrigid::landmark::{read_landmark_set, read_template_landmarks};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use serde_json::Value;
 

@@ -2,6 +2,10 @@
 
 #[path = "../support/broken.rs"]
 mod broken;
+#[path = "../support/command_page.rs"]
+mod command_page;
+#[path = "../support/generated_page.rs"]
+mod generated_page;
 #[path = "../support/help.rs"]
 mod help;
 #[path = "../support/refusal.rs"]

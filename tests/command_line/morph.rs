@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::mesh::io::{read_npy_vector, read_polygon_mesh};
+use nonrigid::io::{read_npy_vector, read_polygon_mesh};
 use serde_json::Value;
 
 struct Fixture {
@@ -104,4 +104,28 @@ fn an_amount_beyond_a_presets_range_is_done_with_a_warning() {
     let output = FIXTURE.morph(&[&FACE[..], &["--preset", "nose-bridge=9", "--out", "far.obj"]].concat());
     let warned = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && warned.contains("made for -2 to 4 mm, not 9"), "{warned}");
+}
+
+#[test]
+fn plans_stand_beside_each_other_and_a_tear_is_in_the_report() {
+    let f = &*FIXTURE;
+    let chin = f.done(&["--print", "chin-forward"]);
+    fs::write(f.path("mild.toml"), &chin).unwrap();
+    let wild = chin.replace("amount = 3.0", "amount = 60.0") + "\n[[step.protect]]\nparts = [\"nose\"]\n";
+    fs::write(f.path("wild.toml"), &wild).unwrap();
+    let arguments = ["--recipe", "mild.toml", "--compare", "wild.toml", "--out", "mild.obj", "--report", "beside"];
+    let client = ["--client", "A. <Miller>", "--date", "2026-05-04"];
+    f.done(&[&FACE[..], &arguments, &client].concat());
+    f.done(&[&FACE[..], &["--recipe", "mild.toml", "--out", "alone.obj"]].concat());
+    assert_eq!(fs::read(f.path("mild.obj")).unwrap(), fs::read(f.path("alone.obj")).unwrap());
+    let page = fs::read_to_string(f.path("beside/index.html")).unwrap();
+    for part in
+        ["<th>mild</th>", "<th>wild</th>", "<b>doubt</b> step 1 folds", "Blue: protected", "lower lip to E-line"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(page.contains("A. &lt;Miller&gt;") && page.contains("2026-05-04") && page.contains("@media print"));
+    let same = f.morph(&[&FACE[..], &["--recipe", "mild.toml", "--compare", "mild.obj", "--out", "x.obj"]].concat());
+    let said = String::from_utf8_lossy(&same.stderr);
+    assert!(!same.status.success() && said.contains("--report"), "{said}");
 }

@@ -7,11 +7,11 @@ use crate::support::{Bench, farthest, landmarks_json};
 use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
 use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
-use nonrigid::mesh::closest_point::ClosestPoint;
-use nonrigid::mesh::io::{
+use nonrigid::io::{
     NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
     write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
+use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
@@ -91,7 +91,7 @@ fn the_report_says_what_was_read_done_and_reached() {
         "start",
         "stop",
         "inliers",
-        "weak_directions",
+        "unobserved_directions",
         "quality",
         "weights",
         "history",
@@ -144,7 +144,7 @@ fn bounds_hold_weights_and_the_report_says_which() {
     let (printed, report) = fit("");
     assert!(!printed.contains("bound"), "{printed}");
     for weight in weights(&report) {
-        assert!(weight["deviation"].as_f64().unwrap() > 0.0 && weight["at_bound"] == false, "{weight}");
+        assert!(weight["std_dev"].as_f64().unwrap() > 0.0 && weight["at_bound"] == false, "{weight}");
     }
     for options in [
         "--expression-bounds 0,0.25 --identity-bounds=-0.5,0.5",
@@ -159,7 +159,7 @@ fn bounds_hold_weights_and_the_report_says_which() {
             let value = weight["value"].as_f64().unwrap();
             assert!((lower..=upper).contains(&value), "{weight}");
             assert_eq!(weight["at_bound"], value == lower || value == upper, "{weight}");
-            assert_eq!(weight["deviation"].is_null(), value == lower || value == upper, "{weight}");
+            assert_eq!(weight["std_dev"].is_null(), value == lower || value == upper, "{weight}");
             held += usize::from(value == lower || value == upper);
         }
         assert!(
@@ -172,14 +172,14 @@ fn bounds_hold_weights_and_the_report_says_which() {
 #[test]
 fn a_schedule_file_steers_the_run_and_is_reported() {
     let bench = Bench::new();
-    let text = "reference_size = 67.0\nreference_vertices = 6706\n[graph]\nnodes = 40\n[stop]\nenergy = 0.0\nmotion = 0.0\n\
-        [[level]]\nsteps = 3\nlambda_graph = 7.0\nkernel = { cauchy = { delta = 2.0 } }\ndistance_cap = 20.0\nnormal_angle = 50.0\n";
+    let text = "reference_size = 67.0\nreference_vertices = 6706\n[model]\nnodes = 40\n[stop]\nenergy = 0.0\nmotion = 0.0\n\
+        [[level]]\nsteps = 3\nmodel = { lambda_graph = 7.0 }\nkernel = { cauchy = { delta = 2.0 } }\ndistance_cap = 20.0\nnormal_angle = 50.0\n";
     bench.write("mine.toml", text);
     bench.done(&format!("{FIT} {INPUTS} --model graph --config mine.toml --out r.obj --report r.json"));
     let report = json(bench.read("r.json"));
     assert_eq!(report["history"].as_array().unwrap().len(), 3);
-    assert_eq!(report["schedule"]["graph"]["nodes"], 40);
-    assert_eq!(report["schedule"]["level"][0]["lambda_graph"], 7.0);
+    assert_eq!(report["schedule"]["model"]["nodes"], 40);
+    assert_eq!(report["schedule"]["level"][0]["model"]["lambda_graph"], 7.0);
     assert!(report["inputs"].as_array().unwrap().iter().any(|i| i["role"] == "schedule" && i["name"] == "mine.toml"));
 }
 
@@ -200,7 +200,8 @@ fn eval_prints_what_the_library_computes_from_truth() {
         let printed = bench.done(&format!("{command} --json"));
         assert_eq!(json(printed), merged(&expected, &quality));
         let text = bench.done(&command);
-        for number in [expected.rmse, expected.off, expected.slide, expected.median, expected.p95, expected.max] {
+        for number in [expected.rmse, expected.normal, expected.tangential, expected.median, expected.p95, expected.max]
+        {
             assert!(text.contains(&format!("{number:.4}")), "{text}: {number}");
         }
         assert!(text.contains(&format!("{} flipped", expected.flipped)), "{text}");
@@ -510,8 +511,8 @@ fn a_landmark_inside_a_face_pulls_the_face() {
     // Landmarks that outweigh the scan.
     bench.write(
         "pull.toml",
-        "reference_size = 67.0\nreference_vertices = 6706\n[[level]]\nsteps = 10\nlambda_graph = 0.1\npoint_to_plane = 1e-6\n\
-         landmarks = 1e4\nkernel = { huber = { delta = 3.0 } }\ndistance_cap = 25.0\nnormal_angle = 60.0\n",
+        "reference_size = 67.0\nreference_vertices = 6706\n[[level]]\nsteps = 10\nmodel = { lambda_graph = 0.1 }\nterms.point_to_plane = { weight = 1e-6 }\n\
+         terms.landmarks = { weight = 1e4 }\nkernel = { huber = { delta = 3.0 } }\ndistance_cap = 25.0\nnormal_angle = 60.0\n",
     );
     bench.done(
         "register --template rig/template.obj --target case/scan.ply --landmarks targets.json --template-landmarks faces.json \

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::support::{Bench, farthest};
 use data_gen::{Motion, ScanOptions};
-use nonrigid::mesh::io::{write_npy_points, write_obj};
+use nonrigid::io::{write_npy_points, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
 use nonrigid::rig::{Family, Rig, RigReadOptions};
 use serde_json::Value;

@@ -3,9 +3,8 @@
 
 use std::path::Path;
 
-use nonrigid::mesh::io::{
-    NpyArray, Npz, read_landmarks, read_npy_points, read_obj, read_ply, read_polygon_mesh, read_scan,
-};
+use nonrigid::io::{NpyArray, Npz, read_npy_points, read_obj, read_ply, read_polygon_mesh, read_scan};
+use nonrigid::landmark::read_landmarks;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::support::Bench;
-use nonrigid::mesh::io::{
+use nonrigid::io::{
     PlyOptions, parse_gltf, read_mesh_file, read_obj, read_scan, write_colored_mesh, write_obj, write_ply,
 };
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};

@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use base64::Engine as _;
-use nonrigid::mesh::io::{
-    GltfMesh, parse_gltf, parse_obj, read_gltf, read_polygon_mesh, write_glb, write_polygon_mesh,
-};
+use nonrigid::io::{GltfMesh, parse_gltf, parse_obj, read_gltf, read_polygon_mesh, write_glb, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
 use serde_json::{Map, Value, json};

@@ -8,4 +8,5 @@ mod colour;
 mod gltf;
 mod mesh_formats;
 mod round_trips;
+mod texture;
 mod units;

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use data_gen::{FaceOptions, FaceRig};
-use nonrigid::mesh::io::{PlyOptions, read_mesh_file, read_polygon_mesh, read_scan, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, read_mesh_file, read_polygon_mesh, read_scan, write_obj, write_ply};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 
 fn write(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use nonrigid::mesh::io::{
-    NpyArray, Npz, PlyOptions, PlyPrecision, TemplatePoint, parse_obj, parse_ply, read_landmarks, read_npy_mask,
-    read_npy_points, read_obj, read_ply, read_polygon_mesh, read_scan, write_npy, write_npy_points, write_obj,
-    write_ply, write_ply_polygons, write_polygon_mesh,
+use nonrigid::io::{
+    NpyArray, Npz, PlyOptions, PlyPrecision, parse_obj, parse_ply, read_npy_mask, read_npy_points, read_obj, read_ply,
+    read_polygon_mesh, read_scan, write_npy, write_npy_points, write_obj, write_ply, write_ply_polygons,
+    write_polygon_mesh,
 };
+use nonrigid::landmark::{TemplatePoint, read_landmarks};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 
 /// A strip of quads and a pentagon with a UV seam, groups, materials, smoothing, and a loose vertex.

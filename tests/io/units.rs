@@ -1,10 +1,10 @@
 //! Inputs in metres, centimetres and micrometres give what they give in millimetres, whether their unit is found or stated.
 
 use crate::support::{Bench, farthest, landmarks_json};
-use nonrigid::mesh::io::{
-    LengthUnit, PlyOptions, PlyPrecision, read_landmark_set, read_npy_points, read_polygon_mesh, write_npy_points,
-    write_obj, write_ply,
+use nonrigid::io::{
+    LengthUnit, PlyOptions, PlyPrecision, read_npy_points, read_polygon_mesh, write_npy_points, write_obj, write_ply,
 };
+use nonrigid::landmark::read_landmark_set;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
 use serde_json::Value;

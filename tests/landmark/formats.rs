@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use nonrigid::mesh::io::{
-    LandmarkCheck, LandmarkFormat, LandmarkPlace, LandmarkSet, LengthUnit, PatientSpace, PlaceKind, PlacedLandmark,
-    TemplatePoint, parse_landmark_set, read_landmark_set, read_landmarks, read_template_landmarks, write_landmark_set,
+use nonrigid::io::LengthUnit;
+use nonrigid::landmark::{
+    LandmarkCheck, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind, PlacedLandmark, TemplatePoint,
+    parse_landmark_set, read_landmark_set, read_landmarks, read_template_landmarks, write_landmark_set,
 };
 use nonrigid::mesh::{PolygonMesh, Vec3};
 

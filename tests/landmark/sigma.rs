@@ -5,8 +5,8 @@ use std::path::Path;
 
 use crate::support::farthest;
 use nalgebra::DMatrix;
+use nonrigid::landmark::{Landmark, TemplatePoint, parse_landmarks};
 use nonrigid::mesh::adjacency::EdgeGraph;
-use nonrigid::mesh::io::{Landmark, TemplatePoint, parse_landmarks};
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{
     Doubt, ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, Reliability, Schedule,
@@ -47,9 +47,9 @@ fn marks(mesh: &PolygonMesh, sigmas: &[Option<f64>]) -> Vec<Landmark> {
 /// Landmarks alone against the Laplacian of free vertices.
 fn schedule(start: &str, weight: f64) -> Schedule {
     let text = format!(
-        "start = \"{start}\"\nreference_size = 67.0\nreference_vertices = 81\n[smooth]\nweights = \"uniform\"\n[[level]]\n\
-         steps = 2\npoint_to_plane = 0.0\nlambda_smooth = 0.7\nlandmarks = {weight:?}\nkernel = \"none\"\n\
-         distance_cap = 50.0\nnormal_angle = 80.0\n"
+        "start = \"{start}\"\nreference_size = 67.0\nreference_vertices = 81\n[model]\nweights = \"uniform\"\n[[level]]\n\
+         steps = 2\nmodel = {{ lambda_smooth = 0.7 }}\nterms.point_to_plane = {{ weight = 0.0 }}\n\
+         terms.landmarks = {{ weight = {weight:?} }}\nkernel = \"none\"\ndistance_cap = 50.0\nnormal_angle = 80.0\n"
     );
     Schedule::from_toml(&text).unwrap()
 }
@@ -170,7 +170,7 @@ fn a_landmark_of_huge_deviation_changes_nothing() {
     let bench = crate::support::Bench::of_size(600, 4000);
     let found = [&[][..], &[vague(40)]].map(|landmarks| {
         let input = RegistrationInput { landmarks, ..RegistrationInput::new(&bench.rig.mesh, &bench.case.scan) };
-        find_start(&input, &Schedule::default_for("rigid").unwrap()).unwrap()
+        find_start(&input, &ModelKind::Rigid.schedule().unwrap()).unwrap()
     });
     assert_eq!(found[0], found[1]);
 }

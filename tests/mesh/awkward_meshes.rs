@@ -5,18 +5,18 @@ use std::path::Path;
 
 use crate::awkward::{awkward, extent, plain};
 use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors, flipped_triangles};
+use nonrigid::io::{
+    PlyOptions, PlyPrecision, WriteError, read_polygon_mesh, read_scan, write_npy, write_ply, write_polygon_mesh,
+};
+use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
-use nonrigid::mesh::io::{
-    Landmark, PlyOptions, PlyPrecision, TemplatePoint, WriteError, read_polygon_mesh, read_scan, write_npy, write_ply,
-    write_polygon_mesh,
-};
 use nonrigid::mesh::normals::{NormalWeighting, face_normals, vertex_areas, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::model::NodeGraph;
 use nonrigid::registration::{
-    ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, Schedule, StepRecord, register,
+    ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, StepRecord, register,
 };
 use nonrigid::render::{ColourScale, View, error_sheet, registration_sheet};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape, ShapeBasis};
@@ -239,7 +239,7 @@ fn evaluation_finds_no_error_where_there_is_none_and_counts_what_was_added() {
         let (errors, vertices) = TruthErrors::new(&moved, p, &vec![true; count], &triangles.triangles).unwrap();
         let expected = if count > 0 { shift.norm() } else { 0.0 };
         assert!((errors.rmse - expected).abs() <= 1e-12 * size + 1e-14 * far, "{name}: {}", errors.rmse);
-        assert!(vertices.off.iter().chain(&vertices.slide).all(|e| e.is_finite()), "{name}");
+        assert!(vertices.normal.iter().chain(&vertices.tangential).all(|e| e.is_finite()), "{name}");
         let quality = MeshQuality::new(&mesh, &moved).unwrap();
         let stretch = [quality.stretch.min, quality.stretch.max];
         assert!(stretch.iter().all(|s| (s - 1.0).abs() < 1e-6), "{name}: {quality}");
@@ -293,7 +293,7 @@ fn landmarks(mesh: &PolygonMesh, truth: &[Vec3]) -> Vec<Landmark> {
 }
 
 fn run(input: &RegistrationInput<'_>, model: ModelKind) -> Result<RegistrationResult, RegistrationError> {
-    let schedule = Schedule::default_for(&model.to_string()).unwrap();
+    let schedule = model.schedule().unwrap();
     register(input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
 }
 
@@ -329,7 +329,9 @@ fn every_model_finds_every_template_moved() {
                     let rms = (squares / seen.len() as f64).sqrt();
                     let quality = Quality::measure(&input, &result.positions);
                     // Triangles that nothing joins, of free vertices, slide along the scan where they have no landmark.
-                    let slides = name == "duplicate vertices, joined by nothing" && model == ModelKind::Free;
+                    // So do small parts under the paper's energy alone, which lets each go its own way.
+                    let slides = (name, model) == ("duplicate vertices, joined by nothing", ModelKind::Free)
+                        || (name, model) == ("fifty components", ModelKind::Klimov2020);
                     let off = rms > 0.02 * size + 1e-12 * far && !slides;
                     if !finite(&result.positions) || quality.is_err() || off {
                         faults.push(format!("{name}, {model}: {} of its size off", rms / size));

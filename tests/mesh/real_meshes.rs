@@ -1,11 +1,10 @@
 //! Real files, when they lie beside the checkout or where `NONRIGID_DATA` points; skipped otherwise.
 
+use nonrigid::io::{read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan, write_obj};
+use nonrigid::landmark::{TemplatePoint, read_landmarks};
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
-use nonrigid::mesh::io::{
-    TemplatePoint, read_landmarks, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan, write_obj,
-};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::rig::{Rig, RigReadOptions, ShapeSelection};
 

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
-use nonrigid::model::{NodeGraph, Stiffness, affine_hybrid, blendshape, hybrid};
+use nonrigid::model::{AffineMotion, Hybrid, NodeGraph, Stiffness, blendshape};
 use nonrigid::nlls::{
     Bounded, Kernel, Minimizer, NormalEquations, Options, Problem, Silent, Workspace, border_covariance,
 };
@@ -164,8 +164,10 @@ fn bounded_problem(which: &str, bounds: Bounds, seed: u64) -> Fit {
     let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
     let stiffness = Stiffness { graph: 0.5, rotation: 0.2, blend: 0.01 };
     let model: Box<dyn DeformationModel> = match which {
-        "hybrid" => Box::new(hybrid(rest.clone(), nodes, basis.clone(), stiffness)),
-        "affine hybrid" => Box::new(affine_hybrid(rest.clone(), nodes, basis.clone(), stiffness)),
+        "hybrid" => Box::new(Hybrid::new(rest.clone(), nodes, basis.clone(), stiffness)),
+        "affine hybrid" => {
+            Box::new(Hybrid::<AffineMotion, 12>::with_motion(rest.clone(), nodes, basis.clone(), stiffness))
+        }
         _ => Box::new(blendshape(rest.clone(), basis.clone(), 0.01)),
     };
     let mut problem = Deformation::new(model, Samples::vertices(VERTICES));

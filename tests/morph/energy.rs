@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig};
-use nonrigid::mesh::io::TemplatePoint;
+use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
 use nonrigid::model::Smoothness;
 use nonrigid::morph::{self, *};

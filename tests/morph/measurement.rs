@@ -4,11 +4,12 @@ use std::path::Path;
 
 use data_gen::{Eyeball, FaceOptions, FaceRig};
 use nalgebra::Rotation3;
+use nonrigid::io::{LengthUnit, read_obj};
+use nonrigid::landmark::TemplatePoint;
 use nonrigid::measurement::{
-    DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Subject,
+    DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Plan, Subject,
     Symmetry, SymmetryOptions, WHOLE, report,
 };
-use nonrigid::mesh::io::{LengthUnit, TemplatePoint, read_obj};
 use nonrigid::mesh::{MirrorPlane, PolygonMesh, Pose, TriangleMesh, Vec3};
 
 fn rig(vertices: usize) -> FaceRig {
@@ -155,18 +156,61 @@ fn the_numbers_are_those_of_their_formulas() {
 }
 
 #[test]
+fn lips_and_chin_are_measured_off_the_profile_and_plans_stand_beside_each_other() {
+    let rig = rig(3000);
+    let landmarks = named(&rig.anthropometric);
+    let vertex = |name: &str| rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex as usize;
+    let moved = |name: &str, by: f64| {
+        // In the face's own frame, which a chin that moves would turn: forwards of the vertical of the face before.
+        let up = (rig.neutral[vertex("nasion")] - rig.neutral[vertex("menton")]).normalize();
+        let mut positions = rig.neutral.clone();
+        positions[vertex(name)] += Vec3::x().cross(&up) * by;
+        positions
+    };
+    let (lip, chin) = (moved("labiale_inferius", 2.0), moved("pogonion", 3.0));
+    let mut low_chin = chin.clone();
+    low_chin[vertex("menton")] = chin[vertex("menton")] + Vec3::new(0.0, 0.0, 3.0);
+    let subject = Subject { landmarks: &landmarks, ..Subject::new(&rig.mesh) };
+    let plans = [("lip", &lip), ("chin", &chin), ("both ends of the chin", &low_chin)];
+    let plans = plans.map(|(name, positions)| Plan { name, positions });
+    let all = subject.compare(&plans).unwrap();
+    let difference = |plan: usize, name: &str| -> f64 {
+        let measured = all.plans().nth(plan).unwrap().1;
+        measured.measurement(name).unwrap().difference().unwrap()
+    };
+    approx::assert_abs_diff_eq!(difference(0, "lower_lip_projection"), 2.0, epsilon = 1e-9);
+    approx::assert_abs_diff_eq!(difference(0, "upper_lip_to_e_line"), 0.0, epsilon = 1e-9);
+    assert!((1.0..2.0).contains(&difference(0, "lower_lip_to_e_line")));
+    // The chin's menton turns the vertical of the face after, not that by which the chin is measured.
+    approx::assert_abs_diff_eq!(difference(1, "chin_projection"), 3.0, epsilon = 1e-9);
+    approx::assert_abs_diff_eq!(difference(2, "chin_projection"), 3.0, epsilon = 1e-9);
+    assert!(difference(1, "lower_lip_to_e_line") < -1.0);
+    let at = |name: &str| rig.neutral[vertex(name)];
+    let (tip, end, lip) = (at("pronasale").yz(), at("pogonion").yz(), at("labiale_superius").yz());
+    let line = (tip - end).normalize();
+    let off = (lip - tip).y * line.x - (lip - tip).x * line.y;
+    approx::assert_abs_diff_eq!(all.before().value("upper_lip_to_e_line").unwrap(), off, epsilon = 1e-9);
+    // One table, one CSV file, one list.
+    let (text, csv) = (all.to_string(), all.to_csv());
+    let header = text.lines().find(|l| l.starts_with("profile ")).unwrap();
+    let words: Vec<&str> = header.split_whitespace().collect();
+    assert_eq!(words[..6], ["profile", "unit", "before", "lip", "difference", "chin"], "{header}");
+    assert!(text.contains("change: both ends of the chin"), "{text}");
+    assert!(csv.starts_with("group,name,unit,before,lip,lip difference,chin,chin difference,"), "{csv:.200}");
+    let columns = csv.lines().next().unwrap().split(',').count();
+    assert!(csv.lines().filter(|l| !l.contains('"')).all(|l| l.split(',').count() == columns));
+    let json = serde_json::to_value(&all).unwrap();
+    assert_eq!((&json[2]["name"], json.as_array().unwrap().len()), (&"both ends of the chin".into(), 3));
+}
+
+#[test]
 fn the_table_is_sound() {
     for (k, d) in DEFINITIONS.iter().enumerate() {
         assert!(!DEFINITIONS[..k].iter().any(|e| e.name == d.name), "{} twice", d.name);
-        let names: &[&str] = match &d.formula {
-            Formula::Distance(a, b) | Formula::Extent(_, a, b) | Formula::Slope(a, b) => &[a, b],
-            Formula::Angle(a, b, c) | Formula::ProfileAngle(a, b, c) => &[a, b, c],
-            Formula::Percent(a, b) => {
-                assert!([a, b].iter().all(|name| DEFINITIONS[..k].iter().any(|d| d.name == **name)), "{}", d.name);
-                &[]
-            }
-        };
-        assert!(names.iter().all(|name| LANDMARKS.iter().any(|l| l.name == *name)), "{}", d.name);
+        if let Formula::Percent(a, b) = &d.formula {
+            assert!([a, b].iter().all(|name| DEFINITIONS[..k].iter().any(|d| d.name == **name)), "{}", d.name);
+        }
+        assert!(d.formula.landmarks().iter().all(|name| LANDMARKS.iter().any(|l| l.name == *name)), "{}", d.name);
         assert!(d.typical.is_none_or(|t| t.low < t.high && t.source.len() > 20));
     }
 }
@@ -336,6 +380,28 @@ fn a_report_is_the_same_bytes_at_any_number_of_threads() {
     assert!(picture.width() > 5 * 120 && picture.height() > 3 * 120);
     let red = picture.pixels().filter(|p| p.0[0] > 220 && p.0[1] < 90 && p.0[2] < 90).count();
     assert!(red > 20, "{red} red pixels");
+    // What is protected is drawn in every column of both sheets; a second plan takes two more of them.
+    let protected: Vec<f64> = rig.neutral.iter().map(|p| f64::from(u8::from(p.y > 30.0))).collect();
+    let plans = [("A", &after), ("B", &rig.neutral)].map(|(name, positions)| Plan { name, positions });
+    let both = report::Report { plans: &plans, protected: Some(&protected), ..full.clone() };
+    report::write(&folder.path().join("plans"), &both).unwrap();
+    let page = std::fs::read_to_string(folder.path().join("plans/index.html")).unwrap();
+    assert!(page.contains("<th>B</th>") && page.contains("change: B"));
+    // below both sheets, and in words for who does not see them
+    assert_eq!(page.matches("Blue: protected").count(), 4);
+    let bare = report::Report { protected: None, ..both.clone() };
+    report::write(&folder.path().join("bare"), &bare).unwrap();
+    let sheets =
+        |name: &str| ["plans", "bare"].map(|of| image::open(folder.path().join(of).join(name)).unwrap().to_rgb8());
+    assert!(sheets("pictures.png")[0].width() > picture.width() + 2 * 110);
+    // before, landmarks, A, B, mask, two displacements; before, A, B
+    for (name, columns) in [("pictures.png", 7), ("symmetry.png", 3)] {
+        let [wide, bare] = sheets(name);
+        assert_eq!(bare.dimensions(), wide.dimensions());
+        let drawn = |x: u32| (0..wide.height()).any(|y| wide.get_pixel(x, y) != bare.get_pixel(x, y));
+        let starts = (1..wide.width()).filter(|x| drawn(*x) && !drawn(x - 1)).count();
+        assert_eq!(starts, columns, "{name}");
+    }
     let without = report::Report { mask: None, ..full.clone() };
     report::write(&folder.path().join("no_mask"), &without).unwrap();
     let plain = image::open(folder.path().join("no_mask/pictures.png")).unwrap().to_rgb8();

@@ -77,7 +77,7 @@ fn masks_lie_where_the_renderer_draws() {
     let (eye, target, up, size) =
         (Vec3::new(200., 90., 300.), Vec3::new(10., -5., 3.), Vec3::new(0.1, 1.0, 0.2), [640, 480]);
     for projection in [PERSPECTIVE, Projection::Orthographic { height: 170.0 }] {
-        let camera = Camera::look(eye, target, up, projection);
+        let camera = Camera::look(eye, target, up, projection).unwrap();
         let projector = Projector::look(eye, target, up, projection, 640.0 / 480.0).unwrap();
         for p in [Vec3::zeros(), Vec3::new(50., 20., -30.), Vec3::new(-40., 60., 80.)] {
             let [x, y, _] = camera.project(p, size).unwrap();
@@ -452,7 +452,7 @@ fn weights_survive_a_file() {
     weights.write_npy(&path).unwrap();
     assert_eq!(Weights::read_npy(&path, 3).unwrap(), weights);
     assert!(Weights::read_npy(&path, 4).is_err());
-    nonrigid::mesh::io::write_npy(&path, &[2], &[0.5, f64::NAN]).unwrap();
+    nonrigid::io::write_npy(&path, &[2], &[0.5, f64::NAN]).unwrap();
     let message = Weights::read_npy(&path, 2).unwrap_err().to_string();
     assert!(message.contains("weights.npy") && message.contains("vertex 1") && message.contains("NaN"), "{message}");
 }

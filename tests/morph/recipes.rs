@@ -4,8 +4,9 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig};
-use nonrigid::mesh::io::TemplatePoint;
-use nonrigid::mesh::io::{read_polygon_mesh, read_template_landmarks};
+use nonrigid::io::read_polygon_mesh;
+use nonrigid::landmark::TemplatePoint;
+use nonrigid::landmark::read_template_landmarks;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::*;
 use nonrigid::rig::{Regions, ShapeBasis};
@@ -147,6 +148,41 @@ fn a_recipe_replayed_gives_the_same_bits_and_until_stops_early() {
     let first =
         face.replay(&recipe, ReplayOptions { until: Some(1), model: Some(MorphModel::Arap), amount: None }).unwrap();
     assert_eq!((first.len(), &first[0].positions), (1, &a[0].positions));
+}
+
+#[test]
+fn a_dragged_step_ends_where_it_would_have_from_rest() {
+    let face = &*FACE;
+    let text = |model: &str, amount: f64, [x, z]: [f64; 2]| {
+        format!(
+            "{FRAME}amount = {amount:?}\n[[step]]\nmodel = \"{model}\"\n[[step.mask]]\nmirror = true\n\
+             region = {{ circle = {{ centre = [20, 0], radius = 14 }} }}\nblur = {{ iterations = 4 }}\ndisplacement = [{x:?}, 0, {z:?}]\n"
+        )
+    };
+    for model in ["direct", "free", "arap", "graph"] {
+        let recipe = |amount, by| Recipe::from_text(&text(model, amount, by), "test").unwrap();
+        let whole = |recipe: &Recipe| face.replay(recipe, ReplayOptions::default()).unwrap().remove(0);
+        let first = recipe(1.0, [0.0, 2.0]);
+        let mut live = LiveStep::new(&first, &face.subject(), usize::MAX).unwrap().unwrap();
+        let (a, b) = (live.solve(&first).unwrap(), whole(&first));
+        assert_eq!((&a.positions, &a.report), (&b.positions, &b.report), "{model}: from rest it is the same");
+        for (amount, by) in [(1.0, [1.0, 2.5]), (2.0, [1.0, 2.5]), (1.0, [-1.0, 0.5])] {
+            let recipe = recipe(amount, by);
+            let (dragged, whole) = (live.solve(&recipe).unwrap(), whole(&recipe));
+            let apart = dragged.positions.iter().zip(&whole.positions).map(|(p, q)| (p - q).norm()).fold(0.0, f64::max);
+            assert!(apart < 0.02, "{model} {by:?}: {apart} mm");
+            assert_eq!((dragged.report.moving, dragged.report.asked), (whole.report.moving, whole.report.asked));
+            assert_eq!(dragged.coverage(), whole.coverage());
+        }
+        // a few iterations at a time come to the same
+        let mut live = LiveStep::new(&first, &face.subject(), 2).unwrap().unwrap();
+        let apart = |outcome: StepOutcome| {
+            let apart = outcome.positions.iter().zip(&b.positions).map(|(p, q)| (p - q).norm());
+            (apart.fold(0.0, f64::max), outcome.report.energy.map_or(0, |e| e.iterations))
+        };
+        let ends: Vec<(f64, usize)> = (0..12).map(|_| apart(live.solve(&first).unwrap())).collect();
+        assert!(ends.iter().all(|e| e.1 <= 2) && ends[11].0 < 0.02, "{model}: {ends:?}");
+    }
 }
 
 const STEP: &str = "[[step]]\n[[step.mask]]\nregion = { circle = { centre = [0, 0], radius = 12 } }\n\
@@ -350,4 +386,17 @@ fn presets_print_as_recipes_that_do_the_same() {
         assert_eq!(a, b, "{name}");
     }
     assert!(preset("nose").is_none() && preset_text("nose").is_none());
+}
+
+#[test]
+fn an_amount_of_a_step_multiplies_that_of_the_recipe() {
+    let mask = "\n[[step.mask]]\nregion = { circle = { centre = [0, 0], radius = 9 } }\ndisplacement = [0, 0, 1.5]\n";
+    let text = |amounts: [&str; 2]| format!("{}\n{FRAME}[[step]]\n{}{mask}", amounts[0], amounts[1]);
+    let positions = |amounts| {
+        let recipe = Recipe::from_text(&text(amounts), "test").unwrap();
+        FACE.replay(&recipe, ReplayOptions::default()).unwrap().remove(0).positions
+    };
+    assert_eq!(positions(["amount = 2.0", "amount = 0.5"]), positions(["", ""]));
+    assert_eq!(positions(["amount = 2.0", ""]), positions(["", "amount = 2.0"]));
+    assert!(Recipe::from_text(&text(["", "amount = inf"]), "test").is_err());
 }

@@ -3,7 +3,7 @@
 use experiments::generated::{Face, face};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
-use nonrigid::model::{NodeGraph, Stiffness, hybrid};
+use nonrigid::model::{Hybrid, NodeGraph, Stiffness};
 use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, Options, Silent, Summary, Workspace};
 use nonrigid::term::PointToPlane;
 
@@ -12,7 +12,7 @@ fn minimum(options: Options, solver: LinearSolverKind, graph_weight: f64, thread
     let nodes = NodeGraph::along_surface(&mesh, 150, 4).unwrap();
     let normals = vertex_normals(&goal, &mesh.triangles, NormalWeighting::Area);
     let (count, stiffness) = (goal.len(), Stiffness { graph: graph_weight, blend: 1.0, ..Stiffness::default() });
-    let mut problem = Deformation::new(hybrid(mesh.positions, nodes, shapes, stiffness), Samples::vertices(count));
+    let mut problem = Deformation::new(Hybrid::new(mesh.positions, nodes, shapes, stiffness), Samples::vertices(count));
     let residuals = PointToPlane { targets: goal, normals, weights: vec![1.0; count], scale: 1.0 };
     problem.terms.push(Pointwise::new("point to plane", residuals, Kernel::Huber { delta: 1.0 }));
     let options = options.with_linear_solver(solver).with_max_iterations(200).with_energy_tolerance(1e-12);

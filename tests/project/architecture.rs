@@ -9,27 +9,50 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("guide", &[]),
     ("nlls", &[]),
     ("text", &[]),
-    ("mesh", &["text"]),
+    ("mesh", &[]),
     ("page", &["text"]),
-    ("console", &["mesh", "text"]),
-    ("rig", &["mesh", "nlls", "text"]),
-    ("energy", &["mesh", "nlls"]),
+    ("io", &["mesh", "text"]),
+    ("landmark", &["io", "mesh", "text"]),
+    ("console", &["io", "text"]),
+    ("rig", &["io", "landmark", "mesh", "nlls", "text"]),
+    ("correspondence", &["mesh", "nlls"]),
+    ("energy", &["mesh", "nlls", "text"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
-    ("term", &["energy", "mesh", "nlls"]),
-    ("evaluation", &["mesh"]),
-    ("render", &["mesh"]),
-    ("registration", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term", "text"]),
-    ("morph", &["energy", "evaluation", "mesh", "model", "nlls", "render", "rig", "term"]),
-    ("measurement", &["evaluation", "mesh", "page", "render", "text"]),
-    ("batch", &["mesh", "page", "text"]),
-    ("self_test", &["evaluation", "mesh", "nlls", "registration", "rig"]),
+    ("term", &["correspondence", "energy", "mesh", "nlls"]),
+    ("evaluation", &["io", "mesh"]),
+    ("render", &["io", "mesh"]),
+    ("texture", &["io", "mesh"]),
+    (
+        "registration",
+        &[
+            "correspondence",
+            "energy",
+            "evaluation",
+            "io",
+            "landmark",
+            "mesh",
+            "model",
+            "nlls",
+            "render",
+            "rig",
+            "term",
+            "text",
+        ],
+    ),
+    ("morph", &["energy", "evaluation", "io", "landmark", "mesh", "model", "nlls", "render", "rig", "term"]),
+    ("measurement", &["evaluation", "io", "landmark", "mesh", "page", "render", "text"]),
+    ("batch", &["io", "page", "text"]),
+    ("self_test", &["evaluation", "landmark", "mesh", "nlls", "registration", "rig"]),
     (
         "cli",
         &[
             "batch",
             "console",
+            "correspondence",
             "energy",
             "evaluation",
+            "io",
+            "landmark",
             "measurement",
             "mesh",
             "model",
@@ -42,6 +65,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "self_test",
             "term",
             "text",
+            "texture",
         ],
     ),
 ];
@@ -160,6 +184,67 @@ fn the_table_goes_from_the_ground_up() {
             assert!(FLOORS[..i].iter().any(|f| f.0 == *import), "{floor} stands on {import}, which comes later");
         }
     }
+}
+
+/// The module of a file, as the segments of its path below the crate's root.
+fn module_of(inside: &Path) -> Vec<String> {
+    let mut path: Vec<String> =
+        inside.with_extension("").components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+    path.pop_if(|last| last == "mod");
+    path
+}
+
+/// Modules that `text` names by paths through `super::` or `crate::`, its own and those around it left out. What a folder's `mod.rs`
+/// passes on counts as the folder's.
+fn modules_named(text: &str, module: &[String], all: &BTreeSet<Vec<String>>) -> BTreeSet<Vec<String>> {
+    let code = code(text);
+    let code = code.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+    let roots = (0..=module.len()).map(|up| match up {
+        0 => ("crate::".to_owned(), Vec::new()),
+        _ => ("super::".repeat(up), module[..module.len() - up].to_vec()),
+    });
+    let mut named = BTreeSet::new();
+    for (prefix, around) in roots {
+        // Deeper and deeper into the folders that are named.
+        let mut open = vec![(prefix, around)];
+        while let Some((prefix, around)) = open.pop() {
+            for segment in after(code, &prefix) {
+                let found: Vec<String> = around.iter().cloned().chain([segment.clone()]).collect();
+                if all.contains(&found) && !module.starts_with(&found) {
+                    open.push((format!("{prefix}{segment}::"), found.clone()));
+                    named.insert(found);
+                }
+            }
+        }
+    }
+    named
+}
+
+#[test]
+fn no_two_files_import_each_other_through_any_number_of_others() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&root, &mut files);
+    let texts: BTreeMap<Vec<String>, String> = files
+        .iter()
+        .map(|file| (module_of(file.strip_prefix(&root).unwrap()), fs::read_to_string(file).unwrap()))
+        .filter(|(module, _)| !matches!(module[0].as_str(), "lib" | "main"))
+        .collect();
+    let all: BTreeSet<Vec<String>> = texts.keys().cloned().collect();
+    let mut left: BTreeMap<&Vec<String>, BTreeSet<Vec<String>>> =
+        texts.iter().map(|(module, text)| (module, modules_named(text, module, &all))).collect();
+    assert!(left.values().map(BTreeSet::len).sum::<usize>() > 300, "the reader of imports must be blind");
+    // Take out what imports nothing that is left, until nothing more goes: circles stay.
+    loop {
+        let before = left.len();
+        let names: BTreeSet<Vec<String>> = left.keys().map(|m| (*m).clone()).collect();
+        left.retain(|_, imports| imports.iter().any(|i| names.contains(i)));
+        if left.len() == before {
+            break;
+        }
+    }
+    let circle: Vec<String> = left.keys().map(|module| module.join("::")).collect();
+    assert!(circle.is_empty(), "in a circle, or importing from one: {}", circle.join(", "));
 }
 
 /// Unsafe code is where a profile asked for it, and nowhere else.

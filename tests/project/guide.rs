@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::support::Bench;
-use nonrigid::mesh::io::{PlyOptions, write_ply};
+use nonrigid::io::{PlyOptions, write_ply};
 use nonrigid::registration::Doubt;
 use serde_json::Value;
 
@@ -59,9 +59,9 @@ fn the_chapter_on_reports_names_every_field_and_no_other() {
     let colors = vec![[180, 140, 120]; bench.case.scan.positions.len()];
     let options = PlyOptions { colors: Some(&colors), ..PlyOptions::default() };
     write_ply(&bench.path("scan.ply"), &bench.case.scan, options).unwrap();
-    bench.done("register --template rig/template.obj --target scan.ply --rig rig --out r.obj --report r.json");
+    bench.done("register --template rig/template.obj --target scan.ply --rig rig --out r.obj --report r.json --bake-texture 64");
     let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
-    let chapter = text("docs/guide/reading_a_report.md");
+    let chapter = text("docs/src/reference/report.md");
     let said = table(&chapter, "Every field").iter().flat_map(|row| paths(&row[0])).collect::<Vec<_>>();
     let mut found = BTreeSet::new();
     let opaque = [
@@ -109,7 +109,7 @@ fn the_chapter_on_reports_names_every_doubt() {
         Doubt::Mirrored { odds: 30.0 },
         Doubt::Scale { scale: 0.8 },
     ];
-    let rows = table(&text("docs/guide/reading_a_report.md"), "Doubts");
+    let rows = table(&text("docs/src/reference/report.md"), "Doubts");
     assert_eq!(rows.len(), all.len());
     for (row, doubt) in rows.iter().zip(&all) {
         let json = serde_json::to_value(doubt).unwrap();
@@ -127,8 +127,8 @@ fn the_chapter_on_reports_names_every_doubt() {
 
 #[test]
 fn the_first_chapter_quotes_messages_that_there_are() {
-    let chapter = text("docs/guide/first_registration.md");
-    let source = text("src/registration/error.rs") + &text("src/mesh/pose.rs");
+    let chapter = text("docs/src/tutorials/developer.md");
+    let source = text("src/registration/error.rs") + &text("src/correspondence/scan.rs") + &text("src/mesh/pose.rs");
     let source: String = source.replace("\\\n", " ").split_whitespace().collect::<Vec<_>>().join(" ");
     let rows = table(&chapter, "What can go wrong");
     assert!(rows.len() > 5);

@@ -1,8 +1,11 @@
-//! What holds of the sources, the guide and the fuzzing seeds.
+//! What holds of the sources, the book and the fuzzing seeds.
 
+#[path = "../support/generated_page.rs"]
+mod generated_page;
 #[path = "../support/mod.rs"]
 mod support;
 
 mod architecture;
 mod corpus;
 mod guide;
+mod reference;

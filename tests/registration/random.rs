@@ -6,17 +6,17 @@
 use std::ops::ControlFlow;
 
 use crate::awkward::{extent, sheet};
-use nonrigid::mesh::io::{Landmark, TemplatePoint};
+use nonrigid::energy::Options;
+use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
-use nonrigid::model::{ArapSolver, EdgeWeights, Linearisation, Smoothness};
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
-    BoundsOptions, GraphDistance, GraphOptions, KernelScale, Level, ModelKind, NodeKind, RegistrationError,
-    RegistrationInput, RegistrationResult, RigidityOptions, RotationKind, ScanFlip, ScanOptions, Schedule, SeamOptions,
-    SigmaOptions, SmoothOptions, SolverOptions, Stage, StartOptions, StepAlgorithm, StepRecord, WarmStartOptions,
-    register,
+    BoundsOptions, KernelScale, Level, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
+    RegistrationResult, ScanFlip, ScanOptions, Schedule, SigmaOptions, SolverOptions, Stage, StageModel, StartOptions,
+    StepAlgorithm, StepRecord, TERMS, WarmStartOptions, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
+use nonrigid::term::{LandmarkLevel, SeamOptions};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
 use rand::{Rng, SeedableRng};
@@ -65,39 +65,50 @@ fn level() -> impl Strategy<Value = Level> {
     let rest = (1..4usize, kernel(), kernel(), 1.0..100.0, 10.0..180.0);
     (stiffness, data, rest).prop_map(
         |(stiffness, data, (steps, kernel, landmark_kernel, distance_cap, normal_angle))| {
-            let [lambda_graph, lambda_blend, lambda_smooth, lambda_rotation] = stiffness;
-            let [point_to_plane, symmetric, scan_to_template, point_to_point, landmarks, prediction, seam] = data;
-            Level {
-                steps,
-                lambda_graph,
-                lambda_blend,
-                lambda_smooth,
-                lambda_rotation,
-                point_to_plane,
-                symmetric,
-                scan_to_template,
-                point_to_point,
-                landmarks,
-                landmark_kernel,
-                prediction,
-                seam,
-                kernel,
-                scale: if steps == 3 { KernelScale::Mad } else { KernelScale::Fixed },
-                distance_cap,
-                normal_angle,
-            }
+            let scale = if steps == 3 { KernelScale::Mad } else { KernelScale::Fixed };
+            let mut level = Level { steps, kernel, scale, distance_cap, normal_angle, ..Level::default() };
+            LAMBDAS.iter().zip(stiffness).for_each(|(key, lambda)| level.model.set(key, lambda));
+            TERMS.iter().zip(data).for_each(|(term, weight)| level.set_term(term.name(), weight));
+            let landmarks = LandmarkLevel { weight: data[4], kernel: landmark_kernel };
+            level.terms.insert("landmarks".into(), Options::of(&landmarks));
+            level
         },
     )
 }
 
-fn graph() -> impl Strategy<Value = GraphOptions> {
-    (1..40usize, 1..9usize, 0..2usize, 0..4usize).prop_map(|(nodes, influences, distance, kind)| GraphOptions {
-        nodes,
-        influences,
-        distance: [GraphDistance::Surface, GraphDistance::Euclidean][distance],
-        lambda_unseen: [0.0, 2.0][distance],
-        node: if kind == 3 { NodeKind::Affine } else { NodeKind::Rigid },
-        rotation: [RotationKind::Matrix, RotationKind::Quaternion, RotationKind::AngleAxis, RotationKind::Matrix][kind],
+/// What levels tell models; each takes those that it knows.
+const LAMBDAS: [&str; 4] = ["lambda_graph", "lambda_blend", "lambda_smooth", "lambda_rotation"];
+
+/// A schedule that tells its models only what they know.
+fn fitted(mut schedule: Schedule, model: ModelKind) -> Schedule {
+    let of = |known: Options, all: &Options| {
+        all.keys()
+            .filter(|key| known.get(key).is_some())
+            .fold(Options::new(), |options, key| options.with(key, all.get(key).expect("it is a key").clone()))
+    };
+    let none = Options::new();
+    let levels = |levels: &mut [Level], model: ModelKind| {
+        levels.iter_mut().for_each(|l| l.model = of(model.level_options(&none).unwrap(), &l.model));
+    };
+    schedule.model = of(model.options(&none).unwrap(), &schedule.model);
+    levels(&mut schedule.levels, model);
+    if let Some(then) = &mut schedule.then {
+        let StageModel { name, options } = &mut then.model;
+        *options = of(name.options(&none).unwrap(), options);
+        levels(&mut then.levels, *name);
+    }
+    schedule
+}
+
+fn graph() -> impl Strategy<Value = Options> {
+    (1..40usize, 1..9usize, 0..2usize, 0..4usize).prop_map(|(nodes, influences, distance, kind)| {
+        Options::new()
+            .with("nodes", nodes as i64)
+            .with("influences", influences as i64)
+            .with("distance", ["surface", "euclidean"][distance])
+            .with("lambda_unseen", [0.0, 2.0][distance])
+            .with("node", if kind == 3 { "affine" } else { "rigid" })
+            .with("rotation", ["matrix", "quaternion", "angle_axis", "matrix"][kind])
     })
 }
 
@@ -114,13 +125,12 @@ fn schedule() -> impl Strategy<Value = Schedule> {
             search: StartOptions { rotations: 20, coarse: 10, fine: 3, ..StartOptions::default() },
             reference_size: 67.0,
             reference_vertices: 1000.0,
-            graph,
-            smooth: SmoothOptions {
-                kind: [Smoothness::Laplacian, Smoothness::BiLaplacian][kind],
-                weights: [EdgeWeights::Uniform, EdgeWeights::Cotangent][weights],
-            },
-            arap: RigidityOptions { solver: [ArapSolver::LocalGlobal, ArapSolver::Joint][solver] },
-            affine: nonrigid::registration::AffineOptions { gamma: n.0 },
+            model: graph
+                .with("kind", ["laplacian", "bilaplacian"][kind])
+                .with("weights", ["uniform", "cotangent"][weights])
+                .with("solver", ["local_global", "joint"][solver])
+                .with("gamma", n.0),
+            terms: [("seam".to_owned(), Options::of(&SeamOptions { width: n.2, widest: 2.0 * n.2 }))].into(),
             scan: ScanOptions {
                 normal_smoothing,
                 reject_boundary: reject_boundary == 0,
@@ -130,10 +140,8 @@ fn schedule() -> impl Strategy<Value = Schedule> {
             solver: SolverOptions {
                 algorithm: [StepAlgorithm::GaussNewton, StepAlgorithm::LevenbergMarquardt, StepAlgorithm::Dogleg]
                     [algorithm],
-                linearisation: Linearisation::Structured,
                 ..SolverOptions::default()
             },
-            seam: SeamOptions { width: n.2, widest: 2.0 * n.2 },
             stop: Default::default(),
             warm_start: WarmStartOptions { steps: 1 + kind },
             sigma: SigmaOptions { expression: n.3, identity: n.3, ..SigmaOptions::default() },
@@ -142,7 +150,11 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 identity: None,
             },
             levels,
-            then: Some(Box::new(Stage { model: next, graph: next_graph, levels: next_levels, then: None })),
+            then: Some(Box::new(Stage {
+                model: StageModel { name: next, options: next_graph },
+                levels: next_levels,
+                then: None,
+            })),
         }
     })
 }
@@ -158,10 +170,7 @@ fn case() -> impl Strategy<Value = Case> {
         let landmarks = if landmarks == 0 { seed as usize % 3 } else { landmarks + 2 };
         let shapes = if model.uses_shapes() { shapes.max(1) } else { shapes };
         let then = schedule.then.clone().filter(|_| model == ModelKind::Sequential);
-        let mut schedule = Schedule { then, ..schedule };
-        if model == ModelKind::Sumner || schedule.then.is_some() {
-            schedule.graph.rotation = RotationKind::Matrix;
-        }
+        let schedule = fitted(Schedule { then, ..schedule }, model);
         Case {
             seed,
             model,
@@ -266,7 +275,7 @@ fn sound(result: &RegistrationResult) -> Result<(), String> {
             return Err(format!("energy {} to {} at level {}, step {}", r.energy_before, r.energy, r.level, r.step));
         }
     }
-    let odd = result.weights.iter().find(|w| !w.value.is_finite() || w.deviation.is_some_and(|d| d.is_nan()));
+    let odd = result.weights.iter().find(|w| !w.value.is_finite() || w.std_dev.is_some_and(|d| d.is_nan()));
     odd.map_or(Ok(()), |w| Err(format!("weight {w:?}")))
 }
 
@@ -314,28 +323,21 @@ fn random_registrations_end_well() {
 
 /// A schedule of one level for all models.
 fn plain_schedule() -> Schedule {
-    let level = Level {
+    let mut level = Level {
         steps: 10,
-        lambda_graph: 1.0,
-        lambda_blend: 0.1,
-        lambda_smooth: 1.0,
-        lambda_rotation: 1.0,
-        landmarks: 1.0,
         kernel: Kernel::Huber { delta: 2.0 },
         distance_cap: 30.0,
         normal_angle: 90.0,
         ..Level::default()
     };
-    let mut schedule = Schedule::default_for("graph").unwrap();
-    schedule.levels = vec![level; 3];
-    schedule.graph.nodes = 12;
+    LAMBDAS.iter().zip([1.0, 0.1, 1.0, 1.0]).for_each(|(key, lambda)| level.model.set(key, lambda));
+    level.set_term("landmarks", 1.0);
+    let mut schedule = ModelKind::Graph.schedule().unwrap();
+    schedule.levels = vec![level.clone(); 3];
+    schedule.model.set("nodes", 12);
     schedule.scan.template_rim = 0.0;
-    schedule.then = Some(Box::new(Stage {
-        model: ModelKind::Arap,
-        graph: GraphOptions::default(),
-        levels: vec![level],
-        then: None,
-    }));
+    let model = StageModel { name: ModelKind::Arap, options: Options::new() };
+    schedule.then = Some(Box::new(Stage { model, levels: vec![level], then: None }));
     schedule
 }
 
@@ -360,7 +362,7 @@ fn models_of(schedule: &Schedule) -> impl Iterator<Item = (ModelKind, Schedule)>
     let schedule = schedule.clone();
     ModelKind::ALL.into_iter().map(move |model| {
         let then = schedule.then.clone().filter(|_| model == ModelKind::Sequential);
-        (model, Schedule { then, ..schedule.clone() })
+        (model, fitted(Schedule { then, ..schedule.clone() }, model))
     })
 }
 
@@ -409,11 +411,10 @@ fn weights_of_zero_leave_every_model_where_the_start_put_it() {
     for stiff in [true, false] {
         let mut plain = plain_schedule();
         let still = |level: &mut Level| {
-            level.point_to_plane = 0.0;
-            level.landmarks = 0.0;
+            level.set_term("point_to_plane", 0.0);
+            level.set_term("landmarks", 0.0);
             if !stiff {
-                (level.lambda_graph, level.lambda_blend) = (0.0, 0.0);
-                (level.lambda_smooth, level.lambda_rotation) = (0.0, 0.0);
+                LAMBDAS.iter().for_each(|key| level.model.set(key, 0.0));
             }
         };
         plain.levels.iter_mut().for_each(still);
@@ -439,12 +440,13 @@ fn coincident_vertices_and_more_influences_than_nodes_are_no_obstacle() {
     let task = moved(&pinched, &pose);
     let (size, _) = extent(&pinched);
     for (nodes, influences) in [(1, 1), (1, 8), (3, 20), (63, 4), (1000, 1000)] {
-        for distance in [GraphDistance::Surface, GraphDistance::Euclidean] {
+        for distance in ["surface", "euclidean"] {
             let mut plain = plain_schedule();
-            let graph = GraphOptions { nodes, influences, distance, ..plain.graph };
-            plain.graph = graph;
+            plain.model.set("nodes", nodes);
+            plain.model.set("influences", influences);
+            plain.model.set("distance", distance);
             for (model, schedule) in models_of(&plain) {
-                let what = format!("{model}, {graph:?}");
+                let what = format!("{model}, {nodes} nodes, {influences} influences, {distance}");
                 let result = run(&task.input(), model, &schedule).unwrap_or_else(|e| panic!("{what}: {e}"));
                 sound(&result).unwrap_or_else(|e| panic!("{what}: {e}"));
                 assert!(off(&result, &task) < 0.01 * size, "{what}: {} mm off", off(&result, &task));

@@ -1,16 +1,19 @@
 //! Laws of the start that is searched without landmarks, on generated faces and scans.
 
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::support::{Bench, farthest};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
-use nonrigid::mesh::io::{Landmark, PlyOptions, TemplatePoint, write_ply};
+use nonrigid::io::{PlyOptions, write_ply};
+use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    ModelKind, RegistrationError, RegistrationInput, RegistrationResult, ScanFacing, ScanFlip, Schedule, StartSearch,
-    StepRecord, find_start, register,
+    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, ScanFacing, ScanFlip,
+    Schedule, StartSearch, StepRecord, find_start, register,
 };
+use nonrigid::rig::{Family, Shape, ShapeBasis};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -23,7 +26,7 @@ fn case(rig: &FaceRig, seed: u64) -> ScanCase {
 }
 
 fn schedule(kind: PoseKind) -> Schedule {
-    Schedule { start: kind, ..Schedule::default_for("hybrid").unwrap() }
+    Schedule { start: kind, ..ModelKind::Hybrid.schedule().unwrap() }
 }
 
 fn search(rig: &FaceRig, scan: &TriangleMesh) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
@@ -277,7 +280,7 @@ fn a_registration_turns_the_scan_over_with_landmarks_and_without_unless_told_not
     let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
     for marks in [&landmarks[..], &[]] {
         let fit = |scan: &TriangleMesh, flip: ScanFlip| {
-            let mut schedule = Schedule::default_for("rigid").unwrap();
+            let mut schedule = ModelKind::Rigid.schedule().unwrap();
             schedule.scan.flip = flip;
             let input = RegistrationInput { landmarks: marks, ..RegistrationInput::new(&rig.mesh, scan) };
             register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
@@ -322,8 +325,39 @@ fn register_by(
     landmarks: &[Landmark],
 ) -> Result<RegistrationResult, RegistrationError> {
     let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
-    let schedule = Schedule::default_for("rigid").unwrap();
+    let schedule = ModelKind::Rigid.schedule().unwrap();
     register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+}
+
+/// Ends a run by its flag alone.
+struct Flag(AtomicBool);
+
+impl RegistrationObserver for Flag {
+    fn on_step(&mut self, _record: &StepRecord) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn cancel(&self) -> Option<&AtomicBool> {
+        Some(&self.0)
+    }
+}
+
+#[test]
+fn a_flag_ends_the_search_with_landmarks_and_without() {
+    let rig = rig();
+    let case = case(&rig, 52);
+    let marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let close: Vec<Landmark> = marks.iter().take(3).cloned().collect();
+    for landmarks in [&[][..], &close, &marks] {
+        let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
+        let schedule = ModelKind::Rigid.schedule().unwrap();
+        let mut flag = Flag(AtomicBool::new(false));
+        let free = register(&input, &ModelKind::Rigid, &schedule, &mut flag).unwrap();
+        assert!(!free.history.is_empty());
+        flag.0.store(true, Ordering::Relaxed);
+        let error = register(&input, &ModelKind::Rigid, &schedule, &mut flag).unwrap_err();
+        assert!(matches!(error, RegistrationError::Cancelled) && !error.is_input(), "{error}");
+    }
 }
 
 #[test]
@@ -342,6 +376,44 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
         assert_eq!(suspects[0].name, marks[wrong].name);
         assert!((30.0..70.0).contains(&suspects[0].distance), "{suspects:?}");
         assert!(apart(&rig, &start.start, &clean.start) < 3.0, "landmark {wrong}");
+    }
+}
+
+/// Landmarks about an open mouth, as one camera sees them from the side, ask for a larger face unless expressions explain them.
+#[test]
+fn an_open_mouth_is_no_larger_face() {
+    let rig = rig();
+    let (names, deltas): (Vec<&str>, Vec<&Vec<Vec3>>) = rig.expressions.iter().map(|e| (&*e.0, &e.1)).unzip();
+    let shape = |name: &&str| Shape { name: (*name).to_owned(), family: Family::Expression };
+    let row = |i: usize| deltas.iter().map(move |d| d[i / 3][i % 3] as f32);
+    let slab = (0..3 * rig.neutral.len()).flat_map(row).collect();
+    let shapes = ShapeBasis::new(names.iter().map(shape).collect(), slab);
+    for size in [1.0, 1.2] {
+        let pose = Pose { scale: size, ..Pose::rigid(Vec3::new(0.1, 0.2, -0.1), Vec3::new(3.0, 4.0, 5.0)) };
+        let expressions = Some(data_gen::preset_weights("open"));
+        let options = ScanOptions {
+            expressions,
+            pose: Some(pose),
+            triangles: 8000,
+            identity: Some(vec![]),
+            ..ScanOptions::default()
+        };
+        let case = simulate_scan(&rig, &options, 61).unwrap();
+        let mid = |v: u32| rig.neutral[v as usize].x > -30.0 && rig.neutral[v as usize].x < 12.0;
+        let marks: Vec<Landmark> =
+            case.landmarks.iter().filter(|(v, _)| mid(*v)).map(|(v, p)| landmark(*v, *p)).collect();
+        let start = |shapes: &ShapeBasis| {
+            let input =
+                RegistrationInput { landmarks: &marks, shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
+            find_start(&input, &schedule(PoseKind::Rigid)).unwrap().0
+        };
+        let (plain, explained) = (start(&ShapeBasis::none()).scale, start(&shapes).scale);
+        println!("{size}: {plain} without shapes, {explained} with, {} landmarks", marks.len());
+        if size == 1.0 {
+            assert!(plain > 1.12 && explained == 1.0, "{plain} {explained}");
+        } else {
+            assert!((explained / size - 1.0).abs() < 0.06, "{size}: {plain} {explained}");
+        }
     }
 }
 
@@ -367,12 +439,12 @@ fn landmarks_that_say_little_are_searched_besides() {
     assert!(brow.len() >= 3, "{}", brow.len());
     let start = register_by(&rig, &case.scan, &brow).unwrap();
     let said = start.start_landmarks.as_ref().unwrap();
-    assert!(said.deviation > 8.0 && start.start_search.is_some(), "{said:?}");
+    assert!(said.std_dev > 8.0 && start.start_search.is_some(), "{said:?}");
     let (turn, distance) = off(&rig, &start.start, &case.pose);
     assert!(turn < 8.0 && distance < 10.0, "{turn} degrees, {distance} mm, {said:?}");
     let all: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
     let start = register_by(&rig, &case.scan, &all).unwrap();
-    assert!(start.start_search.is_none() && start.start_landmarks.unwrap().deviation < 5.0);
+    assert!(start.start_search.is_none() && start.start_landmarks.unwrap().std_dev < 5.0);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 #![allow(dead_code)] // every test binary uses its own part of this
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::mesh::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
 
@@ -11,16 +11,16 @@ use super::support::{Bench, landmarks_json};
 /// A schedule that works; rows break it.
 const SCHEDULE: &str = "reference_size = 67.0
 reference_vertices = 6706
-[graph]
+[model]
 nodes = 60
 [[level]]
 steps = 2
-lambda_graph = 1.0
-point_to_plane = 1.0
-landmarks = 1.0
-kernel = { huber = { delta = 3.0 } }
 distance_cap = 25.0
 normal_angle = 60.0
+kernel = { huber = { delta = 3.0 } }
+model = { lambda_graph = 1.0 }
+terms.point_to_plane = { weight = 1.0 }
+terms.landmarks = { weight = 1.0 }
 ";
 
 /// A command with options that work.
@@ -274,24 +274,27 @@ pub fn broken() -> Bench {
 
     for (name, from, to) in [
         ("unknown_key", "steps = 2", "steps = 2\nstepps = 3"),
-        ("unknown_table", "[graph]", "[grahp]"),
+        ("unknown_table", "[model]", "[modle]"),
+        ("unknown_option", "nodes = 60", "noeds = 60"),
+        ("unknown_term", "terms.landmarks", "terms.landmark"),
+        ("former_key", "steps = 2", "steps = 2\nlambda_graph = 1.0"),
         ("negative_lambda", "lambda_graph = 1.0", "lambda_graph = -1.0"),
-        ("empty_bounds", "[graph]", "[bounds]\nexpression = [1.0, 0.0]\n[graph]"),
-        ("nan_bounds", "[graph]", "[bounds]\nidentity = [nan, 3.0]\n[graph]"),
-        ("one_bound", "[graph]", "[bounds]\nexpression = [1.0]\n[graph]"),
-        ("unknown_bounds", "[graph]", "[bounds]\nexpresion = [0.0, 1.0]\n[graph]"),
+        ("empty_bounds", "[model]", "[bounds]\nexpression = [1.0, 0.0]\n[model]"),
+        ("nan_bounds", "[model]", "[bounds]\nidentity = [nan, 3.0]\n[model]"),
+        ("one_bound", "[model]", "[bounds]\nexpression = [1.0]\n[model]"),
+        ("unknown_bounds", "[model]", "[bounds]\nexpresion = [0.0, 1.0]\n[model]"),
         ("no_steps", "steps = 2", "steps = 0"),
         ("huge_steps", "steps = 2", "steps = 1000001"),
         ("huge_influences", "nodes = 60", "influences = 9000000000000000000"),
         ("nan_cap", "distance_cap = 25.0", "distance_cap = nan"),
-        ("infinite_weight", "point_to_plane = 1.0", "point_to_plane = inf"),
+        ("infinite_weight", "point_to_plane = { weight = 1.0 }", "point_to_plane = { weight = inf }"),
         ("wide_angle", "normal_angle = 60.0", "normal_angle = 200.0"),
         ("no_nodes", "nodes = 60", "nodes = 0"),
         ("affine_quaternion", "nodes = 60", "node = \"affine\"\nrotation = \"quaternion\""),
         ("quaternion", "nodes = 60", "rotation = \"quaternion\""),
         ("unknown_rotation", "nodes = 60", "rotation = \"euler\""),
-        ("unknown_algorithm", "[graph]", "[solver]\nalgorithm = \"gradient\"\n[graph]"),
-        ("reference", "[graph]", "[solver]\nlinearisation = \"reference\"\n[graph]"),
+        ("unknown_algorithm", "[model]", "[solver]\nalgorithm = \"gradient\"\n[model]"),
+        ("reference", "nodes = 60", "linearisation = \"reference\""),
         ("no_size", "reference_size = 67.0", "reference_size = 0.0"),
         ("bad_kernel", "delta = 3.0", "delta = -3.0"),
         ("unknown_kernel", "huber", "hubert"),
@@ -308,17 +311,17 @@ pub fn broken() -> Bench {
         bench.write(&format!("{name}.toml"), text);
     }
     let level = SCHEDULE[SCHEDULE.find("[[level]]").unwrap()..].replace("[[level]]", "[[then.level]]");
-    let then = format!("[then]\nmodel = \"graph\"\n[then.graph]\nnodes = 60\n{level}{level}");
+    let then = format!("[then.model]\nname = \"graph\"\nnodes = 60\n{level}{level}");
     bench.write("two_stages.toml", format!("{SCHEDULE}{then}"));
     let last = then.rfind("[[then.level]]").unwrap();
     let in_last = |from: &str, to: &str| format!("{}{}", &then[..last], then[last..].replace(from, to));
     for (name, then) in [
         ("then_negative", in_last("lambda_graph = 1.0", "lambda_graph = -1.0")),
-        ("then_no_levels", "[then]\nmodel = \"graph\"\nlevel = []\n".to_owned()),
-        ("then_no_model", then.replace("model = \"graph\"\n", "")),
+        ("then_no_levels", "[then]\nlevel = []\nmodel = { name = \"graph\" }\n".to_owned()),
+        ("then_no_model", then.replace("name = \"graph\"\n", "")),
         ("then_unknown_model", then.replace("\"graph\"", "\"grahp\"")),
         ("then_shapes", then.replace("\"graph\"", "\"hybrid\"")),
-        ("then_start", then.replace("[then.graph]", "start = \"rigid\"\n[then.graph]")),
+        ("then_start", then.replace("[then.model]", "[then]\nstart = \"rigid\"\n[then.model]")),
         ("then_then_no_steps", then.clone() + &then.replace("[then", "[then.then").replace("steps = 2", "steps = 0")),
         ("unknown_node", String::new()),
     ] {

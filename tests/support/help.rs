@@ -15,7 +15,7 @@ pub fn examples(help: &str) -> Vec<String> {
 }
 
 /// The words of a command line, without redirections and comments.
-fn words(line: &str) -> Vec<&str> {
+pub fn words(line: &str) -> Vec<&str> {
     line.split_whitespace().take_while(|word| !matches!(*word, ">" | ">>" | "|" | "#")).collect()
 }
 

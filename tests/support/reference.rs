@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use nonrigid::energy::DeformationModel;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::{TriangleMesh, Vec3};
-use nonrigid::model::{ArapOptions, ArapSolver, Autodiff, NodeAssembly, NodeTransform, Point, PositionFunction};
+use nonrigid::model::{ArapOptions, ArapSolver, Autodiff, Hybrid, NodeTransform, Point, PositionFunction};
 use nonrigid::nlls::{Manifold, PointArray, Scalar, so3};
 use num_dual::Dual64;
 
@@ -63,7 +63,7 @@ pub fn normal(jacobian: &DMatrix<f64>, residuals: impl Iterator<Item = (f64, f64
 }
 
 /// Eqs. (4) to (8) of Klimov 2020 and `E_rot` of Sumner et al. 2007.
-impl<T: NodeTransform<W>, const W: usize> Formula for NodeAssembly<T, W> {
+impl<T: NodeTransform<W>, const W: usize> Formula for Hybrid<T, W> {
     fn tangent(&self) -> usize {
         self.graph().free_nodes() * W + self.shapes().len()
     }

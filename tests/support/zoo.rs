@@ -4,12 +4,10 @@
 use nonrigid::energy::{DataTerm, DeformationModel, Pointwise, SampleResidual, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Linearisation,
-    NodeAssembly, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, Smoothness, Stiffness,
+    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Hybrid,
+    Linearisation, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, Smoothness, Stiffness,
 };
-use nonrigid::model::{
-    affine_hybrid, blendshape, blendshape_in_place, graph, hybrid, hybrid_of, rigid, similarity, sumner,
-};
+use nonrigid::model::{AffineMotion, blendshape, blendshape_in_place, graph, rigid, similarity, sumner};
 use nonrigid::nlls::{Euclidean, Kernel, RobustKernel, Scalar};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint, ScanToTemplate, Symmetric};
@@ -146,23 +144,23 @@ impl Zoo {
         let held: Vec<bool> = (0..rest.len()).map(|i| 3 * i > 2 * rest.len()).collect();
         let region = NodeGraph::on_region(&self.mesh, &held, nodes.nodes().len()).expect("a finite mesh");
         vec![
-            Specimen::assembled("hybrid", || hybrid(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)),
+            Specimen::assembled("hybrid", || Hybrid::new(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)),
             Specimen::assembled("hybrid by quaternions", || {
-                hybrid_of::<QuaternionMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
+                Hybrid::<QuaternionMotion, 6>::with_motion(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
             }),
             Specimen::assembled("hybrid by rotation vectors", || {
-                hybrid_of::<AngleAxisMotion, 6>(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
+                Hybrid::<AngleAxisMotion, 6>::with_motion(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
             }),
             Specimen::assembled("graph", || graph(rest.clone(), nodes.clone(), 0.7)),
             Specimen::assembled("blendshape", || blendshape(rest.clone(), basis.clone(), 0.3)),
             Specimen::assembled("rigid", || rigid(rest.clone())),
             Specimen::assembled("similarity", || similarity(rest.clone())),
             Specimen::assembled("affine hybrid", || {
-                affine_hybrid(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
+                Hybrid::<AffineMotion, 12>::with_motion(rest.clone(), nodes.clone(), basis.clone(), self.stiffness)
             }),
             Specimen::assembled("sumner", || sumner(rest.clone(), nodes.clone(), 0.7, 0.4)),
             Specimen::assembled("hybrid in a region", || {
-                hybrid(rest.clone(), region.clone(), basis.clone(), self.stiffness)
+                Hybrid::new(rest.clone(), region.clone(), basis.clone(), self.stiffness)
             }),
             Specimen::assembled("sumner in a region", || sumner(rest.clone(), region.clone(), 0.7, 0.4)),
             Specimen::assembled("blendshape in place", || blendshape_in_place(rest.clone(), basis.clone(), 0.3)),
@@ -209,7 +207,7 @@ impl Specimen {
         Self { name: name.into(), model: Box::new(model), reference: Box::new(reference) }
     }
 
-    fn assembled<T: NodeTransform<W>, const W: usize>(name: &str, build: impl Fn() -> NodeAssembly<T, W>) -> Self {
+    fn assembled<T: NodeTransform<W>, const W: usize>(name: &str, build: impl Fn() -> Hybrid<T, W>) -> Self {
         Self::new(name, build(), reference::formula(build()))
     }
 }
@@ -221,7 +219,7 @@ pub trait TestModel: DeformationModel {
     }
 }
 
-impl<T: NodeTransform<W>, const W: usize> TestModel for NodeAssembly<T, W> {
+impl<T: NodeTransform<W>, const W: usize> TestModel for Hybrid<T, W> {
     fn set_linearisation(&mut self, linearisation: Linearisation) -> bool {
         self.linearisation = linearisation;
         true

@@ -137,7 +137,7 @@ fn open_jaw_is_rigid_at_the_chin_and_parts_the_lips_to_an_oval() {
         {
             assert!(d(still).norm() < by, "{still} moves {}", d(still).norm());
         }
-        let cheek = sample.rig.model.expression_deltas(
+        let cheek = sample.rig.model.as_ref().unwrap().expression_deltas(
             sample.rig.expressions.iter().position(|e| e.0 == "jawOpen").unwrap(),
             &[site(flatten([45.0, -70.0])), site(flatten([0.0, -138.0]))],
         );

@@ -1,8 +1,11 @@
 //! A scan of a face: what a structured-light scanner would deliver, with the truth that it would not.
 
+mod curved;
+mod depth;
 mod detail;
 mod domain;
 mod faults;
+mod fusion;
 mod manner;
 mod net;
 mod options;
@@ -21,13 +24,14 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::{FaceRig, FaceWeights, Flat};
+use depth::DepthImage;
 use detail::Detail;
 use faults::Hole;
 use manner::Manner;
 use surface::{Shell, Surface};
 use view::{Occluder, View};
 
-pub use options::{Camera, ScanOptions, WrinkleMix};
+pub use options::{Camera, ScanOptions, Scanner, WrinkleMix};
 pub use person::{PRESETS, resolve_shapes};
 pub(crate) use person::{random_weights, weights_by_name};
 
@@ -98,6 +102,8 @@ enum Stream {
     Landmarks,
     Points,
     Manner,
+    Edges,
+    Camera,
 }
 
 impl Stream {
@@ -121,12 +127,127 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
     let identity_weights = person::identity_weights(rig, options, &mut Stream::Identity.of(seed));
     let pose = options.pose.unwrap_or_else(|| person::random_pose(options, &mut Stream::Pose.of(seed)));
     let detail_seed = options.detail_seed.unwrap_or(seed);
+    let Some(model) = &rig.model else {
+        let solid = curved::person(rig, options, [&expression_weights, &identity_weights], pose, detail_seed);
+        let (mesh, observed) = measured(&solid, options, seed)?;
+        return Ok(finished(
+            rig,
+            options,
+            mesh,
+            (solid.truth, observed),
+            [expression_weights, identity_weights],
+            pose,
+            seed,
+        ));
+    };
     let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(detail_seed));
     let manner = Manner::new(options.manner, &mut Stream::Manner.of(detail_seed));
     let weights = FaceWeights { expressions: expression_weights.clone(), identity: identity_weights.clone() };
-    let contains = |place: Flat| rig.model.contains(place);
-    let surface = Surface::new(&rig.model, &contains, weights, pose, manner, detail, options.eyeballs);
+    let contains = |place: Flat| model.contains(place);
+    let surface = Surface::new(model, &contains, weights, pose, manner, detail, options.eyeballs);
+    let (mesh, truth, observed) = if options.scanner == Scanner::Net {
+        sampled(rig, &surface, options, seed)?
+    } else {
+        let Shell { positions, triangles, skin_points, .. } = surface.sample(SOLID, &mut Stream::Points.of(seed));
+        let solid = Solid { positions, triangles, skin_points, truth: surface.skin(&rig.places) };
+        let (mesh, observed) = measured(&solid, options, seed)?;
+        (mesh, solid.truth, observed)
+    };
+    Ok(finished(rig, options, mesh, (truth, observed), [expression_weights, identity_weights], pose, seed))
+}
 
+/// What is before the cameras: a fine mesh, the skin's points first, and where the template's vertices truly are.
+struct Solid {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    skin_points: usize,
+    truth: Vec<Vec3>,
+}
+
+/// Points of a generated face before depth cameras: about half a millimetre apart.
+const SOLID: usize = 300_000;
+/// Pixels of depth images that are fused, millimetres on a face, at most.
+const PITCH: f64 = 0.7;
+/// Pixels and voxels of the trial, which tells how fine a scan of so many triangles has to be, millimetres on a face.
+const COARSE: f64 = 2.0;
+/// Share of the triangles by which a scan may miss their number before it is made again, and how often it is.
+const MISSED: f64 = 0.03;
+const AGAIN: usize = 3;
+
+/// The mesh that depth cameras make of a solid, and which of the template's vertices it shows.
+fn measured(solid: &Solid, options: &ScanOptions, seed: u64) -> Result<(TriangleMesh, Vec<bool>), ScanError> {
+    let Solid { positions, triangles, skin_points, truth } = solid;
+    let occluder = Occluder { positions, triangles, skin_points: *skin_points };
+    let centre = positions.iter().sum::<Vec3>() / positions.len().max(1) as f64;
+    let scale = (curved::extent(positions) / curved::FACE).max(1e-6);
+    let cameras = options.scanner.cameras(&options.cameras, scale, &mut Stream::Camera.of(seed));
+    let eyes: Vec<Vec3> = cameras.iter().map(|c| c.position(centre)).collect();
+    let fused = options.scanner == Scanner::Fused;
+    let images = |fineness: f64| -> Vec<DepthImage> {
+        let pitch = if fused { fineness.min(PITCH * scale) } else { fineness };
+        let mut images: Vec<DepthImage> =
+            eyes.par_iter().filter_map(|eye| DepthImage::new(*eye, occluder, pitch, options.grazing)).collect();
+        let visible: Vec<Vec3> = images.iter().flat_map(DepthImage::points).collect();
+        let holes = Hole::draw(&visible, options, &mut Stream::Holes.of(seed));
+        let mut rngs = [Stream::Edges, Stream::Noise, Stream::Spikes].map(|stream| stream.of(seed));
+        let [edges, noise, spikes] = &mut rngs;
+        for image in &mut images {
+            image.spoil(options, &holes, [edges, noise, spikes]);
+        }
+        images
+    };
+    let mesh = |images: &[DepthImage], fineness: f64| match images {
+        [only] if !fused => only.mesh(),
+        _ => fusion::fuse(images, fineness),
+    };
+    // Triangles grow with the inverse square of pixel or voxel.
+    let wanted = options.triangles as f64 * (1.0 - options.outliers);
+    let mut fineness = COARSE * scale;
+    let mut made = images(fineness);
+    let mut scan = mesh(&made, fineness);
+    for _ in 0..AGAIN {
+        let share = scan.triangles.len() as f64 / wanted;
+        if scan.triangles.len() < 50 {
+            return Err(ScanError::NothingSeen);
+        }
+        if (share - 1.0).abs() < MISSED {
+            break;
+        }
+        fineness *= share.sqrt();
+        made = images(fineness);
+        scan = mesh(&made, fineness);
+    }
+    let observed = truth.par_iter().map(|p| made.iter().any(|image| image.shows(p))).collect();
+    Ok((scan, observed))
+}
+
+/// What every scanner adds: things that float about, and an order that says nothing.
+fn finished(
+    rig: &FaceRig,
+    options: &ScanOptions,
+    mut mesh: TriangleMesh,
+    (truth, observed): (Vec<Vec3>, Vec<bool>),
+    [expression_weights, identity_weights]: [Vec<f64>; 2],
+    pose: Pose,
+    seed: u64,
+) -> ScanCase {
+    let (edge, centre) = (mean_edge(&mesh), truth.iter().sum::<Vec3>() / truth.len().max(1) as f64);
+    let outliers = (options.outliers * options.triangles as f64) as usize;
+    faults::add_outliers(&mut mesh, edge, outliers, &mut Stream::Outliers.of(seed));
+    faults::add_loose_parts(&mut mesh, centre, edge, options.loose_parts, &mut Stream::LooseParts.of(seed));
+    let scan = faults::shuffled(&mesh, &mut Stream::Order.of(seed));
+    let landmarks = landmarks(rig, &truth, &observed, options, &mut Stream::Landmarks.of(seed));
+    let identity_sigma = options.identity.is_none().then_some(options.identity_sigma);
+    ScanCase { scan, truth, observed, landmarks, expression_weights, identity_weights, identity_sigma, pose }
+}
+
+/// The scanner `net`: irregular points on the formula's surface, of which cameras see some.
+fn sampled(
+    rig: &FaceRig,
+    surface: &Surface<'_>,
+    options: &ScanOptions,
+    seed: u64,
+) -> Result<(TriangleMesh, Vec<Vec3>, Vec<bool>), ScanError> {
     let trial = surface.sample(TRIAL, &mut Stream::Trial.of(seed));
     let centre = trial.positions.iter().sum::<Vec3>() / trial.positions.len().max(1) as f64;
     let eyes: Vec<Vec3> = options.cameras.iter().map(|c| c.position(centre)).collect();
@@ -151,19 +272,13 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
     if mesh.triangles.is_empty() {
         return Err(ScanError::NothingSeen);
     }
-    let edge = mean_edge(&mesh);
     faults::measure(
         &mut mesh.positions,
         &seen.rays,
         options,
         [&mut Stream::Noise.of(seed), &mut Stream::Spikes.of(seed)],
     );
-    faults::add_outliers(&mut mesh, edge, outliers, &mut Stream::Outliers.of(seed));
-    faults::add_loose_parts(&mut mesh, centre, edge, options.loose_parts, &mut Stream::LooseParts.of(seed));
-    let scan = faults::shuffled(&mesh, &mut Stream::Order.of(seed));
-    let landmarks = landmarks(rig, &truth, &observed, options, &mut Stream::Landmarks.of(seed));
-    let identity_sigma = options.identity.is_none().then_some(options.identity_sigma);
-    Ok(ScanCase { scan, truth, observed, landmarks, expression_weights, identity_weights, identity_sigma, pose })
+    Ok((mesh, truth, observed))
 }
 
 /// Which points of a sampled surface the scanner measures, and along which rays.

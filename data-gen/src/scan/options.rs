@@ -1,10 +1,46 @@
 //! What is scanned, by which cameras, and how badly.
 
 use nonrigid::mesh::{Pose, Vec3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::{ScanError, weights_by_name};
 use crate::FaceRig;
+
+/// How a surface becomes a scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Scanner {
+    /// Irregular points on the generated face's formulas, each with noise of its own, of which cameras see some.
+    #[default]
+    Net,
+    /// The pixels of one depth camera, cut where depth jumps.
+    Frame,
+    /// Seven depth images made one surface.
+    Fused,
+}
+
+impl Scanner {
+    /// The cameras of a scan: those given; without any, of a frame one somewhere before the subject, of a fused scan seven round its
+    /// front, at 700 mm from a face and farther from what is `scale` times as large.
+    pub(super) fn cameras(self, given: &[Camera], scale: f64, rng: &mut ChaCha8Rng) -> Vec<Camera> {
+        let at =
+            |azimuth: f64, elevation: f64| Camera::Orbit { azimuth, elevation, distance: DISTANCE * scale.max(1.0) };
+        match self {
+            _ if !given.is_empty() => given.to_vec(),
+            Self::Net => Vec::new(),
+            Self::Frame => vec![at(rng.random_range(-35.0..35.0), rng.random_range(-10.0..15.0))],
+            Self::Fused => {
+                let level = [-60.0, -30.0, 0.0, 30.0, 60.0].map(|azimuth| at(azimuth, 0.0));
+                level.into_iter().chain([at(0.0, 25.0), at(0.0, -25.0)]).collect()
+            }
+        }
+    }
+}
+
+/// How far a camera is from a face, millimetres.
+const DISTANCE: f64 = 700.0;
 
 /// What is scanned and how badly. Lengths in millimetres, angles in degrees.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -35,7 +71,10 @@ pub struct ScanOptions {
     pub triangles: usize,
     /// Whether the visible part of the eyeballs belongs to the scan; default true.
     pub eyeballs: bool,
-    /// What is measured is what at least one of them sees; default three at -30, 0, 30 degrees. None: everything is seen.
+    /// How the surface becomes a scan; default [`Scanner::Net`].
+    pub scanner: Scanner,
+    /// What is measured is what at least one of them sees; default three at -30, 0, 30 degrees. None: the net sees everything, the
+    /// other scanners choose their own.
     pub cameras: Vec<Camera>,
     /// Steepest angle between surface normal and view ray at which a point is still seen; default 70.
     pub grazing: f64,
@@ -99,7 +138,7 @@ impl Camera {
     /// At the usual distance, 700 mm.
     #[must_use]
     pub fn orbit(azimuth: f64, elevation: f64) -> Self {
-        Self::Orbit { azimuth, elevation, distance: 700.0 }
+        Self::Orbit { azimuth, elevation, distance: DISTANCE }
     }
 
     /// Its position when the face's centre is at `centre`.
@@ -129,6 +168,7 @@ impl Default for ScanOptions {
             pose: None,
             triangles: 60_000,
             eyeballs: true,
+            scanner: Scanner::Net,
             cameras: [-30.0, 0.0, 30.0].map(|azimuth| Camera::orbit(azimuth, 0.0)).to_vec(),
             grazing: 70.0,
             noise: 0.1,
@@ -175,6 +215,14 @@ impl ScanOptions {
         let (given, modes) = (self.identity.as_ref().map_or(0, Vec::len), rig.identities.len());
         if given > modes {
             return Err(ScanError::Option(format!("identity: {given} weights for a rig of {modes} modes")));
+        }
+        if rig.model.is_none() && self.scanner == Scanner::Net {
+            let what = "scanner: net knows the generated face only; frame and fused scan any rig";
+            return Err(ScanError::Option(what.into()));
+        }
+        if self.scanner == Scanner::Frame && self.cameras.len() > 1 {
+            let what = format!("scanner: frame has one camera, not {}; fused joins several", self.cameras.len());
+            return Err(ScanError::Option(what));
         }
         self.check()
     }

@@ -34,7 +34,8 @@ pub fn resolve_shapes<'a>(known: &[&'a str], name: &str) -> Result<Vec<&'a str>,
     let twins = known.iter().copied().filter(|k| sides.iter().any(|side| side == k));
     let found: Vec<&str> = exact.chain(twins).collect();
     if found.is_empty() {
-        return Err(ScanError::Option(format!("no expression is called {name:?}; there are {}", known.join(", "))));
+        let known = if known.is_empty() { "none: --cases draws people without them".into() } else { known.join(", ") };
+        return Err(ScanError::Option(format!("no expression is called {name:?}; there are {known}")));
     }
     Ok(found)
 }

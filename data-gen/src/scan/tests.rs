@@ -103,10 +103,11 @@ fn scan_vertices_say_nothing_about_template_vertices() {
             .collect();
         let weights =
             FaceWeights { expressions: case.expression_weights.clone(), identity: case.identity_weights.clone() };
-        let contains = |p: Flat| rig.model.contains(p);
+        let model = rig.model.as_ref().unwrap();
+        let contains = |p: Flat| model.contains(p);
         let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(seed));
         let manner = Manner::new(options.manner, &mut Stream::Manner.of(seed));
-        let surface = Surface::new(&rig.model, &contains, weights, case.pose, manner, detail, false);
+        let surface = Surface::new(model, &contains, weights, case.pose, manner, detail, false);
         let controls = surface.skin(&places);
         for ((v, place), control) in inner.iter().zip(&places).zip(&controls) {
             if contains(*place) {
@@ -223,7 +224,7 @@ fn eyeballs_show_between_open_lids_and_not_between_closed_ones() {
             ..ScanOptions::default()
         };
         let case = scan(&rig, &options, 4);
-        let [left, right] = rig.eyeballs(&[]);
+        let [left, right] = rig.eyeballs(&[]).unwrap();
         let on = |p: &Vec3| [left, right].iter().any(|e| ((p - e.centre).norm() - e.radius).abs() < 1e-6);
         case.scan.positions.iter().filter(|p| on(p)).count()
     };

@@ -11,8 +11,8 @@ const TOLERANCE: f64 = 0.15;
 /// The same for an eyeball behind the skin: lids lie close.
 const UNDER_LIDS: f64 = 0.05;
 
-/// The nearest skin and the nearest eyeball in every direction from a camera.
-struct DepthMap {
+/// The nearest of two layers of triangles in every direction from a camera.
+pub(super) struct DepthMap {
     eye: Vec3,
     right: Vec3,
     up: Vec3,
@@ -24,6 +24,13 @@ struct DepthMap {
     layers: [Vec<f32>; 2],
     /// Side of a cell at the surface, millimetres.
     cell: f64,
+}
+
+/// What the two layers of a [`DepthMap`] are.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Layers {
+    SkinAndEyeballs,
+    FrontAndBack,
 }
 
 /// What hides: triangles, the skin's points first, then the eyeballs'.
@@ -43,7 +50,8 @@ pub(super) struct View {
 impl View {
     /// Of a surface seen from `eyes`, at most `grazing` degrees off its normals.
     pub fn new(eyes: &[Vec3], surface: Occluder, grazing: f64) -> Self {
-        let maps = eyes.par_iter().filter_map(|eye| DepthMap::new(*eye, surface)).collect();
+        let maps =
+            eyes.par_iter().filter_map(|eye| DepthMap::new(*eye, surface, CELL, Layers::SkinAndEyeballs)).collect();
         Self { maps, least_cosine: grazing.to_radians().cos() }
     }
 
@@ -68,8 +76,8 @@ impl View {
 }
 
 impl DepthMap {
-    /// `None` where the camera has nothing before it.
-    fn new(eye: Vec3, surface: Occluder) -> Option<Self> {
+    /// With cells of `cell` millimetres at the surface's distance. `None` where the camera has nothing before it.
+    pub fn new(eye: Vec3, surface: Occluder, cell: f64, layers: Layers) -> Option<Self> {
         let points = surface.positions;
         let centre = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
         let back = (eye - centre).try_normalize(1e-9)?;
@@ -84,7 +92,7 @@ impl DepthMap {
             scale: 1.0,
             size: [0; 2],
             layers: [Vec::new(), Vec::new()],
-            cell: CELL,
+            cell,
         };
         let plane: Vec<[f64; 3]> = points.iter().map(|p| map.plane(p)).collect();
         let before: Vec<&[f64; 3]> = plane.iter().filter(|p| p[2] > 1.0).collect();
@@ -92,7 +100,7 @@ impl DepthMap {
         let (low, high) = ([bound(0, f64::min)?, bound(1, f64::min)?], [bound(0, f64::max)?, bound(1, f64::max)?]);
         let distance = (eye - centre).norm();
         let extent = (high[0] - low[0]).max(high[1] - low[1]).max(1e-9);
-        map.scale = (distance / CELL).min(MOST / extent);
+        map.scale = (distance / cell).min(MOST / extent);
         map.cell = distance / map.scale;
         map.low = low;
         map.size = [0, 1].map(|k| ((high[k] - low[k]) * map.scale) as usize + 2);
@@ -100,10 +108,51 @@ impl DepthMap {
         for t in surface.triangles {
             let corners = t.map(|v| plane[v as usize]);
             if corners.iter().all(|c| c[2] > 1.0) {
-                map.draw(corners, usize::from(t[0] as usize >= surface.skin_points));
+                let eyeball = t[0] as usize >= surface.skin_points;
+                map.draw(corners, |back| usize::from(if layers == Layers::FrontAndBack { back } else { eyeball }));
             }
         }
         Some(map)
+    }
+
+    pub fn eye(&self) -> Vec3 {
+        self.eye
+    }
+
+    /// Side of a cell at the surface, millimetres.
+    pub fn pitch(&self) -> f64 {
+        self.cell
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> [usize; 2] {
+        self.size
+    }
+
+    /// Depth of the first layer in each cell, row by row; infinite where there is none, or the second is before it.
+    pub fn nearest(&self) -> impl Iterator<Item = f64> + '_ {
+        self.layers[0].iter().zip(&self.layers[1]).map(|(a, b)| if a <= b { f64::from(*a) } else { f64::INFINITY })
+    }
+
+    /// Column, row and depth of a point, columns and rows as fractions.
+    pub fn pixel(&self, p: &Vec3) -> [f64; 3] {
+        let [x, y, depth] = self.plane(p);
+        [self.cell(0, x), self.cell(1, y), depth]
+    }
+
+    /// The point of a cell's ray at this depth.
+    pub fn point(&self, cell: usize, depth: f64) -> Vec3 {
+        self.eye + self.ray(cell) * depth
+    }
+
+    /// Length along a cell's ray for one of depth.
+    pub fn stretch(&self, cell: usize) -> f64 {
+        self.ray(cell).norm()
+    }
+
+    fn ray(&self, cell: usize) -> Vec3 {
+        let [x, y] = [cell % self.size[0], cell / self.size[0]].map(|k| k as f64 / self.scale);
+        self.right * (x + self.low[0]) + self.up * (y + self.low[1]) - self.back
     }
 
     /// Coordinates in the image plane at unit distance, and depth.
@@ -117,12 +166,14 @@ impl DepthMap {
         (x - self.low[axis]) * self.scale
     }
 
-    fn draw(&mut self, corners: [[f64; 3]; 3], layer: usize) {
+    /// `layer` is told whether the triangle shows its back.
+    fn draw(&mut self, corners: [[f64; 3]; 3], layer: impl Fn(bool) -> usize) {
         let [a, b, c] = corners.map(|p| [self.cell(0, p[0]), self.cell(1, p[1]), p[2]]);
         let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
         if area.abs() < 1e-12 {
             return;
         }
+        let layer = layer(area < 0.0);
         let span = |axis: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0) as usize;
             low..=(a[axis].max(b[axis]).max(c[axis]).floor().max(0.0) as usize).min(self.size[axis] - 1)

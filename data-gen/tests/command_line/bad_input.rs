@@ -1,6 +1,8 @@
 //! What people get wrong with `data-gen`.
 
-use crate::refusal::{ARGUMENTS, COMPUTATION, WRITING, all_hold, refuses};
+use nonrigid::io::write_npy;
+
+use crate::refusal::{ARGUMENTS, COMPUTATION, LOADING, WRITING, all_hold, refuses};
 
 /// One row: options besides `--out data`, exit code, words of the message.
 type Row = (&'static str, i32, &'static [&'static str]);
@@ -17,6 +19,12 @@ const ROWS: &[Row] = &[
     ("--seed one", ARGUMENTS, &["--seed", "one"]),
     ("--threads 0", ARGUMENTS, &["--threads", "0"]),
     ("--threads 1025", ARGUMENTS, &["--threads", "1025"]),
+    ("--rig nowhere --scanner frame", LOADING, &["nowhere"]),
+    ("--rig file --scanner frame", LOADING, &["file"]),
+    ("--rig points --scanner frame", LOADING, &["points", "no triangles"]),
+    ("--rig rig --scanner frame --vertices 1000", ARGUMENTS, &["cannot be used with"]),
+    ("--rig rig --cases 1", ARGUMENTS, &["net", "frame and fused"]),
+    ("--rig rig --scanner frame", ARGUMENTS, &["mouthStretch", "there are none"]),
     // cases
     ("--case ../x", ARGUMENTS, &["--case", "../x", "folder"]),
     ("--case .hidden", ARGUMENTS, &["--case", ".hidden"]),
@@ -52,6 +60,10 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --camera 0,0,10", ARGUMENTS, &["distance of a camera", "250"]),
     ("--camera-at 1,2", ARGUMENTS, &["--camera-at", "3 numbers"]),
     ("--vertices 1000 --camera-at 1e9,0,0", ARGUMENTS, &["camera", "100,000 mm"]),
+    ("--scanner laser", ARGUMENTS, &["--scanner", "net, frame, fused"]),
+    ("--scanner fused --see-all", ARGUMENTS, &["--see-all", "depth camera"]),
+    ("--vertices 1000 --scanner frame --camera 0,0 --camera 30,0", ARGUMENTS, &["frame has one camera", "fused"]),
+    ("--vertices 1000 --triangles 5000 --case same_open --scanner fused --camera 180,0", COMPUTATION, &["camera"]),
     ("--see-all --camera 0,0", ARGUMENTS, &["cannot be used with"]),
     ("--vertices 1000 --grazing 91", ARGUMENTS, &["grazing angle", "91"]),
     ("--vertices 1000 --detail 6", ARGUMENTS, &["detail", "0 to 5"]),
@@ -80,6 +92,14 @@ const ROWS: &[Row] = &[
 fn every_row_is_one_clear_error_and_leaves_no_trace() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("file"), "").unwrap();
+    // A rig of one quad without shapes, and one that is points alone.
+    for rig in ["rig", "points"] {
+        std::fs::create_dir(folder.path().join(rig)).unwrap();
+        let corners = [0.0f32, 0.0, 0.0, 90.0, 0.0, 0.0, 90.0, 90.0, 0.0, 0.0, 90.0, 0.0];
+        write_npy(&folder.path().join(rig).join("neutral.npy"), &[4, 3], &corners).unwrap();
+    }
+    std::fs::write(folder.path().join("rig/template.obj"), "v 0 0 0\nv 90 0 0\nv 90 90 0\nv 0 90 0\nf 1 2 3 4\n")
+        .unwrap();
     let check =
         |options: &str, code, words| refuses(env!("CARGO_BIN_EXE_data-gen"), folder.path(), options, code, words).err();
     let mut faults: Vec<String> = check("", ARGUMENTS, &["--out"]).into_iter().collect();

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use nonrigid::mesh::io::{read_npy_mask, read_npy_points, read_scan};
+use nonrigid::io::{read_npy_mask, read_npy_points, read_scan};
+use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::rig::{Rig, RigReadOptions};
 
 use crate::repeats::leaves_equal_files;
@@ -80,6 +81,45 @@ fn sequences_are_cases_with_weights() {
     assert_eq!(json(&sequence.join("frame_0002/case.json"))["expression"]["mouthSmile_L"], weights[2]);
 }
 
+/// Of the observed vertices of a case, the mean and the largest distance of their true places to the scan; and how many they are.
+fn distances(case: &Path) -> (f64, f64, usize) {
+    let scan = ClosestPoint::new(&read_scan(&case.join("scan.ply")).unwrap().mesh).unwrap();
+    let observed = read_npy_mask(&case.join("observed.npy"), None).unwrap();
+    let truth = read_npy_points(&case.join("truth.npy")).unwrap();
+    let seen = truth.iter().zip(&observed).filter(|(_, seen)| **seen);
+    let found: Vec<f64> = seen.map(|(p, _)| (scan.query(p).unwrap().point - p).norm()).collect();
+    (found.iter().sum::<f64>() / found.len() as f64, found.iter().copied().fold(0.0, f64::max), found.len())
+}
+
+#[test]
+fn depth_cameras_scan_the_generated_face_and_any_rig() {
+    let folder = tempfile::tempdir().unwrap();
+    // Coarse scans of a fine face: what tells is that the scan is where the truth is.
+    let small = SMALL.replace("5000", "20000");
+    done(folder.path(), &format!("{small} --case new_open --scanner fused"));
+    let (mean, most, fused) = distances(&folder.path().join("data/cases/new_open"));
+    assert!(mean < 0.3 && most < 4.0 && fused > 700, "{mean} {most} {fused}");
+    done(folder.path(), &format!("{small} --case new_open --scanner frame"));
+    let (mean, most, frame) = distances(&folder.path().join("data/cases/new_open"));
+    assert!(mean < 0.3 && most < 4.0 && 300 < frame && frame < fused, "{mean} {most} {frame} {fused}");
+
+    // People of the rig that was just written, and that is not written again.
+    let rig = folder.path().join("data/rig/expression_deltas.npy");
+    let before = std::fs::metadata(&rig).unwrap().modified().unwrap();
+    let people = "--seed 9 --out people --rig data/rig --cases 2 --triangles 20000";
+    for scanner in ["fused", "frame"] {
+        let said = done(folder.path(), &format!("{people} --scanner {scanner}"));
+        assert!(said.contains("data/rig: ") && !folder.path().join("people/rig").exists(), "{said}");
+        for name in ["same_0000", "new_0001"] {
+            let case = folder.path().join("people/cases").join(name);
+            let (mean, most, count) = distances(&case);
+            assert!(mean < 0.3 && most < 4.0 && count > 300, "{scanner} {name}: {mean} {most} {count}");
+            assert!(json(&case.join("landmarks.json")).as_object().unwrap().len() > 20);
+        }
+    }
+    assert_eq!(std::fs::metadata(&rig).unwrap().modified().unwrap(), before);
+}
+
 #[test]
 fn help_has_examples_and_exit_codes() {
     let folder = tempfile::tempdir().unwrap();
@@ -117,9 +157,11 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let program = env!("CARGO_BIN_EXE_data-gen");
     let small = "--seed 7 --out OUT --vertices 1000 --identity-modes 6 --triangles 5000 --threads THREADS";
-    for (options, files) in
-        [("--population 3 --contact-sheet --case same_open --case new_asym", 27), ("--frames 2 --preset smile", 25)]
-    {
+    for (options, files) in [
+        ("--population 3 --contact-sheet --case same_open --case new_asym", 27),
+        ("--frames 2 --preset smile", 25),
+        ("--case new_open --scanner fused", 17),
+    ] {
         assert_eq!(leaves_equal_files(program, folder.path(), &format!("{small} {options}"), false), files);
     }
 }

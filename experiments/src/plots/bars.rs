@@ -94,6 +94,10 @@ impl GroupedBars {
             canvas.words([at(value), y + 13.0], &label, Anchor::Middle, "");
         }
         canvas.words([(left + right) / 2.0, y + 33.0], &self.y, Anchor::Middle, "");
+        for &(bar, y) in rows.iter().filter(|r| r.0.value.is_finite()) {
+            let [from, to] = [at(bar.value.min(0.0)), at(bar.value.max(0.0))];
+            canvas.rectangle([from, y - 8.0], [to - from, 16.0], colour(5));
+        }
         if let Some((first, from)) = rows.first().filter(|r| r.0.value.is_finite()) {
             canvas.line([[at(first.value), *from], [at(first.value), y]], INK, 1.0, true);
         }
@@ -103,9 +107,7 @@ impl GroupedBars {
                 canvas.words([at(0.0) + 5.0, y], NO_VALUE, Anchor::Start, &format!("fill=\"{GREY}\""));
                 continue;
             }
-            let [from, to] = [at(bar.value.min(0.0)), at(bar.value.max(0.0))];
-            canvas.rectangle([from, y - 8.0], [to - from, 16.0], colour(5));
-            let mut end = to;
+            let mut end = at(bar.value.max(0.0));
             if let Some(ends) = spread(bar) {
                 canvas.line(ends.map(|v| [at(v), y]), INK, 1.5, false);
                 end = end.max(at(ends[1]));

@@ -11,7 +11,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use nonrigid::console::Failure;
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 
 mod axis;
 mod bars;

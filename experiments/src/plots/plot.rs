@@ -176,7 +176,7 @@ impl Grid {
             let mut bottom: f64 = 0.0;
             for (k, panel) in row.iter().enumerate() {
                 let left = wide * k as f64;
-                let end = panel.draw(&mut canvas, [left, top + header]);
+                let end = panel.draw(&mut canvas, [left, top + header], header);
                 let legend = if alike { panel.line_legend() } else { panel.legend() };
                 bottom = bottom.max(canvas.legend([left + 40.0, end], wide - 60.0, &legend));
             }
@@ -258,8 +258,12 @@ impl<'a> Panel<'a> {
         of.map_or(GREY, |series| colour(self.looks[series]))
     }
 
+    fn shows(&self, p: &Point) -> bool {
+        self.plot.x.shows(p.x) && self.plot.y.shows(p.y)
+    }
+
     fn is_above(&self, p: &Point) -> bool {
-        self.plot.x.shows(p.x) && self.plot.y.shows(p.y) && p.y > self.y.to()
+        self.shows(p) && p.y > self.y.to()
     }
 
     /// Series with points above the axis, each of which has its row of triangles.
@@ -290,13 +294,14 @@ impl<'a> Panel<'a> {
         title + ABOVE * self.rows_above().len() as f64 + ROW * rows as f64
     }
 
-    /// Draws title, axes and data about a frame whose top is at `y`, in a panel whose left edge is at `x`; returns where they end.
-    fn draw(&self, canvas: &mut Canvas, [x, y]: [f64; 2]) -> f64 {
+    /// Draws title, axes and data about a frame whose top is at `y` below a header of the row, in a panel whose left edge is at `x`;
+    /// returns where they end.
+    fn draw(&self, canvas: &mut Canvas, [x, y]: [f64; 2], header: f64) -> f64 {
         let [wide, high] = self.size;
         let corner = [x + self.left, y];
         let bottom = y + high;
         if !self.plot.title.is_empty() {
-            canvas.title([corner[0] + wide / 2.0, y - self.header() + 18.0], &self.plot.title);
+            canvas.title([corner[0] + wide / 2.0, y - header + 18.0], &self.plot.title);
         }
         for (value, label) in self.x.ticks((wide / 75.0) as usize) {
             let at = corner[0] + self.x.fraction(value) * wide;
@@ -324,9 +329,15 @@ impl<'a> Panel<'a> {
                 canvas.line(line.ends.map(|[x, y]| self.at(x, y)), self.line_colour(line), 1.5, true);
             }
             for (series, look) in self.plot.series.iter().zip(&self.looks) {
-                self.draw_series(canvas, series, *look);
+                self.draw_lines(canvas, series, *look);
             }
         });
+        for (series, look) in self.plot.series.iter().zip(&self.looks) {
+            for p in series.points.iter().filter(|p| self.shows(p) && !self.is_above(p)) {
+                let [across, down] = self.at(p.x, p.y);
+                canvas.marker([corner[0] + across, y + down], *look);
+            }
+        }
         for (row, k) in above.into_iter().enumerate() {
             let y = y - 2.0 - ABOVE * row as f64;
             for p in self.plot.series[k].points.iter().filter(|p| self.is_above(p)) {
@@ -342,19 +353,17 @@ impl<'a> Panel<'a> {
         [across * self.size[0], (1.0 - up) * self.size[1]]
     }
 
-    fn draw_series(&self, canvas: &mut Canvas, series: &Series, look: usize) {
-        let shows = |p: &Point| self.plot.x.shows(p.x) && self.plot.y.shows(p.y);
-        for run in series.points.split(|p| !shows(p)).filter(|run| run.len() > 1) {
+    fn draw_lines(&self, canvas: &mut Canvas, series: &Series, look: usize) {
+        for run in series.points.split(|p| !self.shows(p)).filter(|run| run.len() > 1) {
             canvas.polyline(&run.iter().map(|p| self.at(p.x, p.y)).collect::<Vec<_>>(), colour(look));
         }
-        for p in series.points.iter().filter(|p| shows(p) && !self.is_above(p)) {
+        for p in series.points.iter().filter(|p| self.shows(p) && !self.is_above(p)) {
             if let Some([low, high]) = p.spread.filter(|s| s.iter().all(|v| !v.is_nan())) {
                 let open = |v: f64, edge: f64| {
                     if self.plot.y.shows(v) { self.at(p.x, v) } else { [self.at(p.x, p.y)[0], edge] }
                 };
                 canvas.line([open(low, self.size[1]), open(high, 0.0)], colour(look), 1.5, false);
             }
-            canvas.marker(self.at(p.x, p.y), look);
         }
     }
 }

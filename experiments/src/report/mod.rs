@@ -1,6 +1,7 @@
 //! The report: Klimov's figures and claims, the models side by side, and how the solver grows, on one page that fills as results
 //! arrive.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{IsTerminal as _, Write};
 use std::path::{Path, PathBuf};
@@ -10,6 +11,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nonrigid::console::{Failure, Stage, say_to};
+use nonrigid::registration::{ModelFactory as _, ModelKind};
 use nonrigid::self_test::Machine;
 use serde_json::json;
 
@@ -54,6 +56,9 @@ pub struct Options {
     /// in DIR/scans
     #[arg(long, value_name = "DIR", requires = "rig")]
     pub scans: Option<PathBuf>,
+    /// Other programs beside ours, run by this Python; `experiments peers --help` says how to install them [default: python3]
+    #[arg(long, value_name = "PYTHON", num_args = 0..=1, default_missing_value = "python3")]
+    pub peers: Option<PathBuf>,
     /// Seed of everything random
     #[arg(long, default_value_t = 7)]
     pub seed: u64,
@@ -117,8 +122,8 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
         let begin = Instant::now();
         let progress = progress_bar();
         say(log, format!("{:12}", study.name))?;
-        states[k].1 =
-            outcome(study, &Setting { effort, data: &data, seed: options.seed, out, program, progress: &progress })?;
+        let (seed, peers) = (options.seed, options.peers.as_deref());
+        states[k].1 = outcome(study, &Setting { effort, data: &data, seed, out, program, peers, progress: &progress })?;
         progress.finish_and_clear();
         let seconds = begin.elapsed().as_secs_f64();
         times.push((study.name, seconds));
@@ -154,7 +159,8 @@ fn outcome(study: &Study, setting: &Setting<'_>) -> Result<State> {
     }
 }
 
-/// The studies that are asked for, in the order of the page: all without names, but those of real scans only where there are some.
+/// The studies that are asked for, in the order of the page: all without names, but those of real scans only where there
+/// are some, and other programs only where they are asked for.
 fn choose(options: &Options) -> Result<Vec<&'static Study>> {
     let names = &options.only;
     if let Some(unknown) = names.iter().find(|n| !STUDIES.iter().any(|s| s.name == n.as_str())) {
@@ -167,8 +173,12 @@ fn choose(options: &Options) -> Result<Vec<&'static Study>> {
         let message = format!("--only {}: needs --rig, and --scans with a real scan", studies::REAL);
         return Err(Failure::new(Stage::Arguments, message).into());
     }
+    if names.iter().any(|n| n == studies::PEERS) && options.peers.is_none() {
+        let message = format!("--only {}: needs --peers", studies::PEERS);
+        return Err(Failure::new(Stage::Arguments, message).into());
+    }
     let wanted = |s: &&Study| match &names[..] {
-        [] => s.name != studies::REAL || real,
+        [] => (s.name != studies::REAL || real) && (s.name != studies::PEERS || options.peers.is_some()),
         names => names.iter().any(|n| n == s.name),
     };
     Ok(STUDIES.iter().filter(wanted).collect())
@@ -229,7 +239,8 @@ const MANIFEST: &str = "manifest.json";
 /// What identifies a run: equal manifests, equal results.
 fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&Study]) -> Result<()> {
     let command: Vec<String> = std::env::args().skip(1).collect();
-    let schedules = nonrigid::registration::DEFAULT_SCHEDULES;
+    let schedules: BTreeMap<String, &str> =
+        ModelKind::ALL.iter().map(|m| (m.to_string(), m.default_schedule())).collect();
     let manifest = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "commit": commit(),
@@ -237,7 +248,7 @@ fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&St
         "seed": options.seed,
         "effort": effort,
         "studies": chosen.iter().map(|s| s.name).collect::<Vec<_>>(),
-        "schedules": schedules.iter().copied().collect::<std::collections::BTreeMap<_, _>>(),
+        "schedules": schedules,
         "generated": data.generated,
         "inputs": data.hashes()?,
     });
@@ -294,12 +305,12 @@ fn next_commands(data: &Data, out: &Path) -> String {
     let modes = if modes > 0 { format!(" --identity-modes {}", modes.min(40)) } else { String::new() };
     format!(
         "look closer:\n  \
-         cargo run --release -p experiments -- compare {} --rig {rig} --out {}\n\n\
+         cargo run --release -p experiments -- scan-bench {} --rig {rig} --out {}\n\n\
          your own scan, in a folder YOUR_SCAN with scan.ply and landmarks.json ({} is one):\n  \
          cargo run --release -- register --template {template} --rig {rig}{modes} \
          --target YOUR_SCAN/scan.ply --landmarks YOUR_SCAN/landmarks.json --out {} --picture {}",
         quoted(data.cases_folder.clone()),
-        quoted(out.join("compare")),
+        quoted(out.join("scan-bench")),
         quoted(case),
         quoted(out.join("wrapped.obj")),
         quoted(out.join("wrapped.png")),
@@ -319,6 +330,7 @@ mod tests {
             only: names.iter().map(ToString::to_string).collect(),
             rig: None,
             scans: None,
+            peers: None,
             seed: 7,
             out: PathBuf::new(),
         };
@@ -328,7 +340,7 @@ mod tests {
         assert!(error.contains("--scans"), "{error}");
         let chosen = choose(&options(&["sweeps", "inputs"])).unwrap();
         assert_eq!(chosen.iter().map(|s| s.name).collect::<Vec<_>>(), ["inputs", "sweeps"]);
-        assert_eq!(choose(&options(&[])).unwrap().len(), STUDIES.len() - 1);
+        assert_eq!(choose(&options(&[])).unwrap().len(), STUDIES.len() - 2);
     }
 
     #[test]

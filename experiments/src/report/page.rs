@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use nonrigid::console::Failure;
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 use nonrigid::page::{self, escaped};
 
 use super::claims::{Judged, PAPERS, Verdict};

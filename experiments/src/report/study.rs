@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use indicatif::ProgressBar;
 use nonrigid::console::Failure;
-use nonrigid::registration::{RegistrationResult, TermFactory, TermKind};
+use nonrigid::registration::{RegistrationResult, TERMS};
 use nonrigid::render::{RgbImage, draw_text, save_png};
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use super::data::Data;
 use super::effort::Effort;
 use super::table::{Table, number};
 use crate::plots::{Point, write_svg};
-use crate::scan_bench::{BenchCase, Score, Variant, run_case};
+use crate::scan_bench::{BenchCase, BenchRow, Score, Variant, run_case};
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]
@@ -44,6 +44,8 @@ pub struct Setting<'a> {
     pub out: &'a Path,
     /// The `experiments` whose processes measure memory.
     pub program: &'a Path,
+    /// The Python that has the other programs, if they are asked for.
+    pub peers: Option<&'a Path>,
     /// How far it is.
     pub progress: &'a ProgressBar,
 }
@@ -115,8 +117,7 @@ impl Setting<'_> {
 /// # Errors
 /// When the registration fails.
 pub fn register_variant(variant: &Variant, case: &BenchCase) -> Result<(Score, RegistrationResult, f64)> {
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
-    run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks)
+    run_case(&variant.model, &TERMS, &variant.schedule, case, variant.landmarks)
 }
 
 /// A picture with a few words in its upper left corner.
@@ -128,7 +129,26 @@ pub fn labelled(mut picture: RgbImage, words: &str) -> RgbImage {
 
 /// Columns of [`error_cells`].
 pub const ERROR_COLUMNS: [&str; 9] =
-    ["rmse", "off", "slide", "median", "p95", "unobserved", "flips", "self_intersections", "iterations"];
+    ["rmse", "normal", "tangential", "median", "p95", "unobserved", "flips", "self_intersections", "iterations"];
+
+/// Writes `name`.csv, the errors of every run, and `name`.timing.csv, what it took.
+///
+/// # Errors
+/// When they cannot be written.
+pub fn write_runs(out: &Path, name: &str, rows: &[BenchRow], threads: usize) -> Result<()> {
+    let mut table = Table::new(&[&["group", "name", "case"][..], &ERROR_COLUMNS, &["error"]].concat());
+    let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mib", "threads"]);
+    for row in rows {
+        let of = [row.group.clone(), row.model.clone(), row.case.clone()];
+        let error = row.error.clone().unwrap_or_default();
+        table.push([of.to_vec(), error_cells(row.score.as_ref()), vec![error]].concat());
+        let mib = row.peak_bytes.map_or(f64::NAN, |b| b as f64 / 1048576.0);
+        let numbers = [row.seconds.unwrap_or(f64::NAN), mib, threads as f64].map(number);
+        times.push([&of[..], &numbers].concat());
+    }
+    table.write(out, name)?;
+    times.write(out, &format!("{name}.timing"))
+}
 
 /// The errors of a result, millimetres; of a failure none.
 #[must_use]
@@ -136,7 +156,7 @@ pub fn error_cells(score: Option<&Score>) -> Vec<String> {
     let Some(score) = score else { return vec![String::new(); ERROR_COLUMNS.len()] };
     let e = &score.errors;
     let counts = [e.flipped, score.mesh.self_intersections, score.iterations.unwrap_or(0)];
-    let numbers = [e.rmse, e.off, e.slide, e.median, e.p95, e.unobserved];
+    let numbers = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.unobserved];
     numbers.into_iter().chain(counts.map(|n| n as f64)).map(number).collect()
 }
 

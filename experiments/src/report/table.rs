@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 use nonrigid::text::from_csv_field;
 use serde_json::{Map, Value};
 

@@ -8,9 +8,9 @@ use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
-use nonrigid::model::{Linearisation, NodeGraph, Stiffness, hybrid};
+use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness};
 use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, Options, Silent, Workspace};
-use nonrigid::registration::{ModelFactory as _, ModelKind, RegistrationObserver, StepRecord, register};
+use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
 use nonrigid::term::PointToPlane;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -118,7 +118,7 @@ fn solve(run: &SolverRun) -> Result<Value> {
     let normals = vertex_normals(&face.goal, &face.mesh.triangles, NormalWeighting::Area);
     let scale = REFERENCE_VERTICES / vertices as f64;
     let residuals = PointToPlane { weights: vec![1.0; vertices], targets: face.goal, normals, scale };
-    let mut model = hybrid(face.mesh.positions, graph, face.shapes, STIFFNESS);
+    let mut model = Hybrid::new(face.mesh.positions, graph, face.shapes, STIFFNESS);
     model.linearisation = if run.reference { Linearisation::Reference } else { Linearisation::Structured };
     let mut problem = Deformation::new(model, Samples::vertices(vertices));
     problem.terms.push(Pointwise::new("point to plane", residuals, Kernel::Huber { delta: HUBER }));
@@ -192,7 +192,7 @@ fn register_scan(run: &RegistrationRun) -> Result<Value> {
     Ok(json!({
         "triangles": case.scan.mesh.triangles.len(),
         "template": case.template.positions.len(),
-        "nodes": schedule.graph.nodes,
+        "nodes": schedule.model.number("nodes"),
         "shapes": case.shapes.len(),
         "steps": steps,
         "generate_seconds": generate,

@@ -12,7 +12,7 @@ use super::{
     BenchRow, CaseSource, External, LandmarkUse, Variant, measure, megabytes, summarize, summary_table, table_of,
     write_rows,
 };
-use crate::output::make_output_folder;
+use crate::output::{each_once, make_output_folder};
 use crate::random_pose::finite;
 use crate::this_program;
 
@@ -106,18 +106,12 @@ impl Arguments {
 
     /// What is wrong with the options, if anything.
     fn check(&self) -> Result<(), Failure> {
-        let wrong = |what: String| Err(Failure::new(Stage::Arguments, what));
         let models = &self.models.0;
-        if let Some((_, model)) = models.iter().enumerate().find(|(i, model)| models[..*i].contains(model)) {
-            return wrong(format!("--models names {model} twice"));
-        }
-        for (i, external) in self.external.iter().enumerate() {
-            if self.external[..i].iter().any(|e| e.name == external.name) {
-                return wrong(format!("--external names {} twice", external.name));
-            }
-        }
+        each_once("--models", models)?;
+        each_once("--external", &self.external.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         if models.is_empty() && !self.kernels && !self.terms && self.external.is_empty() {
-            return wrong("--models none without --kernels, --terms or --external leaves nothing to run".to_owned());
+            let message = "--models none without --kernels, --terms or --external leaves nothing to run";
+            return Err(Failure::new(Stage::Arguments, message));
         }
         Ok(())
     }
@@ -181,7 +175,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let mut rows = measure(&this_program()?, &source, &variants, threads, Some(&a.out), &mut progress)?;
     external.iter().try_for_each(progress)?;
     rows.extend(external);
-    write_rows(&a.out, &rows, threads)?;
+    write_rows(&a.out, "scan-bench", &rows, threads)?;
     say(table_of(&rows))?;
     say(summary_table(&summarize(&rows)))?;
     say(format_args!("results, scan-bench.csv and scan-bench.json are in {}", a.out.display()))?;

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::Result;
 use nonrigid::console::Failure;
-use nonrigid::mesh::io;
+use nonrigid::io;
 
 use super::{BenchCase, BenchRow, Score};
 
@@ -84,6 +84,5 @@ fn score(file: &Path, case: &BenchCase) -> Result<Score, String> {
     };
     // The readers' errors name the file, and refuse numbers that are not finite.
     let positions = positions.map_err(|e| e.to_string())?;
-    let (errors, mesh) = case.score(&positions).map_err(|e| format!("{}: {e}", file.display()))?;
-    Ok(Score { errors, mesh, iterations: None })
+    case.scored(&positions, None).map_err(|e| format!("{}: {e}", file.display()))
 }

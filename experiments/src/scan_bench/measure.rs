@@ -3,18 +3,19 @@
 
 use std::io::{self, BufRead as _, BufReader, Read as _, Write as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::thread;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage};
-use nonrigid::mesh::io::write_polygon_mesh;
-use nonrigid::registration::{TermFactory, TermKind};
+use nonrigid::io::write_polygon_mesh;
+use nonrigid::registration::TERMS;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_case};
+use crate::process::Process;
 use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
 
@@ -141,9 +142,8 @@ impl Variant {
     fn run(&self, case: &BenchCase, results: Option<&Path>) -> Line {
         let (mut seconds, mut peak) = (None, None);
         let mut fit = || -> Result<Score> {
-            let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
             reset_peak();
-            let (score, result, wall) = run_case(&self.model, &terms, &self.schedule, case, self.landmarks)?;
+            let (score, result, wall) = run_case(&self.model, &TERMS, &self.schedule, case, self.landmarks)?;
             (seconds, peak) = (Some(wall), peak_bytes());
             if !score.errors.finite {
                 bail!("the result is not finite");
@@ -156,17 +156,6 @@ impl Variant {
         };
         let row = BenchRow::new(&self.group, &self.name, &case.name, fit().map_err(|e| format!("{e:#}")));
         Line { row, seconds, peak_bytes: peak }
-    }
-}
-
-/// Ends with its owner.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both fail only when it has ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -255,13 +244,13 @@ mod tests {
         let mut variant = Variant::of_model(nonrigid::registration::ModelKind::Sequential).unwrap();
         // A decimal of 17 digits, a power of ten beyond the exact ones, the least number, negative zero.
         variant.schedule.reference_size = 67.000_000_000_000_01 / 3.0;
-        variant.schedule.levels[0].landmarks = 1.234_567_890_123_456_7e-200;
-        variant.schedule.levels[1].landmarks = 5e-324;
-        variant.schedule.levels[2].landmarks = -0.0;
+        variant.schedule.levels[0].model.set("lambda_blend", 1.234_567_890_123_456_7e-200);
+        variant.schedule.levels[1].model.set("lambda_blend", 5e-324);
+        variant.schedule.levels[2].model.set("lambda_blend", -0.0);
         let text = to_exact(&variant).unwrap();
         let back: Variant = from_exact(&text).unwrap();
         assert_eq!(back, variant);
-        assert!(back.schedule.levels[2].landmarks.is_sign_negative());
+        assert!(back.schedule.levels[2].model.number("lambda_blend").unwrap().is_sign_negative());
         assert_eq!(text.lines().count(), 1);
         let error = from_exact::<Variant>("thread panicked").unwrap_err();
         assert!(error.to_string().contains("thread panicked"), "{error}");

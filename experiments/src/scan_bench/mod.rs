@@ -16,8 +16,10 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::evaluation::{EvaluationError, MeshQuality, TruthErrors};
-use nonrigid::mesh::io::{self, Landmark, Scan};
+use nonrigid::evaluation::{ApertureErrors, EvaluationError, MeshQuality, TruthErrors};
+use nonrigid::io::{self, Scan};
+use nonrigid::landmark;
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
     Level, ModelFactory, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Stage, StepRecord,
@@ -51,6 +53,8 @@ pub struct BenchCase {
     pub observed: Vec<bool>,
     /// Landmarks.
     pub landmarks: Vec<Landmark>,
+    /// The rig's 68 landmarks, empty if it has none: where apertures are measured.
+    pub rig_landmarks: Vec<u32>,
 }
 
 /// What of `case.json` a fit needs.
@@ -136,7 +140,8 @@ impl BenchCase {
             shapes: rig.rig.select(selection).with_context(|| path.display().to_string())?,
             truth: points("truth.npy")?,
             observed: io::read_npy_mask(&folder.join("observed.npy"), Some(vertices))?,
-            landmarks: io::read_landmarks(&folder.join("landmarks.json"), None, &rig.template, Some(&scan.mesh))?,
+            landmarks: landmark::read_landmarks(&folder.join("landmarks.json"), None, &rig.template, Some(&scan.mesh))?,
+            rig_landmarks: rig.rig.landmarks().unwrap_or_default().to_vec(),
             scan,
         })
     }
@@ -155,6 +160,16 @@ impl BenchCase {
         let (errors, _) = TruthErrors::new(positions, &self.truth, &self.observed, &triangles)?;
         let rest = self.neutral.as_ref().unwrap_or(&self.template.positions);
         Ok((errors, MeshQuality::new(&self.template.with_positions(rest.clone()), positions)?))
+    }
+
+    /// A result in numbers, and another program's `iterations` are unknown.
+    ///
+    /// # Errors
+    /// As [`score`](Self::score).
+    pub fn scored(&self, positions: &[Vec3], iterations: Option<usize>) -> Result<Score, EvaluationError> {
+        let (errors, mesh) = self.score(positions)?;
+        let apertures = ApertureErrors::new(positions, &self.truth, &self.rig_landmarks);
+        Ok(Score { errors, mesh, apertures, iterations })
     }
 
     /// The same case with scan, truth and landmarks moved by `pose`, which must not scale: what a fit has to undo.
@@ -228,7 +243,7 @@ impl LandmarkUse {
             Self::None => Vec::new(),
             Self::Some(n) => spread(&case.landmarks, &case.template, n),
             Self::Align => {
-                each_level(&mut schedule, |level| level.landmarks = 0.0);
+                each_level(&mut schedule, |level| level.set_term("landmarks", 0.0));
                 case.landmarks.clone()
             }
         };
@@ -290,8 +305,7 @@ pub fn run_case(
 ) -> Result<(Score, RegistrationResult, f64)> {
     let (result, seconds) = fit_case(model, terms, schedule, case, landmarks)
         .with_context(|| format!("{} on {}", model.name(), case.name))?;
-    let (errors, mesh) = case.score(&result.positions)?;
-    Ok((Score { errors, mesh, iterations: Some(result.history.len()) }, result, seconds))
+    Ok((case.scored(&result.positions, Some(result.history.len()))?, result, seconds))
 }
 
 /// Every model, each with its own default schedule, on every case, in this process. Your own [`ModelFactory`] or [`TermFactory`]
@@ -308,7 +322,7 @@ pub fn scan_bench(
     let mut rows = Vec::new();
     for case in cases {
         for &model in models {
-            let (score, _, seconds) = run_case(model, terms, &model.schedule()?, case, landmarks)?;
+            let (score, _, seconds) = run_case(model, terms, &Schedule::default_for(model)?, case, landmarks)?;
             let row = BenchRow::new("model", model.name(), &case.name, Ok(score));
             rows.push(BenchRow { seconds: Some(seconds), ..row });
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use comfy_table::Table;
-use nonrigid::evaluation::{MeshQuality, TruthErrors};
+use nonrigid::evaluation::{ApertureErrors, MeshQuality, TruthErrors};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -53,6 +53,9 @@ pub struct Score {
     /// Self-intersections and edge stretch against the rest shape: the subject's neutral, or else the template.
     #[serde(flatten)]
     pub mesh: MeshQuality,
+    /// Lids and lips against the truth.
+    #[serde(flatten)]
+    pub apertures: ApertureErrors,
     /// Steps taken; another program's are unknown.
     pub iterations: Option<usize>,
 }
@@ -73,11 +76,15 @@ pub struct BenchSummary {
     /// Largest rmse.
     pub worst_rmse: f64,
     /// Mean of the part along the normal.
-    pub mean_off: f64,
+    pub mean_normal: f64,
     /// Mean of the part along the surface.
-    pub mean_slide: f64,
+    pub mean_tangential: f64,
     /// Mean of the 95th percentile.
     pub mean_p95: f64,
+    /// Mean error of how far the eyes are open, where the rig has the 68 landmarks.
+    pub mean_eye_aperture: Option<f64>,
+    /// The same of the lips.
+    pub mean_lip_aperture: Option<f64>,
     /// Largest rmse over unobserved vertices.
     pub worst_unobserved: f64,
     /// Most flipped triangles.
@@ -120,9 +127,11 @@ fn summary(key: [&str; 2], rows: &[BenchRow]) -> BenchSummary {
         failed: rows.len() - scores.len(),
         mean_rmse: mean(|s| s.errors.rmse),
         worst_rmse: worst(|s| s.errors.rmse),
-        mean_off: mean(|s| s.errors.off),
-        mean_slide: mean(|s| s.errors.slide),
+        mean_normal: mean(|s| s.errors.normal),
+        mean_tangential: mean(|s| s.errors.tangential),
         mean_p95: mean(|s| s.errors.p95),
+        mean_eye_aperture: self::mean(scores.iter().filter_map(|s| s.apertures.eye_aperture)),
+        mean_lip_aperture: self::mean(scores.iter().filter_map(|s| s.apertures.lip_aperture)),
         worst_unobserved: worst(|s| s.errors.unobserved),
         worst_flips: most(|s| s.errors.flipped),
         worst_self_intersections: most(|s| s.mesh.self_intersections),
@@ -137,16 +146,18 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// One line a variant: errors in millimetres, seconds, megabytes. Without a result on any case, that is all it says.
+/// One line a variant: errors in millimetres, `eyes` and `lips` those of how far they are open, seconds, megabytes. Without a result on any case, that is all it says.
 #[must_use]
 pub fn summary_table(summaries: &[BenchSummary]) -> Table {
     let header = [
         "variant / mm",
         "mean rmse",
         "worst rmse",
-        "mean off",
-        "mean slide",
+        "mean normal",
+        "mean tangential",
         "mean p95",
+        "eyes",
+        "lips",
         "worst flips",
         "worst self-int.",
         "mean steps",
@@ -159,10 +170,11 @@ pub fn summary_table(summaries: &[BenchSummary]) -> Table {
         if s.failed == s.cases {
             cells.extend(vec![String::new(); header.len() - 2]);
         } else {
-            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.mean_p95];
-            cells.extend(numbers.map(|x| format!("{x:.3}")));
-            cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));
+            let numbers = [s.mean_rmse, s.worst_rmse, s.mean_normal, s.mean_tangential, s.mean_p95];
             let known = |x: Option<f64>, decimals: usize| x.map_or(String::new(), |x| format!("{x:.decimals$}"));
+            cells.extend(numbers.map(|x| format!("{x:.3}")));
+            cells.extend([s.mean_eye_aperture, s.mean_lip_aperture].map(|x| known(x, 3)));
+            cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));
             cells.extend([known(s.mean_iterations, 1), known(s.mean_seconds, 2)]);
             cells.push(known(s.peak_bytes.map(megabytes), 0));
         }
@@ -173,10 +185,10 @@ pub fn summary_table(summaries: &[BenchSummary]) -> Table {
 }
 
 /// The columns of [`cells`].
-const COLUMNS: [&str; 13] = [
+const COLUMNS: [&str; 15] = [
     "rmse",
-    "off",
-    "slide",
+    "normal",
+    "tangential",
     "median",
     "p95",
     "max",
@@ -186,16 +198,21 @@ const COLUMNS: [&str; 13] = [
     "self_intersections_at_rest",
     "stretch_p1",
     "stretch_p99",
+    "eye_aperture",
+    "lip_aperture",
     "iterations",
 ];
 
 /// A result as text, numbers with so many decimals; without one nothing.
 fn cells(score: Option<&Score>, decimals: usize) -> Vec<String> {
-    let Some(Score { errors: e, mesh: m, iterations }) = score else { return vec![String::new(); COLUMNS.len()] };
+    let Some(Score { errors: e, mesh: m, apertures, iterations }) = score else {
+        return vec![String::new(); COLUMNS.len()];
+    };
     let number = |x: f64| format!("{x:.decimals$}");
-    let mut cells = [e.rmse, e.off, e.slide, e.median, e.p95, e.max, e.unobserved].map(number).to_vec();
+    let mut cells = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.max, e.unobserved].map(number).to_vec();
     cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
     cells.extend([m.stretch.p1, m.stretch.p99].map(number));
+    cells.extend([apertures.eye_aperture, apertures.lip_aperture].map(|x| x.map_or(String::new(), number)));
     cells.push(iterations.map_or(String::new(), |n| n.to_string()));
     cells
 }
@@ -211,24 +228,23 @@ pub fn table_of(rows: &[BenchRow]) -> Table {
     table(&header, rows.iter().map(line))
 }
 
-/// Writes `scan-bench.csv` and `scan-bench.json`, which are the same in every equal run, and `scan-bench.timing.csv`, which is
-/// not.
+/// Writes `NAME.csv` and `NAME.json`, which are the same in every equal run, and `NAME.timing.csv`, which is not.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_rows(out: &Path, rows: &[BenchRow], threads: usize) -> Result<()> {
+pub fn write_rows(out: &Path, name: &str, rows: &[BenchRow], threads: usize) -> Result<()> {
     let key = |r: &BenchRow| [&r.case, &r.model, &r.group].map(|text| csv_text(text)).join(",");
     let lines = rows.iter().map(|r| {
         let error = r.error.as_deref().map_or(String::new(), csv_text);
         format!("{},{},{error}", key(r), cells(r.score.as_ref(), 6).join(","))
     });
-    write_csv(&out.join("scan-bench.csv"), &format!("case,model,group,{},error", COLUMNS.join(",")), lines)?;
+    write_csv(&out.join(format!("{name}.csv")), &format!("case,model,group,{},error", COLUMNS.join(",")), lines)?;
     let times = rows.iter().filter_map(|r| {
         let peak = r.peak_bytes.map_or(String::new(), |bytes| format!("{:.3}", megabytes(bytes)));
         Some(format!("{},{:.4},{peak},{threads}", key(r), r.seconds?))
     });
-    write_csv(&out.join("scan-bench.timing.csv"), "case,model,group,seconds,peak_mb,threads", times)?;
-    write_json(&out.join("scan-bench.json"), &json!({ "rows": rows, "summary": summarize(rows) }))
+    write_csv(&out.join(format!("{name}.timing.csv")), "case,model,group,seconds,peak_mb,threads", times)?;
+    write_json(&out.join(format!("{name}.json")), &json!({ "rows": rows, "summary": summarize(rows) }))
 }
 
 /// Millions of bytes.

@@ -1,7 +1,7 @@
 //! What is compared: a model with a schedule. Each group varies one thing and holds all else.
 
 use nonrigid::nlls::Kernel;
-use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule, ScheduleError};
+use nonrigid::registration::{Level, ModelKind, Schedule, ScheduleError};
 use serde::{Deserialize, Serialize};
 
 use super::{LandmarkUse, each_level};
@@ -67,35 +67,31 @@ impl Variant {
     ///
     /// | name | what |
     /// |---|---|
-    /// | `default` | its schedule: point-to-plane |
-    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one alone, at point-to-plane's weight and kernel |
-    /// | `with scan_to_template` | the default, and scan points towards the template at point-to-plane's weight |
-    /// | `without landmarks`, `without seam` | the default with that weight zero; the start still takes landmarks |
+    /// | `default` | its schedule: point-to-plane, at the last level symmetric, and scan points towards the template |
+    /// | `point_to_plane`, `symmetric`, `point_to_point` | this one instead of point-to-plane and symmetric, at their weight |
+    /// | `without scan_to_template`, `without seam` | the default with that weight zero |
+    /// | `without landmarks` | the same; the start still takes landmarks |
+    /// | `without beyond` | the default with expressions free to lie outside 0 to 1 |
     /// | `without lambda_unseen` | the default with a graph as stiff where nothing is seen as where something is |
     /// | `with prediction` | the same, and unseen vertices held to where the blendshapes in one rigid pose predict them |
     ///
     /// # Errors
     /// As [`of_model`](Self::of_model).
     pub fn terms() -> Result<Vec<Self>, ScheduleError> {
-        let changes: [(&str, Change); 9] = [
+        let changes: [(&str, Change); 10] = [
             ("default", |_| ()),
-            ("point_to_plane", |s| each_level(s, |l| l.point_to_point = 0.0)),
-            ("symmetric", |s| {
-                each_level(s, |l| (l.symmetric, l.point_to_plane, l.point_to_point) = (l.point_to_plane, 0.0, 0.0));
-            }),
-            ("point_to_point", |s| {
-                each_level(s, |l| {
-                    (l.point_to_point, l.point_to_plane) = (l.point_to_plane, 0.0);
-                });
-            }),
-            ("with scan_to_template", |s| each_level(s, |l| l.scan_to_template = l.point_to_plane)),
-            ("without landmarks", |s| each_level(s, |l| l.landmarks = 0.0)),
-            ("without lambda_unseen", |s| s.graph.lambda_unseen = 0.0),
+            ("point_to_plane", |s| each_level(s, |l| alone(l, "point_to_plane"))),
+            ("symmetric", |s| each_level(s, |l| alone(l, "symmetric"))),
+            ("point_to_point", |s| each_level(s, |l| alone(l, "point_to_point"))),
+            ("without scan_to_template", |s| each_level(s, |l| l.set_term("scan_to_template", 0.0))),
+            ("without beyond", |s| s.sigma.beyond = None),
+            ("without landmarks", |s| each_level(s, |l| l.set_term("landmarks", 0.0))),
+            ("without lambda_unseen", |s| s.model.set("lambda_unseen", 0.0)),
             ("with prediction", |s| {
-                s.graph.lambda_unseen = 0.0;
-                each_level(s, |l| l.prediction = 0.01);
+                s.model.set("lambda_unseen", 0.0);
+                each_level(s, |l| l.set_term("prediction", 0.01));
             }),
-            ("without seam", |s| each_level(s, |l| l.seam = 0.0)),
+            ("without seam", |s| each_level(s, |l| l.set_term("seam", 0.0))),
         ];
         changes.into_iter().map(|(name, change)| Self::hybrid("term", name, change)).collect()
     }
@@ -116,12 +112,29 @@ impl Variant {
     }
 }
 
+/// The terms that pull vertices to their closest points.
+const PULLS: [&str; 3] = ["point_to_plane", "symmetric", "point_to_point"];
+
+/// Their weights at a level; point-to-plane's is 1 unless stated.
+fn pulls(level: &Level) -> [f64; 3] {
+    let unless_stated = [1.0, 0.0, 0.0];
+    std::array::from_fn(|i| level.term(PULLS[i]).unwrap_or(unless_stated[i]))
+}
+
+/// Leaves one of them, at the weight of all.
+fn alone(level: &mut Level, term: &str) {
+    let weight = pulls(level).iter().sum();
+    for other in PULLS {
+        level.set_term(other, if other == term { weight } else { 0.0 });
+    }
+}
+
 /// What makes another schedule of the default.
 type Change = fn(&mut Schedule);
 
 #[cfg(test)]
 mod tests {
-    use nonrigid::registration::Level;
+    use nonrigid::registration::TERMS;
 
     use super::*;
 
@@ -151,26 +164,24 @@ mod tests {
         let terms = Variant::terms().unwrap();
         let levels = |name: &str| &terms.iter().find(|v| v.name == name).unwrap().schedule.levels;
         for (i, d) in default.levels.iter().enumerate() {
-            let data = |name: &str| {
-                let l = &levels(name)[i];
-                [l.point_to_plane, l.symmetric, l.point_to_point, l.scan_to_template]
-            };
-            let w = d.point_to_plane;
-            assert!(w > 0.0 && d.landmarks > 0.0 && default.graph.lambda_unseen > 0.0 && d.seam > 0.0, "{d:?}");
-            assert_eq!(data("default"), [w, 0.0, d.point_to_point, 0.0]);
-            assert_eq!(data("point_to_plane"), [w, 0.0, 0.0, 0.0]);
-            assert_eq!(data("symmetric"), [0.0, w, 0.0, 0.0]);
-            assert_eq!(data("point_to_point"), [0.0, 0.0, w, 0.0]);
-            assert_eq!(data("with scan_to_template"), [w, 0.0, d.point_to_point, w]);
-            assert_eq!(levels("without landmarks")[i], Level { landmarks: 0.0, ..*d });
+            let data = |name: &str| pulls(&levels(name)[i]);
+            assert!(d.term("landmarks") > Some(0.0) && d.term("seam") > Some(0.0), "{d:?}");
+            assert_eq!(data("default"), if i + 1 < default.levels.len() { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] });
+            assert_eq!(data("point_to_plane"), [1.0, 0.0, 0.0]);
+            assert_eq!(data("symmetric"), [0.0, 1.0, 0.0]);
+            assert_eq!(data("point_to_point"), [0.0, 0.0, 1.0]);
+            assert!(d.term("scan_to_template") > Some(0.0));
+            assert_eq!(levels("without scan_to_template")[i], d.clone().with_term("scan_to_template", 0.0));
+            assert_eq!(levels("without landmarks")[i], d.clone().with_term("landmarks", 0.0));
             assert_eq!(levels("without lambda_unseen")[i], *d);
-            assert_eq!(levels("with prediction")[i], Level { prediction: 0.01, ..*d });
-            assert_eq!(levels("without seam")[i], Level { seam: 0.0, ..*d });
+            assert_eq!(levels("with prediction")[i], d.clone().with_term("prediction", 0.01));
+            assert_eq!(levels("without seam")[i], d.clone().with_term("seam", 0.0));
         }
         for v in &terms {
             let stiffer = v.name != "without lambda_unseen" && v.name != "with prediction";
-            assert_eq!(v.schedule.graph.lambda_unseen > 0.0, stiffer, "{}", v.name);
-            v.schedule.validate().unwrap();
+            assert_eq!(v.schedule.model.number("lambda_unseen") > Some(0.0), stiffer, "{}", v.name);
+            assert_eq!(v.schedule.sigma.beyond.is_some(), v.name != "without beyond", "{}", v.name);
+            v.schedule.resolved(&v.model, &TERMS).unwrap();
         }
     }
 }

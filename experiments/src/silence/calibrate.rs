@@ -16,7 +16,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use nonrigid::console::Failure;
-use nonrigid::mesh::io::write_atomically;
+use nonrigid::io::write_atomically;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
 
 use super::{BAD, SilenceRow, Verdict};

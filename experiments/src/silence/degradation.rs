@@ -5,8 +5,8 @@ use std::f64::consts::{PI, TAU};
 
 use anyhow::Result;
 use nonrigid::evaluation::ScanDistance;
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::adjacency::EdgeGraph;
-use nonrigid::mesh::io::Landmark;
 use nonrigid::mesh::normals::{NormalWeighting, face_cross, vertex_normals};
 use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::registration::ModelKind;

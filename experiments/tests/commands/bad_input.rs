@@ -57,6 +57,27 @@ const ROWS: &[Row] = &[
     ("scan-bench cases --rig rig --external a=empty", LOADING, &["--external a=empty: no result of any case; looked for same_smile.obj"]),
     ("scan-bench --run {}", ARGUMENTS, &["--run"]),
     ("scan-bench scan_in_metres --rig rig", LOADING, &["scan_in_metres/one/scan.ply", "a face in m"]),
+    ("--only peers", ARGUMENTS, &["--only peers", "--peers"]),
+    // peers
+    ("peers cases", ARGUMENTS, &["--rig"]),
+    ("peers nowhere --rig rig", LOADING, &["nowhere"]),
+    ("peers cases --rig rig --methods magic", ARGUMENTS, &["magic", "scipy-map"]),
+    ("peers cases --rig rig --models rigid --methods scipy-map --python nowhere/python", ARGUMENTS, &["--python nowhere/python"]),
+    ("peers cases --rig rig --methods scipy-map,scipy-map", ARGUMENTS, &["--methods names scipy-map twice"]),
+    ("peers cases --rig rig --timeout 0", ARGUMENTS, &["--timeout", "0"]),
+    ("peers cases --rig rig --models rigid --out file", WRITING, &["file"]),
+    // consistency
+    ("consistency --rig rig", ARGUMENTS, &["--population"]),
+    ("consistency --population nowhere --rig rig", LOADING, &["nowhere"]),
+    ("consistency --population empty --rig rig", LOADING, &["empty", "at least 2"]),
+    ("consistency --population faces.npy --rig rig", ARGUMENTS, &["--template-of-population"]),
+    ("consistency --population nowhere.npy --template-of-population rig/template.obj --rig rig", LOADING, &["nowhere.npy"]),
+    ("consistency --population rig/neutral.npy --template-of-population rig/template.obj --rig rig", LOADING, &["neutral.npy"]),
+    ("consistency --population cases --template-of-population rig/template.obj --rig rig", ARGUMENTS, &["--template-of-population"]),
+    ("consistency --population empty --rig rig --models magic", ARGUMENTS, &["magic", "klimov2020"]),
+    ("consistency --population empty --rig rig --count 1", ARGUMENTS, &["--count", "1"]),
+    ("consistency --population empty --rig rig --within 0", ARGUMENTS, &["--within", "positive"]),
+    ("consistency --population empty --rig rig --identity-modes 1000", ARGUMENTS, &["--identity-modes", "the rig has"]),
     // start-bench
     ("dev start-bench --rig rig", ARGUMENTS, &["DIR_OR_SCAN"]),
     ("dev start-bench cases", ARGUMENTS, &["--rig"]),
@@ -141,11 +162,11 @@ fn data(folder: &Path) {
     .unwrap();
     fs::remove_file(copy("no_truth/one").join("truth.npy")).unwrap();
     let points = [nonrigid::mesh::Vec3::zeros(); 2];
-    nonrigid::mesh::io::write_npy_points(&copy("short_truth/one").join("truth.npy"), &points).unwrap();
+    nonrigid::io::write_npy_points(&copy("short_truth/one").join("truth.npy"), &points).unwrap();
     let path = copy("scan_in_metres/one").join("scan.ply");
-    let mut scan = nonrigid::mesh::io::read_scan(&path).unwrap().mesh;
+    let mut scan = nonrigid::io::read_scan(&path).unwrap().mesh;
     scan.positions.iter_mut().for_each(|p| *p *= 1e-3);
-    nonrigid::mesh::io::write_ply(&path, &scan, nonrigid::mesh::io::PlyOptions::default()).unwrap();
+    nonrigid::io::write_ply(&path, &scan, nonrigid::io::PlyOptions::default()).unwrap();
     let (mut rig, _) =
         nonrigid::rig::Rig::read(&folder.join("rig"), &nonrigid::rig::RigReadOptions::default()).unwrap();
     rig.scale(1e-3);

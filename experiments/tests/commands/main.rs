@@ -8,7 +8,9 @@ mod refusal;
 mod repeats;
 
 mod bad_input;
+mod consistency;
 mod determinism;
+mod peers;
 mod reference_problems;
 mod report;
 mod scaling;

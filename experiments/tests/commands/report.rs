@@ -65,7 +65,8 @@ fn report_of(own: Option<[PathBuf; 2]>, out: &Path, threads: usize, only: &[&str
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let only = only.iter().map(ToString::to_string).collect();
     let (rig, scans) = own.map(|[rig, scans]| (rig, scans)).unzip();
-    let options = Options { quick: false, full: false, list: false, only, rig, scans, seed: 7, out: out.to_owned() };
+    let (peers, out) = (None, out.to_owned());
+    let options = Options { quick: false, full: false, list: false, only, rig, scans, peers, seed: 7, out };
     let mut log = Vec::new();
     let verdicts = pool.install(|| run(&options, &tiny(), program(), &mut log)).unwrap();
     (verdicts, String::from_utf8(log).unwrap())
@@ -222,6 +223,6 @@ fn a_list_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let listed = experiments(&["--list"], folder.path());
     let text = String::from_utf8(listed.stdout).unwrap();
-    assert!(listed.status.success() && text.lines().count() == 14 && text.contains("Fig. 4"), "{text}");
+    assert!(listed.status.success() && text.lines().count() == 15 && text.contains("Fig. 4"), "{text}");
     assert!(!folder.path().join("out").exists(), "a list leaves nothing");
 }

@@ -7,8 +7,8 @@ use std::process::{Command, Output};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, run_case, summarize};
-use nonrigid::mesh::io::{read_obj, write_npy, write_npy_points, write_polygon_mesh};
-use nonrigid::registration::{ModelKind, TermFactory, TermKind};
+use nonrigid::io::{read_obj, write_npy, write_npy_points, write_polygon_mesh};
+use nonrigid::registration::{ModelKind, TERMS};
 use serde_json::Value;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_experiments");
@@ -66,12 +66,11 @@ fn rows_are_those_of_the_library_to_the_last_bit() {
     variants[1].landmarks = LandmarkUse::Some(9);
     let rows = data.measure(Path::new(PROGRAM), &variants).unwrap();
     assert_eq!(rows.len(), 4);
-    let terms: Vec<&dyn TermFactory> = TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect();
     let cases = data.cases();
     let runs = variants.iter().flat_map(|v| cases.iter().map(move |case| (v, case)));
     for (row, (variant, case)) in rows.iter().zip(runs) {
         assert_eq!((&*row.group, &row.model, &row.case), ("model", &variant.name, &case.name));
-        let (score, ..) = run_case(&variant.model, &terms, &variant.schedule, case, variant.landmarks).unwrap();
+        let (score, ..) = run_case(&variant.model, &TERMS, &variant.schedule, case, variant.landmarks).unwrap();
         assert_eq!(row.score, Some(score));
         assert!(row.seconds.unwrap() > 0.0 && row.error.is_none(), "{row:?}");
         if cfg!(target_os = "linux") {
@@ -89,7 +88,7 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
         let run = data.scan_bench(&options);
         let said = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.success(), "{said}");
-        assert!(said.lines().count() == 22 && said.contains("\n22/22  term"), "{said}");
+        assert!(said.lines().count() == 24 && said.contains("\n24/24  term"), "{said}");
         let table = String::from_utf8(run.stdout).unwrap();
         for name in ["model: rigid", "model: blendshape", "term: symmetric", "term: without seam"] {
             assert_eq!(table.lines().filter(|l| l.contains(name)).count(), 1, "{name}: {table}");
@@ -103,14 +102,16 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
         text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
     };
     let (rows, times) = (read("scan-bench.csv"), read("scan-bench.timing.csv"));
-    assert_eq!((rows.len(), times.len()), (23, 23));
+    assert_eq!((rows.len(), times.len()), (25, 25));
     assert!(rows.iter().all(|r| r.len() == rows[0].len()) && times.iter().all(|t| t.len() == times[0].len()));
     let at = |name: &str| rows[0].iter().position(|h| h == name).unwrap_or_else(|| panic!("no column {name}"));
     let json = json(&data.path("2/scan-bench.json"));
     for ((row, time), json) in rows[1..].iter().zip(&times[1..]).zip(json["rows"].as_array().unwrap()) {
         assert_eq!(row[..3], time[..3]);
         assert_eq!(row[..3], ["case", "model", "group"].map(|key| json[key].as_str().unwrap().to_owned()));
-        for (column, key) in [("rmse", "rmse"), ("off", "off"), ("slide", "slide"), ("p95", "p95"), ("max", "max")] {
+        for (column, key) in
+            [("rmse", "rmse"), ("normal", "normal"), ("tangential", "tangential"), ("p95", "p95"), ("max", "max")]
+        {
             assert_eq!(row[at(column)], format!("{:.6}", json[key].as_f64().unwrap()));
         }
         assert_eq!(row[at("flips")], json["flipped"].to_string());
@@ -125,7 +126,14 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
     assert!((errors.rmse - row["rmse"].as_f64().unwrap()).abs() < 1e-9, "{} {row}", errors.rmse);
     // Each term does something: what differs in the schedule differs in the result.
     let rmse = |name: &str| rows.iter().filter(|r| r[1] == name).map(|r| r[at("rmse")].clone()).collect::<Vec<_>>();
-    for name in ["symmetric", "point_to_point", "with scan_to_template", "without landmarks", "without lambda_unseen"] {
+    for name in [
+        "symmetric",
+        "point_to_point",
+        "without scan_to_template",
+        "without landmarks",
+        "without beyond",
+        "without lambda_unseen",
+    ] {
         assert_ne!(rmse(name), rmse("default"), "{name}");
     }
 }
@@ -156,7 +164,10 @@ fn another_programs_results_score_as_they_should() {
         match (row.model.as_str(), row.case.as_str()) {
             ("truth", _) => {
                 let e = &row.score.as_ref().unwrap().errors;
-                assert_eq!((e.rmse, e.max, e.off, e.slide, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
+                assert_eq!(
+                    (e.rmse, e.max, e.normal, e.tangential, e.unobserved, e.flipped),
+                    (0.0, 0.0, 0.0, 0.0, 0.0, 0)
+                );
             }
             ("start", _) => {
                 let squares = case.template.positions.iter().zip(&case.truth).map(|(p, t)| (p - t).norm_squared());

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use nonrigid::mesh::io::NpzContents;
+use nonrigid::io::NpzContents;
 use serde_json::Value;
 
 const SIDE: usize = 9;

@@ -6,7 +6,7 @@ use std::path::Path;
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::real_scans::{Arguments, RealScanRow, SCANS, run};
 use nonrigid::evaluation::MeshQuality;
-use nonrigid::mesh::io::{read_obj, read_scan, write_polygon_mesh};
+use nonrigid::io::{read_obj, read_scan, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::ModelKind;
 

@@ -5,16 +5,18 @@ use std::path::Path;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
-use nonrigid::energy::{DataTerm, DeformationModel, NamedEnergy, Pointwise, QuadricField, Samples};
+use nonrigid::energy::{
+    DeformationModel, NamedEnergy, Options, OptionsError, Pointwise, QuadricField, SampleResidual, Samples,
+};
 use nonrigid::evaluation::{MeshQuality, TruthErrors};
 use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
-use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
+use nonrigid::model::ModelError;
+use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations, Scalar};
 use nonrigid::registration::{
-    Correspondences, Level, ModelFactory, ModelInput, ModelKind, RegistrationError, RegistrationInput,
-    RegistrationModel, RegistrationTerm, Schedule, ScheduleError, StepRecord, TermFactory, TermInput, TermKind,
-    register,
+    ModelFactory, ModelInput, ModelKind, RegistrationInput, RegistrationModel, RegistrationTerm, Schedule, StepRecord,
+    TERMS, TermFactory, TermInput, register,
 };
-use nonrigid::term::Landmarks;
+use nonrigid::term::{Landmarks, Scheduled, TermError, TermLevel, TermWeight};
 
 use crate::real_data::real_data;
 
@@ -33,10 +35,6 @@ fn cases(folder: &Path) -> Vec<BenchCase> {
     BenchCase::read_all(&folder.join("cases"), &BenchRig::read(&folder.join("rig")).unwrap()).unwrap()
 }
 
-fn all_terms() -> Vec<&'static dyn TermFactory> {
-    TermKind::ALL.iter().map(|t| t as &dyn TermFactory).collect()
-}
-
 #[test]
 fn every_model_gets_a_row_for_every_case() {
     let folder = tempfile::tempdir().unwrap();
@@ -50,7 +48,7 @@ fn every_model_gets_a_row_for_every_case() {
         assert_eq!(case.shapes.len(), expressions + file["rig_identity_modes"].as_u64().unwrap() as usize);
     }
     let models: Vec<&dyn ModelFactory> = ModelKind::ALL.iter().map(|m| m as &dyn ModelFactory).collect();
-    let rows = scan_bench(&models, &all_terms(), &cases, LandmarkUse::All).unwrap();
+    let rows = scan_bench(&models, &TERMS, &cases, LandmarkUse::All).unwrap();
     let expected = cases.iter().flat_map(|case| ModelKind::ALL.map(|model| (case, model)));
     assert_eq!(rows.len(), cases.len() * ModelKind::ALL.len());
     for (row, (case, model)) in rows.iter().zip(expected) {
@@ -119,7 +117,7 @@ impl DeformationModel for Shift {
         vec![0.0; 3]
     }
 
-    fn attach(&mut self, _: &Samples) -> BlockStructure {
+    fn analyse(&mut self, _: &Samples) -> BlockStructure {
         BlockStructure::dense(3)
     }
 
@@ -149,7 +147,9 @@ impl DeformationModel for Shift {
 }
 
 impl RegistrationModel for Shift {
-    fn set_level(&mut self, _: &Level) {}
+    fn set_level(&mut self, _: &Options, _: f64) -> Result<(), OptionsError> {
+        Ok(())
+    }
 }
 
 struct ShiftFactory;
@@ -159,40 +159,41 @@ impl ModelFactory for ShiftFactory {
         "shift"
     }
 
-    fn schedule(&self) -> Result<Schedule, ScheduleError> {
-        Schedule::default_for("rigid")
+    fn default_schedule(&self) -> &str {
+        ModelKind::Rigid.default_schedule()
     }
 
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         Ok(Box::new(Shift { rest: input.rest.positions.clone() }))
     }
 }
 
 /// A user's term: landmarks beside which the scan counts for nothing, pulled to a point off their target.
-struct Pull {
-    term: Pointwise<Landmarks, Kernel, 3>,
+struct Pull(Landmarks);
+
+impl SampleResidual<3> for Pull {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn sample(&self, m: usize) -> usize {
+        self.0.sample(m)
+    }
+
+    fn weight(&self, m: usize) -> f64 {
+        self.0.weight(m)
+    }
+
+    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
+        self.0.residual(m, v)
+    }
 }
 
-impl DataTerm for Pull {
-    fn name(&self) -> &str {
-        "pull"
+impl Scheduled<3> for Pull {
+    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
+        self.0.scale = level.options.read::<TermWeight>()?.weight;
+        Ok(Kernel::None)
     }
-
-    fn energy(&self, positions: &[Vec3]) -> f64 {
-        self.term.energy(positions)
-    }
-
-    fn linearize(&self, positions: &[Vec3], field: &mut QuadricField) -> f64 {
-        self.term.linearize(positions, field)
-    }
-}
-
-impl RegistrationTerm for Pull {
-    fn set_level(&mut self, _: &Level, _: f64) {
-        self.term.residuals.scale = 1.0;
-    }
-
-    fn update(&mut self, _: &Correspondences) {}
 }
 
 struct PullFactory {
@@ -200,12 +201,16 @@ struct PullFactory {
 }
 
 impl TermFactory for PullFactory {
-    fn build(&self, input: &TermInput<'_>) -> Box<dyn RegistrationTerm> {
+    fn name(&self) -> &str {
+        "pull"
+    }
+
+    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
         let (samples, targets): (Vec<usize>, Vec<Vec3>) =
             input.landmarks.iter().map(|&(sample, target, _)| (sample, target + self.offset)).unzip();
         let weights = vec![1.0; samples.len()];
-        let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
-        Box::new(Pull { term: Pointwise::new("pull", residuals, Kernel::None) })
+        let residuals = Pull(Landmarks { samples, targets, weights, scale: 0.0 });
+        Ok(Box::new(Pointwise::new("pull", residuals, Kernel::None)))
     }
 }
 
@@ -214,21 +219,20 @@ fn a_users_model_and_term_land_in_the_same_table() {
     let folder = tempfile::tempdir().unwrap();
     let cases = cases(folder.path());
     let models: [&dyn ModelFactory; 2] = [&ShiftFactory, &ModelKind::Rigid];
-    let rows = scan_bench(&models, &all_terms(), &cases, LandmarkUse::All).unwrap();
+    let rows = scan_bench(&models, &TERMS, &cases, LandmarkUse::All).unwrap();
     assert_eq!(rows.iter().map(|r| r.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid", "shift", "rigid"]);
     assert_eq!(summarize(&rows).iter().map(|s| s.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid"]);
 
     // With the user's term alone the shift is known: the landmarks' best pose has centred them, what is left is the offset.
     let offset = Vec3::new(1.0, -2.0, 0.5);
+    let mut pulled = Schedule::default_for(&ShiftFactory).unwrap();
+    for level in &mut pulled.levels {
+        level.terms.clear();
+        level.set_term("pull", 1.0);
+    }
     for case in &cases {
-        let (_, result, _) = run_case(
-            &ShiftFactory,
-            &[&PullFactory { offset }],
-            &ShiftFactory.schedule().unwrap(),
-            case,
-            LandmarkUse::All,
-        )
-        .unwrap();
+        let (_, result, _) =
+            run_case(&ShiftFactory, &[&PullFactory { offset }], &pulled, case, LandmarkUse::All).unwrap();
         let rest = case.neutral.as_deref().unwrap_or(&case.template.positions);
         let pairs: Vec<_> = case.landmarks.iter().map(|l| (l.template.position(rest), l.target)).collect();
         let start = closest_pose(&pairs, PoseKind::Rigid).unwrap();
@@ -248,7 +252,7 @@ fn landmarks_for_alignment_only_leave_the_energy() {
     let cases = cases(folder.path());
     for (landmarks, expected) in [(LandmarkUse::All, true), (LandmarkUse::Align, false), (LandmarkUse::Some(9), true)] {
         let schedule = ModelKind::Hybrid.schedule().unwrap();
-        let (_, result, _) = run_case(&ModelKind::Hybrid, &all_terms(), &schedule, &cases[1], landmarks).unwrap();
+        let (_, result, _) = run_case(&ModelKind::Hybrid, &TERMS, &schedule, &cases[1], landmarks).unwrap();
         let energy: f64 =
             result.history.iter().flat_map(|h| &h.energies).filter(|e| e.0 == "landmarks").map(|e| e.1).sum();
         assert_eq!(energy > 0.0, expected, "{landmarks:?}: {energy}");
@@ -262,7 +266,7 @@ fn a_real_case_is_as_accurate_as_promised() {
     };
     let case = BenchCase::read(&case, &BenchRig::read(&rig).unwrap()).unwrap();
     let schedule = ModelKind::Hybrid.schedule().unwrap();
-    let (score, ..) = run_case(&ModelKind::Hybrid, &all_terms(), &schedule, &case, LandmarkUse::All).unwrap();
+    let (score, ..) = run_case(&ModelKind::Hybrid, &TERMS, &schedule, &case, LandmarkUse::All).unwrap();
     println!("{} hybrid: {:.3} mm", case.name, score.errors.rmse);
     assert!(score.errors.rmse <= 0.82, "{} mm", score.errors.rmse);
 }

@@ -1,5 +1,5 @@
 //! A bounding volume hierarchy in a flat array (binned surface-area heuristic, Wald 2007), eight boxes to a node so that
-//! registers test them together (Wald, Benthin & Boulos 2008), searched nearest box first.
+//! registers test them together (Wald, Benthin & Boulos 2008), searched nearest box first: from a point, or along a line.
 
 use std::ops::Range;
 
@@ -16,6 +16,8 @@ const HALVES_FROM_DEPTH: usize = 40;
 const STACK: usize = 96;
 /// Children of a node.
 const WIDTH: usize = 8;
+/// Primitives from which on both halves are built at once.
+const SIDE_BY_SIDE: usize = 4096;
 /// Slots of a child that is not there.
 const EMPTY: u32 = u32::MAX;
 
@@ -91,6 +93,16 @@ impl Node {
     }
 }
 
+impl Node {
+    /// The box round all children.
+    fn hull(&self) -> ([f32; 3], [f32; 3]) {
+        let there = |i: &usize| self.count[*i] != EMPTY;
+        let low = self.low.map(|side| (0..WIDTH).filter(there).fold(f32::INFINITY, |low, i| low.min(side[i])));
+        let high = self.high.map(|side| (0..WIDTH).filter(there).fold(f32::NEG_INFINITY, |high, i| high.max(side[i])));
+        (low, high)
+    }
+}
+
 /// The largest `f32` not above `x`.
 fn below(x: f64) -> f32 {
     let rounded = x as f32;
@@ -161,9 +173,32 @@ impl BoxTree {
         index as u32
     }
 
+    /// Fits the boxes to what has moved, `bounds` by slot, in one pass. Searches stay exact.
+    pub fn refit(&mut self, bounds: impl Fn(usize) -> Bounds) {
+        // A node comes after its parent.
+        for index in (0..self.nodes.len()).rev() {
+            for i in 0..WIDTH {
+                let (first, count) = (self.nodes[index].first[i] as usize, self.nodes[index].count[i]);
+                let (low, high) = match count {
+                    EMPTY => continue,
+                    0 => self.nodes[first].hull(),
+                    _ => {
+                        let mut all = Bounds::EMPTY;
+                        (first..first + count as usize).for_each(|slot| all.include(&bounds(slot)));
+                        (all.low.map(below), all.high.map(above))
+                    }
+                };
+                let node = &mut self.nodes[index];
+                for axis in 0..3 {
+                    (node.low[axis][i], node.high[axis][i]) = (low[axis], high[axis]);
+                }
+            }
+        }
+    }
+
     /// Visits the leaves that may hold something at least as good as `best`, nearest first.
     #[inline(always)]
-    pub fn search(&self, query: Point, best: &mut Best, leaf: impl FnMut(Range<usize>, &mut Best)) {
+    pub fn search(&self, query: impl Query, best: &mut Best, leaf: impl FnMut(Range<usize>, &mut Best)) {
         Arch::new().dispatch(Search { tree: self, query, best, leaf });
     }
 
@@ -207,15 +242,82 @@ struct Waiting {
     count: u32,
 }
 
+/// What is searched from.
+pub(super) trait Query {
+    /// For each child, a squared distance that nothing in its box is below; infinite if nothing in it can be found at all.
+    fn squared_distances(&self, low: &[[f32; WIDTH]; 3], high: &[[f32; WIDTH]; 3]) -> [f64; WIDTH];
+}
+
+/// From a point, to a box.
+impl Query for Point {
+    #[inline(always)]
+    fn squared_distances(&self, low: &[[f32; WIDTH]; 3], high: &[[f32; WIDTH]; 3]) -> [f64; WIDTH] {
+        let mut squared = [0.0f64; WIDTH];
+        for axis in 0..3 {
+            for i in 0..WIDTH {
+                let under = f64::from(low[axis][i]) - self[axis];
+                let over = self[axis] - f64::from(high[axis][i]);
+                let outside = if under > over { under } else { over };
+                let outside = if outside > 0.0 { outside } else { 0.0 };
+                squared[i] += outside * outside;
+            }
+        }
+        squared
+    }
+}
+
+/// From a point along a line through it, either way, to where it enters a box.
+#[derive(Clone, Copy)]
+pub(super) struct Line {
+    pub origin: Point,
+    /// One over each coordinate of the unit direction.
+    inverse: Point,
+}
+
+impl Line {
+    pub fn new(origin: Point, direction: Point) -> Self {
+        // a coordinate of 0 would make 0 times infinity of a box that begins at the origin
+        let inverse = direction.map(|d| 1.0 / if d.abs() < 1e-150 { 1e-150 } else { d });
+        Self { origin, inverse }
+    }
+}
+
+impl Query for Line {
+    #[inline(always)]
+    fn squared_distances(&self, low: &[[f32; WIDTH]; 3], high: &[[f32; WIDTH]; 3]) -> [f64; WIDTH] {
+        // a line that runs in a side of the box is inside of it, and triangles are met a little beyond their borders
+        const MARGIN: f64 = 1e-6;
+        let (mut enter, mut leave) = ([f64::NEG_INFINITY; WIDTH], [f64::INFINITY; WIDTH]);
+        for axis in 0..3 {
+            for i in 0..WIDTH {
+                let a = (f64::from(low[axis][i]) - MARGIN - self.origin[axis]) * self.inverse[axis];
+                let b = (f64::from(high[axis][i]) + MARGIN - self.origin[axis]) * self.inverse[axis];
+                let (first, last) = if a < b { (a, b) } else { (b, a) };
+                enter[i] = if first > enter[i] { first } else { enter[i] };
+                leave[i] = if last < leave[i] { last } else { leave[i] };
+            }
+        }
+        let mut squared = [0.0f64; WIDTH];
+        for i in 0..WIDTH {
+            // rounding may part what touches
+            let slack = 1e-9 * (1.0 + enter[i].abs() + leave[i].abs());
+            let near = if enter[i] > -leave[i] { enter[i] } else { -leave[i] } - slack;
+            let near = if near > 0.0 { near } else { 0.0 };
+            squared[i] = if enter[i] <= leave[i] + slack { near * near } else { f64::INFINITY };
+        }
+        squared
+    }
+}
+
 /// [`BoxTree::search`], compiled for the best instruction set that the processor has.
-struct Search<'a, F> {
+struct Search<'a, Q, F> {
     tree: &'a BoxTree,
-    query: Point,
+    query: Q,
     best: &'a mut Best,
     leaf: F,
 }
 
-impl<F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, F> {
+impl<Q: Query, F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, Q, F> {
     type Output = ();
 
     #[inline(always)]
@@ -236,16 +338,7 @@ impl<F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, F> {
                 continue;
             }
             let node = &tree.nodes[first as usize];
-            let mut squared = [0.0f64; WIDTH];
-            for axis in 0..3 {
-                for i in 0..WIDTH {
-                    let under = f64::from(node.low[axis][i]) - query[axis];
-                    let over = query[axis] - f64::from(node.high[axis][i]);
-                    let outside = if under > over { under } else { over };
-                    let outside = if outside > 0.0 { outside } else { 0.0 };
-                    squared[i] += outside * outside;
-                }
-            }
+            let squared = query.squared_distances(&node.low, &node.high);
             let mut near = 0u32;
             for i in 0..WIDTH {
                 near |= u32::from(squared[i] <= best.squared_distance && node.count[i] != EMPTY) << i;
@@ -282,13 +375,29 @@ fn halve(items: &mut [Item], first: usize, bounds: &Bounds, depth: usize, pairs:
     if items.len() <= LEAF {
         return Child::new(bounds, first, items.len());
     }
+    let side_by_side = items.len() >= SIDE_BY_SIDE;
     let (middle, left, right) = split(items, depth);
     let index = pairs.len();
     pairs.push([Child::NONE; 2]);
     let (low, high) = items.split_at_mut(middle);
-    let low = halve(low, first, &left, depth + 1, pairs);
-    let high = halve(high, first + middle, &right, depth + 1, pairs);
-    pairs[index] = [low, high];
+    pairs[index] = if side_by_side {
+        let half = |items, first, bounds| {
+            let mut pairs = Vec::new();
+            (halve(items, first, bounds, depth + 1, &mut pairs), pairs)
+        };
+        let (low, high) = rayon::join(|| half(low, first, &left), || half(high, first + middle, &right));
+        [low, high].map(|(mut child, of_half)| {
+            let before = pairs.len() as u32;
+            let moved = |child: &mut Child| child.first += if child.count == 0 { before } else { 0 };
+            pairs.extend(of_half);
+            pairs[before as usize..].iter_mut().flatten().for_each(moved);
+            moved(&mut child);
+            child
+        })
+    } else {
+        let low = halve(low, first, &left, depth + 1, pairs);
+        [low, halve(high, first + middle, &right, depth + 1, pairs)]
+    };
     Child::new(bounds, index, 0)
 }
 

@@ -15,8 +15,8 @@ mod box_tree;
 mod triangle;
 
 use super::{MeshError, TriangleMesh, Vec3};
-use box_tree::{Best, Bounds, BoxTree};
-use triangle::{closest_on_triangle, squared, sub};
+use box_tree::{Best, Bounds, BoxTree, Line};
+use triangle::{closest_on_triangle, on_line, squared, sub};
 
 /// The closest point of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,26 +58,29 @@ impl ClosestPoint {
     /// # Errors
     /// When a triangle indexes past the vertices, or a vertex of one is not finite.
     pub fn new(mesh: &TriangleMesh) -> Result<Self, MeshError> {
-        let mut boxes = Vec::with_capacity(mesh.triangles.len());
-        let mut corners: Vec<[Point; 3]> = Vec::with_capacity(mesh.triangles.len());
-        for (triangle, indices) in mesh.triangles.iter().enumerate() {
-            let mut points = [[0.0; 3]; 3];
-            for (point, &index) in points.iter_mut().zip(indices) {
-                let Some(position) = mesh.positions.get(index as usize) else {
-                    return Err(MeshError::IndexOutOfRange { triangle, index, count: mesh.positions.len() });
-                };
-                *point = finite(index as usize, position)?;
-            }
-            let mut bounds = Bounds::EMPTY;
-            points.iter().for_each(|&p| bounds.include(&Bounds { low: p, high: p }));
-            boxes.push(bounds);
-            corners.push(points);
-        }
-        let tree = BoxTree::build(boxes.into_iter());
+        let corners = corners_of(&mesh.positions, &mesh.triangles)?;
+        let tree = BoxTree::build(corners.iter().map(box_of));
         let triangles = tree.order.iter().map(|&t| corners[t as usize]).collect();
         let mut slots = vec![0; corners.len()];
         tree.order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
         Ok(Self { tree, triangles, slots })
+    }
+
+    /// The same triangles at other positions: the boxes are fitted anew, the tree is kept. Answers are those of [`new`](Self::new) to
+    /// the last bit; searches are as short while neighbours stay neighbours.
+    ///
+    /// # Errors
+    /// As there; nothing is changed then.
+    ///
+    /// # Panics
+    /// When there are not as many triangles as before.
+    pub fn move_to(&mut self, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshError> {
+        assert_eq!(triangles.len(), self.triangles.len(), "the triangles that the tree was built for");
+        let corners = corners_of(positions, triangles)?;
+        let order = self.tree.order.iter();
+        self.triangles.iter_mut().zip(order).for_each(|(slot, &t)| *slot = corners[t as usize]);
+        self.tree.refit(|slot| box_of(&self.triangles[slot]));
+        Ok(())
     }
 
     /// The closest point; `None` if there are no triangles or `query` is not finite.
@@ -110,6 +113,55 @@ impl ClosestPoint {
             }
         }
         self.run(query, best)
+    }
+
+    /// Where the line through `origin` along the unit vector `direction` first meets a triangle whose front faces along `direction`,
+    /// looked for both ways as far as `reach`; ties go to the lowest triangle. A triangle `hint` that is met makes it faster.
+    /// [`Closest::squared_distance`] is that along the line.
+    #[must_use]
+    pub fn along(&self, origin: &Vec3, direction: &Vec3, reach: f64, hint: u32) -> Option<Closest> {
+        let (o, d): (Point, Point) = ((*origin).into(), (*direction).into());
+        if !o.iter().chain(&d).all(|x| x.is_finite()) {
+            return None;
+        }
+        let mut best = Best { squared_distance: reach * reach, primitive: u32::MAX };
+        let meet = |slot: usize| {
+            let [a, b, c] = self.triangles[slot];
+            on_line(sub(a, o), sub(b, o), sub(c, o), d)
+        };
+        let hinted = self.slots.get(hint as usize).and_then(|&slot| meet(slot as usize));
+        if let Some((_, t)) = hinted.filter(|(_, t)| t * t <= best.squared_distance) {
+            best = Best { squared_distance: t * t, primitive: hint };
+        }
+        self.tree.search(
+            Line::new(o, d),
+            &mut best,
+            #[inline(always)]
+            |slots, best| {
+                for slot in slots {
+                    let triangle = self.tree.order[slot];
+                    match meet(slot) {
+                        Some((_, t)) if best.beaten_by(t * t, triangle) => {
+                            *best = Best { squared_distance: t * t, primitive: triangle };
+                        }
+                        _ => {}
+                    }
+                }
+            },
+        );
+        let (barycentric, t) = meet(*self.slots.get(best.primitive as usize)? as usize)?;
+        let point = origin + direction * t;
+        Some(Closest { triangle: best.primitive, barycentric, point, squared_distance: t * t })
+    }
+
+    /// [`Self::along`] as if there were that triangle only; `None` if there is no such triangle.
+    #[must_use]
+    pub fn along_to(&self, origin: &Vec3, direction: &Vec3, reach: f64, triangle: u32) -> Option<Closest> {
+        let o: Point = (*origin).into();
+        let [a, b, c] = self.triangles[*self.slots.get(triangle as usize)? as usize];
+        let (barycentric, t) = on_line(sub(a, o), sub(b, o), sub(c, o), (*direction).into())?;
+        let point = origin + direction * t;
+        (t.abs() <= reach).then_some(Closest { triangle, barycentric, point, squared_distance: t * t })
     }
 
     /// Calls `found` with every triangle whose bounding box meets the box from `low` to `high`, boundaries included. Their
@@ -158,6 +210,26 @@ impl ClosestPoint {
         let point = query + Vec3::from(offset);
         Some(Closest { triangle: best.primitive, barycentric, point, squared_distance })
     }
+}
+
+fn corners_of(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<[Point; 3]>, MeshError> {
+    let corners = triangles.iter().enumerate().map(|(triangle, indices)| {
+        let mut points = [[0.0; 3]; 3];
+        for (point, &index) in points.iter_mut().zip(indices) {
+            let Some(position) = positions.get(index as usize) else {
+                return Err(MeshError::IndexOutOfRange { triangle, index, count: positions.len() });
+            };
+            *point = finite(index as usize, position)?;
+        }
+        Ok(points)
+    });
+    corners.collect()
+}
+
+fn box_of(corners: &[Point; 3]) -> Bounds {
+    let mut bounds = Bounds::EMPTY;
+    corners.iter().for_each(|&p| bounds.include(&Bounds { low: p, high: p }));
+    bounds
 }
 
 fn finite(vertex: usize, position: &Vec3) -> Result<Point, MeshError> {
@@ -247,6 +319,7 @@ impl ClosestVertices {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::testing::{noise, sheet};
     use proptest::prelude::*;
 
     fn v(p: Point) -> Vec3 {
@@ -268,6 +341,27 @@ mod tests {
                 let n = positions.len() as u32;
                 TriangleMesh { positions, triangles: triangles.into_iter().map(|t| t.map(|i| i % n)).collect() }
             })
+    }
+
+    proptest! {
+        #[test]
+        fn a_line_meets_what_it_meets_first_of_all_triangles(
+            mesh in mesh(), origin in point(), direction in point(), reach in 0.1..8.0f64, hint in 0u32..90,
+        ) {
+            let Some(direction) = direction.try_normalize(1e-6) else { return Ok(()) };
+            let tree = ClosestPoint::new(&mesh).unwrap();
+            let each = (0..mesh.triangles.len() as u32).filter_map(|t| tree.along_to(&origin, &direction, reach, t));
+            let first = each.min_by(|a, b| a.squared_distance.total_cmp(&b.squared_distance));
+            let found = tree.along(&origin, &direction, reach, hint);
+            prop_assert_eq!(first.map(|f| f.squared_distance), found.map(|f| f.squared_distance));
+            if let Some(found) = found {
+                let corners = mesh.triangles[found.triangle as usize].map(|v| mesh.positions[v as usize]);
+                let on_it = corners[0] * found.barycentric[0] + corners[1] * found.barycentric[1] + corners[2] * found.barycentric[2];
+                prop_assert!((found.point - on_it).norm() < 1e-5 * (1.0 + on_it.norm()), "{found:?}");
+                let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+                prop_assert!(normal.dot(&direction) > 0.0);
+            }
+        }
     }
 
     /// Ericson, "Real-Time Collision Detection", 5.1.5, by regions: another route to the same distance.
@@ -394,5 +488,31 @@ mod tests {
         let mesh = TriangleMesh { positions, triangles: vec![[0, 1, 2], [0, 1, 3], [1, 2, 3], [0, 2, 3], [3, 3, 3]] };
         let tree = ClosestPoint::new(&mesh).unwrap();
         assert!(tree.query(&Vec3::repeat(-1e300)).is_some());
+    }
+
+    /// Large enough for halves that are built side by side; moved so far that the tree's boxes all overlap.
+    #[test]
+    fn a_moved_tree_answers_as_a_new_one() {
+        let height = |c: f64, r: f64| noise((97.0 * c + r) as usize);
+        let flat = sheet(81, 81, |c, r| Vec3::new(c, r, height(c, r)));
+        let bent = sheet(81, 81, |c, r| Vec3::new(c * (0.1 * r).cos(), 40.0 * noise(r as usize), height(r, c)));
+        let mut tree = ClosestPoint::new(&flat).unwrap();
+        let queries: Vec<Vec3> = (0..60).map(|k| Vec3::from_fn(|a, _| 80.0 * noise(7 * k + a))).collect();
+        for mesh in [&bent, &flat] {
+            tree.move_to(&mesh.positions, &mesh.triangles).unwrap();
+            let new = ClosestPoint::new(mesh).unwrap();
+            for q in &queries {
+                let answers = [tree.query(q), new.query(q), tree.query_from(q, 5000)];
+                let by_hand =
+                    (0..new.triangles.len()).map(|slot| new.closest(slot, (*q).into()).2).min_by(f64::total_cmp);
+                assert_eq!(answers[0].map(|c| c.squared_distance), by_hand);
+                assert!(answers.iter().all(|a| *a == answers[0]));
+            }
+        }
+        let mut broken = bent.positions.clone();
+        broken[3].x = f64::NAN;
+        let refused = tree.move_to(&broken, &bent.triangles).unwrap_err();
+        assert!(matches!(refused, MeshError::NotFinite { vertex: 3, .. }), "{refused}");
+        assert_eq!(tree.query(&queries[0]), ClosestPoint::new(&flat).unwrap().query(&queries[0]), "left as it was");
     }
 }

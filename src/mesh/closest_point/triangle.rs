@@ -40,6 +40,26 @@ fn closest_on_segment(a: Point, b: Point) -> (f64, Point, f64) {
     (t, point, squared(point))
 }
 
+/// Where the line through the origin along `d` meets triangle `a b c` whose front faces along `d`: barycentric coordinates, and how
+/// many unit vectors `d` that is. Borders belong to it, and a little beyond, so that a line between two triangles meets one of them (Möller &
+/// Trumbore 1997).
+#[inline(always)]
+pub(super) fn on_line(a: Point, b: Point, c: Point, d: Point) -> Option<([f64; 3], f64)> {
+    const BEYOND: f64 = -1e-9;
+    let (ab, ac) = (sub(b, a), sub(c, a));
+    let normal = cross(ab, ac);
+    let (facing, area) = (dot(normal, d), squared(normal));
+    // what is seen from its edge, or is a sliver, has no side, and where it is met would be rounding
+    if !(facing > 0.0 && facing * facing > 1e-10 * area && area > 1e-14 * squared(ab) * squared(ac)) {
+        return None;
+    }
+    let moment = cross(d, a);
+    let (v, w) = (-dot(ac, moment) / facing, dot(ab, moment) / facing);
+    let u = 1.0 - v - w;
+    let met = u >= BEYOND && v >= BEYOND && w >= BEYOND;
+    met.then(|| ([u.max(0.0), v.max(0.0), w.max(0.0)], dot(normal, a) / facing))
+}
+
 /// Closest point to the origin of triangle `a b c`: barycentric coordinates, the point, its squared length.
 ///
 /// Inside, by the sub-triangles' areas along the normal (whose relative error is that of the normal, not of its square,

@@ -1,18 +1,18 @@
-//! Normal equations of formulas over a few parameter blocks each.
+//! Formulas over a few parameter blocks each, as items of the assembler.
 //!
-//! Samples whose blocks are the same set form an *element*, as vertices in one cell of a lattice do. With the rows `A_s` of a
-//! sample's quadric and `Y_s = A_s dv_s/dp`, all of an element's rows stand in one dense `Y`, and block row j of H sums
-//! `Y_j' Y_k` over the elements that hold j, in fixed order.
+//! Samples whose blocks are the same set form an *element*, as vertices in one cell of a lattice do: one item with the rows of all of
+//! them, so that blocks are seeded once for many formulas.
 
 use std::collections::BTreeMap;
+use std::marker::PhantomData;
 
 use num_dual::DualSVec64;
+use pulp::Simd;
 use rayon::prelude::*;
 
 use crate::energy::Quadric;
 use crate::mesh::Vec3;
-use crate::nlls::dense_kernels::vectorized;
-use crate::nlls::{BlockRow, BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
+use crate::nlls::{Assembly, BlockStructure, FillRows, ItemRows, Manifold, NormalEquations, PointArray, Scalar};
 
 const STRIDE: usize = 16;
 type Dual = DualSVec64<STRIDE>;
@@ -112,37 +112,39 @@ fn point<B: Manifold>(x: &[f64], block: u32) -> B::Point<f64> {
 }
 
 /// All samples of one kind with their Jacobians.
-pub(super) struct Assembly<B: Manifold> {
-    batches: Vec<Batch<B>>,
-    /// Per block, the elements that hold it.
-    holders: Vec<Vec<Holder>>,
+pub(super) struct FormulaAssembly<B: Manifold> {
+    elements: Vec<Element>,
+    assembly: Assembly,
+    scratch: Vec<Scratch<B>>,
 }
 
-/// Elements that are linearised on one thread, and the memory for that.
-struct Batch<B: Manifold> {
-    elements: Vec<Element>,
+/// What an element is linearised in.
+pub(super) struct Scratch<B: Manifold> {
     points: Vec<B::Point<Dual>>,
     delta: Vec<Dual>,
+    /// First row of each sample, and their number at the end.
+    row_starts: Vec<usize>,
+    residuals: Vec<f64>,
 }
 
-/// Samples with the same set of blocks.
+impl<B: Manifold> Default for Scratch<B> {
+    fn default() -> Self {
+        Self { points: Vec::new(), delta: Vec::new(), row_starts: Vec::new(), residuals: Vec::new() }
+    }
+}
+
+/// Samples with the same set of blocks: an item.
 struct Element {
     blocks: Vec<u32>,
     samples: Vec<u32>,
-    /// First row of each sample in `y`, and their number at the end.
-    row_starts: Vec<u32>,
     runs: Vec<Run>,
-    /// `Y'`: per tangent coordinate of `blocks` one entry for each row, at most three rows for each sample.
-    y: Vec<f64>,
-    /// `sum_s (dv_s/dp)' g_s`.
-    g: Vec<f64>,
 }
 
 /// Corners of an element's samples that take the same list of blocks.
 struct Run {
     list: u32,
-    /// For each tangent coordinate of the list's distinct blocks, which of the element's it is.
-    coordinates: Vec<u32>,
+    /// For each of the list's distinct blocks, which of the element's it is.
+    slots: Vec<u32>,
     corners: Vec<Corner>,
 }
 
@@ -153,23 +155,10 @@ struct Corner {
     sample: u32,
 }
 
-/// An element that holds a block in this slot. `targets`: where in the block row the blocks with slots 0 to `slot` start, if
-/// they are of this row, that is, at or before the diagonal.
-struct Holder {
-    batch: u32,
-    element: u32,
-    slot: u32,
-    targets: Vec<u32>,
-}
-
 /// A sample and its (vertex, weight) corners.
 type WeightedCorners = (u32, Vec<(u32, f64)>);
 
-impl<B: Manifold> Assembly<B> {
-    pub(super) fn empty() -> Self {
-        Self { batches: Vec::new(), holders: Vec::new() }
-    }
-
+impl<B: Manifold> FormulaAssembly<B> {
     /// Samples as convex combinations (formula, weight).
     pub(super) fn new(supports: &Supports, samples: impl Iterator<Item = Vec<(u32, f64)>>) -> Self {
         let mut sets: BTreeMap<Vec<u32>, Vec<WeightedCorners>> = BTreeMap::new();
@@ -177,50 +166,22 @@ impl<B: Manifold> Assembly<B> {
             let blocks = sorted_once(corners.iter().flat_map(|c| supports.of(c.0).distinct.iter().copied()));
             sets.entry(blocks).or_default().push((s as u32, corners));
         }
-        let elements = sets.iter().flat_map(|(blocks, samples)| {
-            samples.chunks(CHUNK).map(|samples| Element::new::<B>(blocks, samples, supports))
-        });
-        let (mut batches, mut filled): (Vec<Batch<B>>, usize) = (Vec::new(), CHUNK);
-        for element in elements {
-            if filled + element.samples.len() > CHUNK {
-                let delta = vec![Dual::from_re(0.0); B::TANGENT];
-                batches.push(Batch { elements: Vec::new(), points: Vec::new(), delta });
-                filled = 0;
-            }
-            filled += element.samples.len();
-            batches.last_mut().expect("proven: pushed above").elements.push(element);
-        }
-        Self { batches, holders: Vec::new() }
+        let elements = sets
+            .iter()
+            .flat_map(|(blocks, samples)| samples.chunks(CHUNK).map(|samples| Element::new(blocks, samples, supports)));
+        Self { elements: elements.collect(), assembly: Assembly::default(), scratch: Vec::new() }
     }
 
-    fn elements(&self) -> impl Iterator<Item = (u32, u32, &Element)> {
-        self.batches.iter().enumerate().flat_map(|(b, batch)| {
-            batch.elements.iter().enumerate().map(move |(e, element)| (b as u32, e as u32, element))
-        })
-    }
-
-    /// Pairs of blocks that meet, the greater first.
-    pub(super) fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.elements().flat_map(|(_, _, element)| {
-            let blocks = &element.blocks;
-            (0..blocks.len()).flat_map(move |p| (0..p).map(move |q| (blocks[p] as usize, blocks[q] as usize)))
-        })
+    /// The blocks of each item.
+    pub(super) fn items(&self) -> impl Iterator<Item = &[u32]> {
+        self.elements.iter().map(|e| &e.blocks[..])
     }
 
     /// Finds the places of all blocks in the normal equations.
-    pub(super) fn attach(&mut self, structure: &BlockStructure) {
-        let mut holders: Vec<Vec<Holder>> = (0..structure.block_count()).map(|_| Vec::new()).collect();
-        for (batch, element, e) in self.elements() {
-            for (p, &j) in e.blocks.iter().enumerate() {
-                let start = |k: u32| {
-                    let at = structure.row(j as usize).binary_search(&(k as usize));
-                    (at.expect("proven: the pair was added") * B::TANGENT * B::TANGENT) as u32
-                };
-                let targets = e.blocks[..=p].iter().map(|&k| start(k)).collect();
-                holders[j as usize].push(Holder { batch, element, slot: p as u32, targets });
-            }
-        }
-        self.holders = holders;
+    pub(super) fn analyse(&mut self, structure: &BlockStructure) {
+        let elements = &self.elements;
+        self.assembly =
+            Assembly::new(elements.iter().map(|e| &e.blocks[..]), structure, |e| 3 * elements[e].samples.len());
     }
 
     /// Differentiates all samples at `x`. `quadric` gives the quadric of a sample, whose number of rows must not depend on the
@@ -232,38 +193,18 @@ impl<B: Manifold> Assembly<B> {
         x: &[f64],
         quadric: &(impl Fn(usize, [f64; 3]) -> Quadric + Sync),
     ) {
-        self.batches.par_iter_mut().for_each(|batch| {
-            let Batch { elements, points, delta } = batch;
-            for element in elements {
-                vectorized(
-                    #[inline(always)]
-                    || element.linearize::<B>(formula, supports, x, quadric, points, delta),
-                );
-            }
-        });
+        let rows = Rows { elements: &self.elements, formula, supports, x, quadric, blocks: PhantomData };
+        self.assembly.linearize_by(0, &mut self.scratch, &rows);
     }
 
-    /// Adds `scale` times what was linearised last to the normal equations.
-    pub(super) fn add_to(&self, equations: &mut NormalEquations, scale: f64) {
-        equations.for_each_block_row(&|j, mut row| {
-            vectorized(
-                #[inline(always)]
-                || {
-                    let BlockRow { blocks, gradient, .. } = &mut row;
-                    for holder in &self.holders[j] {
-                        let element = &self.batches[holder.batch as usize].elements[holder.element as usize];
-                        element.add_products(holder, scale, blocks, B::TANGENT);
-                        let own = &element.g[holder.slot as usize * B::TANGENT..];
-                        gradient.iter_mut().zip(own).for_each(|(sum, g)| *sum += scale * g);
-                    }
-                },
-            );
-        });
+    /// Adds what was linearised last to the normal equations.
+    pub(super) fn add_to(&self, equations: &mut NormalEquations) {
+        self.assembly.add_to(equations);
     }
 }
 
 impl Element {
-    fn new<B: Manifold>(blocks: &[u32], samples: &[(u32, Vec<(u32, f64)>)], supports: &Supports) -> Self {
+    fn new(blocks: &[u32], samples: &[WeightedCorners], supports: &Supports) -> Self {
         let mut runs: BTreeMap<u32, Vec<Corner>> = BTreeMap::new();
         for (sample, (_, corners)) in samples.iter().enumerate() {
             for &(formula, weight) in corners {
@@ -273,116 +214,69 @@ impl Element {
         }
         let runs = runs.into_iter().map(|(list, corners)| {
             let slots = supports.lists[list as usize].distinct.iter().map(|&b| position(blocks, b));
-            let coordinates =
-                slots.flat_map(|s| (0..B::TANGENT as u32).map(move |t| s * B::TANGENT as u32 + t)).collect();
-            Run { list, coordinates, corners }
+            Run { list, slots: slots.collect(), corners }
         });
-        let width = blocks.len() * B::TANGENT;
-        Self {
-            blocks: blocks.to_vec(),
-            samples: samples.iter().map(|s| s.0).collect(),
-            row_starts: vec![0; samples.len() + 1],
-            runs: runs.collect(),
-            y: vec![0.0; width * 3 * samples.len()],
-            g: vec![0.0; width],
-        }
+        Self { blocks: blocks.to_vec(), samples: samples.iter().map(|s| s.0).collect(), runs: runs.collect() }
     }
+}
 
-    fn rows(&self) -> usize {
-        self.row_starts[self.samples.len()] as usize
+/// The rows of elements: `A_s dv_s/dp` of every sample.
+struct Rows<'a, B, F, Q> {
+    elements: &'a [Element],
+    formula: &'a F,
+    supports: &'a Supports,
+    x: &'a [f64],
+    quadric: &'a Q,
+    blocks: PhantomData<fn() -> B>,
+}
+
+impl<B: Manifold, F: Formula<B>, Q: Fn(usize, [f64; 3]) -> Quadric + Sync> FillRows for Rows<'_, B, F, Q> {
+    type Scratch = Scratch<B>;
+
+    fn count(&self, item: usize) -> usize {
+        self.elements[item].samples.iter().map(|&s| (self.quadric)(s as usize, [0.0; 3]).rows().len()).sum()
     }
 
     #[inline(always)]
-    fn linearize<B: Manifold>(
-        &mut self,
-        formula: &impl Formula<B>,
-        supports: &Supports,
-        x: &[f64],
-        quadric: &impl Fn(usize, [f64; 3]) -> Quadric,
-        points: &mut Vec<B::Point<Dual>>,
-        delta: &mut [Dual],
-    ) {
-        for (k, &s) in self.samples.iter().enumerate() {
-            self.row_starts[k + 1] = self.row_starts[k] + quadric(s as usize, [0.0; 3]).rows().len() as u32;
+    fn fill<S: Simd>(&self, _: S, item: usize, scratch: &mut Scratch<B>, rows: &mut ItemRows<'_>) {
+        let element = &self.elements[item];
+        let Scratch { points, delta, row_starts, residuals } = scratch;
+        delta.resize(B::TANGENT, Dual::from_re(0.0));
+        residuals.clear();
+        residuals.resize(rows.count(), 0.0);
+        row_starts.clear();
+        let mut count = 0;
+        for &s in &element.samples {
+            row_starts.push(count);
+            count += (self.quadric)(s as usize, [0.0; 3]).rows().len();
         }
-        let (rows, width) = (self.rows(), self.g.len());
-        self.y[..width * rows].fill(0.0);
-        self.g.fill(0.0);
-        for run in &self.runs {
-            let support = &supports.lists[run.list as usize];
-            for (stride, coordinates) in run.coordinates.chunks(STRIDE).enumerate() {
-                seed::<B>(support, stride * STRIDE, x, points, delta);
+        row_starts.push(count);
+        for run in &element.runs {
+            let support = &self.supports.lists[run.list as usize];
+            for first in (0..run.slots.len() * B::TANGENT).step_by(STRIDE) {
+                seed::<B>(support, first, self.x, points, delta);
                 for corner in &run.corners {
-                    let first = self.row_starts[corner.sample as usize] as usize;
-                    if self.row_starts[corner.sample as usize + 1] as usize == first {
+                    let own = row_starts[corner.sample as usize]..row_starts[corner.sample as usize + 1];
+                    if own.is_empty() {
                         continue;
                     }
-                    let v = formula.evaluate(corner.formula as usize, points);
+                    let v = self.formula.evaluate(corner.formula as usize, points);
                     let jacobian = v.map(|v| v.eps.0.map_or([0.0; STRIDE], |e| e.into()));
-                    let quadric = quadric(self.samples[corner.sample as usize] as usize, v.map(|v| v.re));
-                    let along = |row: &[f64; 3]| -> [f64; STRIDE] {
+                    let sample = element.samples[corner.sample as usize] as usize;
+                    let quadric = (self.quadric)(sample, v.map(|v| v.re));
+                    residuals[own.clone()].copy_from_slice(quadric.residuals());
+                    for (r, row) in own.zip(quadric.rows()) {
                         let [a, b, c] = row.map(|r| corner.weight * r);
-                        std::array::from_fn(|k| a * jacobian[0][k] + b * jacobian[1][k] + c * jacobian[2][k])
-                    };
-                    for (r, row) in quadric.rows().iter().enumerate() {
-                        for (y, &at) in along(row).iter().zip(coordinates) {
-                            self.y[at as usize * rows + first + r] += y;
+                        for k in 0..STRIDE.min(run.slots.len() * B::TANGENT - first) {
+                            let along = a * jacobian[0][k] + b * jacobian[1][k] + c * jacobian[2][k];
+                            let (block, t) = ((first + k) / B::TANGENT, (first + k) % B::TANGENT);
+                            rows.of_block(run.slots[block] as usize, r)[t] += along;
                         }
-                    }
-                    for (g, &at) in along(&quadric.gradient()).iter().zip(coordinates) {
-                        self.g[at as usize] += g;
                     }
                 }
             }
         }
-    }
-
-    /// Adds `scale Y_j' Y_k` to block row j for all slots k up to that of j.
-    #[inline(always)]
-    fn add_products(&self, holder: &Holder, scale: f64, blocks: &mut [f64], tangent: usize) {
-        if self.rows() == 0 {
-            return;
-        }
-        let columns = (holder.slot as usize + 1) * tangent;
-        for a in (0..tangent - tangent % 3).step_by(3) {
-            for c in (0..columns - columns % 3).step_by(3) {
-                self.add_tile::<3, 3>(holder, scale, blocks, tangent, a, c);
-            }
-            for c in columns - columns % 3..columns {
-                self.add_tile::<3, 1>(holder, scale, blocks, tangent, a, c);
-            }
-        }
-        for a in tangent - tangent % 3..tangent {
-            for c in (0..columns - columns % 3).step_by(3) {
-                self.add_tile::<1, 3>(holder, scale, blocks, tangent, a, c);
-            }
-            for c in columns - columns % 3..columns {
-                self.add_tile::<1, 1>(holder, scale, blocks, tangent, a, c);
-            }
-        }
-    }
-
-    /// The part for `A` of the holder's coordinates from `a` on and `C` of the element's from `c` on.
-    #[inline(always)]
-    fn add_tile<const A: usize, const C: usize>(
-        &self,
-        holder: &Holder,
-        scale: f64,
-        blocks: &mut [f64],
-        tangent: usize,
-        a: usize,
-        c: usize,
-    ) {
-        let rows = self.rows();
-        let y = |coordinate: usize| &self.y[coordinate * rows..][..rows];
-        let own = holder.slot as usize * tangent + a;
-        let products = products::<A, C>(|i| y(own + i), |k| y(c + k));
-        for (i, row) in products.iter().enumerate() {
-            for (k, value) in row.iter().enumerate() {
-                let (block, column) = ((c + k) / tangent, (c + k) % tangent);
-                blocks[holder.targets[block] as usize + (a + i) * tangent + column] += scale * value;
-            }
-        }
+        rows.set_residuals(residuals);
     }
 }
 
@@ -402,35 +296,4 @@ fn seed<B: Manifold>(support: &Support, first: usize, x: &[f64], points: &mut Ve
         B::plus(ambient::<B>(x, block), delta, point.as_mut());
         points.push(point);
     }
-}
-
-/// Inner products of `A` with `C` vectors of equal length, over four lanes.
-#[inline(always)]
-fn products<'a, const A: usize, const C: usize>(
-    left: impl Fn(usize) -> &'a [f64],
-    right: impl Fn(usize) -> &'a [f64],
-) -> [[f64; C]; A] {
-    const LANES: usize = 4;
-    let (left, right): ([_; A], [_; C]) = (std::array::from_fn(left), std::array::from_fn(right));
-    let (left, left_rest) = (left.map(|v| v.as_chunks::<LANES>().0), left.map(|v| v.as_chunks::<LANES>().1));
-    let (right, right_rest) = (right.map(|v| v.as_chunks::<LANES>().0), right.map(|v| v.as_chunks::<LANES>().1));
-    let mut lanes = [[[0.0; LANES]; C]; A];
-    for r in 0..left[0].len() {
-        for a in 0..A {
-            for c in 0..C {
-                for l in 0..LANES {
-                    lanes[a][c][l] += left[a][r][l] * right[c][r][l];
-                }
-            }
-        }
-    }
-    let mut sums = lanes.map(|row| row.map(|[a, b, c, d]| (a + b) + (c + d)));
-    for r in 0..left_rest[0].len() {
-        for a in 0..A {
-            for c in 0..C {
-                sums[a][c] += left_rest[a][r] * right_rest[c][r];
-            }
-        }
-    }
-    sums
 }

@@ -2,10 +2,11 @@
 
 use rayon::prelude::*;
 
-use self::assembly::{Assembly, Formula, Supports};
-use crate::energy::{DeformationModel, NamedEnergy, Quadric, QuadricField, Samples};
+use self::assembly::{Formula, FormulaAssembly, Supports};
+use super::factory::{RegistrationModel, SmoothLevel};
+use crate::energy::{DeformationModel, NamedEnergy, Options, OptionsError, Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
-use crate::nlls::{BlockStructure, Manifold, NormalEquations, Scalar};
+use crate::nlls::{Assembly, BlockStructure, Manifold, NormalEquations, Scalar};
 
 mod assembly;
 
@@ -111,13 +112,13 @@ pub enum AutodiffError {
 /// ```
 pub struct Autodiff<F: PositionFunction> {
     function: F,
-    /// `lambda_smooth`; a registration sets it from [`Level::lambda_smooth`](crate::registration::Level::lambda_smooth).
+    /// `lambda_smooth`; a registration sets it from [`SmoothLevel`].
     pub stiffness: f64,
     rest: Vec<f64>,
     vertices: Supports,
     residuals: Supports,
-    data: Assembly<F::Block>,
-    smooth: Assembly<F::Block>,
+    data: FormulaAssembly<F::Block>,
+    smooth: FormulaAssembly<F::Block>,
     values: Vec<Vec3>,
     /// Blocks gathered for vertices, and for residuals.
     gathered: [Vec<Vec<Point<F, f64>>>; 2],
@@ -143,8 +144,8 @@ impl<F: PositionFunction> Autodiff<F> {
         };
         let vertices = checked("vertex", &function.vertex_blocks())?;
         let residuals = checked("smoothness residual", &function.smoothness_blocks())?;
-        let smooth = Assembly::new(&residuals, (0..residuals.len()).map(|m| vec![(m as u32, 1.0)]));
-        let data = Assembly::empty();
+        let smooth = FormulaAssembly::new(&residuals, (0..residuals.len()).map(|m| vec![(m as u32, 1.0)]));
+        let data = FormulaAssembly::new(&vertices, std::iter::empty());
         let (values, gathered) = (Vec::new(), [Vec::new(), Vec::new()]);
         Ok(Self { function, stiffness: 1.0, rest, vertices, residuals, data, smooth, values, gathered })
     }
@@ -195,16 +196,14 @@ impl<F: PositionFunction> DeformationModel for Autodiff<F> {
         self.rest.clone()
     }
 
-    fn attach(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.vertex_count(), "samples were made for another template");
-        self.data = Assembly::new(&self.vertices, (0..samples.len()).map(|s| samples.corners(s).to_vec()));
-        let mut pairs: Vec<_> = self.data.pairs().chain(self.smooth.pairs()).collect();
-        pairs.sort_unstable();
-        pairs.dedup();
+        self.data = FormulaAssembly::new(&self.vertices, (0..samples.len()).map(|s| samples.corners(s).to_vec()));
+        let pairs = Assembly::pairs(self.data.items().chain(self.smooth.items()));
         let structure = BlockStructure::new(&vec![F::Block::TANGENT; self.block_count()], pairs, 0)
             .expect("proven: every block was checked when the model was made");
-        self.data.attach(&structure);
-        self.smooth.attach(&structure);
+        self.data.analyse(&structure);
+        self.smooth.analyse(&structure);
         structure
     }
 
@@ -215,7 +214,7 @@ impl<F: PositionFunction> DeformationModel for Autodiff<F> {
     fn pull_back(&mut self, x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
         let quadrics = field.quadrics();
         self.data.linearize(&Positions(&self.function), &self.vertices, x, &|s, _| quadrics[s]);
-        self.data.add_to(equations, 1.0);
+        self.data.add_to(equations);
     }
 
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
@@ -226,15 +225,16 @@ impl<F: PositionFunction> DeformationModel for Autodiff<F> {
     }
 
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        let stiffness = self.stiffness;
         // |r|^2 is the quadric of a sample at r with M = I.
         self.smooth.linearize(&Residuals(&self.function), &self.residuals, x, &|_, r| {
             let mut quadric = Quadric::default();
             for a in 0..3 {
-                quadric.add(1.0, std::array::from_fn(|b| f64::from(a == b)), r[a]);
+                quadric.add(stiffness, std::array::from_fn(|b| f64::from(a == b)), r[a]);
             }
             quadric
         });
-        self.smooth.add_to(equations, self.stiffness);
+        self.smooth.add_to(equations);
     }
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
@@ -243,5 +243,12 @@ impl<F: PositionFunction> DeformationModel for Autodiff<F> {
             F::Block::plus(&x[j * ambient..(j + 1) * ambient], &step[j * tangent..(j + 1) * tangent], out);
             F::Block::normalize(out);
         });
+    }
+}
+
+impl<F: PositionFunction> RegistrationModel for Autodiff<F> {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.stiffness = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
     }
 }

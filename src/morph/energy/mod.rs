@@ -26,11 +26,11 @@ use self::patch::Patch;
 use self::pins::PinTerm;
 use super::{MorphError, MorphStep, Weights, check_positions};
 use crate::energy::{Deformation, DeformationModel, Pointwise, Samples};
-use crate::mesh::io::TemplatePoint;
+use crate::landmark::TemplatePoint;
 use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::model::{
-    Arap, ArapOptions, EdgeWeights, Free, FreeOptions, NodeGraph, Smoothness, Stiffness, blendshape_in_place, graph,
-    hybrid,
+    Arap, ArapOptions, EdgeWeights, Free, FreeOptions, Hybrid, NodeGraph, Smoothness, Stiffness, blendshape_in_place,
+    graph,
 };
 use crate::nlls::{Kernel, Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
@@ -460,7 +460,7 @@ fn build(
             if model == MorphModel::Graph {
                 Box::new(graph(rest, nodes, lambda))
             } else {
-                Box::new(hybrid(
+                Box::new(Hybrid::new(
                     rest,
                     nodes,
                     shapes.clone(),

@@ -170,7 +170,7 @@ impl LinearSolver for BlockJacobi {
         check_step(equations, damping, step)
     }
 
-    fn weak_pivots(&self) -> usize {
+    fn unobserved_pivots(&self) -> usize {
         self.weak
     }
 

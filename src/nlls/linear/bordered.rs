@@ -29,6 +29,7 @@ use pulp::{Simd, WithSimd};
 
 use super::dense::DenseFactor;
 use super::front::ForwardTile;
+use super::isotropic::Isotropic;
 use super::supernodal::SupernodalFactor;
 use super::vector::dot;
 use super::{LinearError, LinearSolver, breakdown, check_step, damping_at, same_structure};
@@ -86,6 +87,8 @@ pub struct BorderedCholesky {
     weak: usize,
     /// What the factor is of: blocks, then damping. Empty when there is none, or a border.
     factored: Vec<f64>,
+    /// For equations that treat the three coordinates of their blocks alike, once there are any.
+    isotropic: Option<Isotropic>,
 }
 
 /// The border's system after the sparse blocks are eliminated, `S d_w = -r`.
@@ -146,6 +149,7 @@ impl BorderedCholesky {
             permuted: vec![0.0; n],
             weak: 0,
             factored: Vec::with_capacity(if m == 0 { structure.value_count() + n } else { 0 }),
+            isotropic: None,
         }
     }
 
@@ -169,6 +173,12 @@ impl BorderedCholesky {
         damping: &[f64],
         step: &mut [f64],
     ) -> Result<(), LinearError> {
+        if Isotropic::fits(equations, damping) {
+            let isotropic = self.isotropic.get_or_insert_with(|| Isotropic::new(equations.structure()));
+            isotropic.solve(equations, damping, step)?;
+            self.weak = isotropic.weak();
+            return check_step(equations, damping, step);
+        }
         let matrix = || equations.blocks.iter().chain(damping);
         let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
         if self.factored.len() != matrix().count() || !self.factored.iter().zip(matrix()).all(same) {
@@ -292,7 +302,7 @@ impl LinearSolver for BorderedCholesky {
         check_step(equations, damping, step)
     }
 
-    fn weak_pivots(&self) -> usize {
+    fn unobserved_pivots(&self) -> usize {
         self.weak
     }
 

@@ -68,7 +68,7 @@ impl LinearSolver for DenseCholesky {
         check_step(equations, damping, step)
     }
 
-    fn weak_pivots(&self) -> usize {
+    fn unobserved_pivots(&self) -> usize {
         self.weak
     }
 

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | [`DenseCholesky`] | any, meant for small ones | `H = L L'` |
 //! | [`BorderedCholesky`] | blocks, with or without a dense border | supernodal `P H_gg P' = L L'`, Schur complement of the border |
+//! | the same | blocks of three, all multiples of the identity, no border | one scalar factor for the three coordinates |
 //! | [`BlockJacobi`] | blocks and a dense border, too many to factor | conjugate gradients, preconditioned by diagonal blocks and aggregates |
 //!
 //! All of them analyse the pattern once, refill preallocated buffers afterwards, and give the same bits whatever the number
@@ -22,6 +23,8 @@ mod bounded;
 mod box_qp;
 mod dense;
 mod front;
+mod isotropic;
+mod layout;
 mod multifrontal;
 mod ordering;
 mod pcg;
@@ -155,7 +158,7 @@ pub trait LinearSolver: fmt::Debug + Send {
 
     /// How many pivots of the last factorisation were held up by damping alone (at least half of the pivot): the number of
     /// directions that nothing in the energy observes. 0 when unknown.
-    fn weak_pivots(&self) -> usize {
+    fn unobserved_pivots(&self) -> usize {
         0
     }
 

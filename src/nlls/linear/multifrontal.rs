@@ -24,7 +24,7 @@
 use pulp::{Simd, WithSimd};
 
 use super::front::{factor_columns, negative_square};
-use super::supernodal::Layout;
+use super::layout::Layout;
 use crate::nlls::dense_kernels::{dispatch, padded};
 
 /// The tree of fronts with all memory that a factorisation needs.

@@ -11,7 +11,6 @@
 //!
 //! column-major, columns padded (see [`front`](super::front)).
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use faer::dyn_stack::StackReq;
@@ -19,12 +18,13 @@ use faer::sparse::SymbolicSparseColMat;
 use faer::sparse::linalg::SymbolicSupernodalParams;
 use faer::sparse::linalg::cholesky::{simplicial, supernodal};
 
+use super::layout::{Layout, SupernodeLayout};
 use super::multifrontal::Multifrontal;
 use super::ordering::block_ordering;
 use super::scratch::Scratch;
 use super::vector::{axpy, dot};
 use super::{damping_at, pivot_is_sound};
-use crate::nlls::dense_kernels::{PAD, padded, vectorized};
+use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Where one stored block goes in the factor's memory.
@@ -36,71 +36,6 @@ struct Placement {
     stride: usize,
     /// The permutation has swapped row and column block.
     transposed: bool,
-}
-
-/// The supernodes of a factor and where their values lie.
-#[derive(Debug)]
-pub(super) struct Layout {
-    pub supernodes: Vec<SupernodeLayout>,
-    patterns: Vec<usize>,
-    /// The supernode of each column.
-    pub owner: Vec<usize>,
-    /// Numbers in all, with [`PAD`] more at the end.
-    len: usize,
-}
-
-/// One supernode of a [`Layout`].
-#[derive(Debug)]
-pub(super) struct SupernodeLayout {
-    /// First column, in permuted order.
-    pub start: usize,
-    /// Number of columns.
-    pub width: usize,
-    /// Where its values start.
-    pub values: usize,
-    /// Distance between its columns.
-    pub stride: usize,
-    pattern: Range<usize>,
-}
-
-impl Layout {
-    fn new(symbolic: &supernodal::SymbolicSupernodalCholesky<usize>) -> Self {
-        let ends = symbolic.supernode_end();
-        let mut layout = Self {
-            supernodes: Vec::new(),
-            patterns: Vec::new(),
-            owner: vec![0; ends.last().map_or(0, |&n| n)],
-            len: 0,
-        };
-        for (k, (&start, &end)) in symbolic.supernode_begin().iter().zip(ends).enumerate() {
-            let first = layout.patterns.len();
-            layout.patterns.extend_from_slice(symbolic.supernode(k).pattern());
-            let pattern = first..layout.patterns.len();
-            let (width, values) = (end - start, layout.len);
-            let stride = padded(width + pattern.len());
-            layout.owner[start..end].fill(k);
-            layout.len += width * stride;
-            layout.supernodes.push(SupernodeLayout { start, width, values, stride, pattern });
-        }
-        layout.len += PAD;
-        layout
-    }
-
-    /// Rows below the triangle of supernode `k`, ascending, in permuted order.
-    pub fn pattern(&self, k: usize) -> &[usize] {
-        &self.patterns[self.supernodes[k].pattern.clone()]
-    }
-
-    /// The row of supernode `k` that is row `row` of the matrix, in permuted order.
-    pub fn local_row(&self, k: usize, row: usize) -> usize {
-        let node = &self.supernodes[k];
-        if row < node.start + node.width {
-            row - node.start
-        } else {
-            node.width
-                + self.pattern(k).binary_search(&row).expect("proven: the factor has the rows that are asked for")
-        }
-    }
 }
 
 /// Symbolic and numeric factor of `H_gg`.
@@ -115,6 +50,7 @@ pub(super) struct SupernodalFactor {
     numeric: Multifrontal,
     factor: Vec<f64>,
     gathered: Vec<f64>,
+    gathered_lanes: Vec<Lanes>,
 }
 
 impl SupernodalFactor {
@@ -181,6 +117,7 @@ impl SupernodalFactor {
             factor: vec![0.0; layout.len],
             layout,
             gathered: vec![0.0; longest],
+            gathered_lanes: Vec::new(),
         }
     }
 
@@ -296,6 +233,91 @@ impl SupernodalFactor {
             },
         );
         self.gathered = gathered;
+    }
+}
+
+/// Right-hand sides that are solved together; as many as a register holds.
+pub(super) type Lanes = [f64; 4];
+
+/// `y += a x`, a number of L times a row of right-hand sides.
+#[inline(always)]
+fn add_lanes(a: f64, x: &Lanes, y: &mut Lanes) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y += a * x;
+    }
+}
+
+/// Adds `a . x` of every lane to four running sums, as one would wait for itself.
+#[inline(always)]
+fn sum_lanes(a: &[f64], x: &[Lanes], sums: &mut [Lanes; 4]) {
+    let (a_fours, x_fours) = (a.chunks_exact(4), x.chunks_exact(4));
+    for (a, x) in a_fours.remainder().iter().zip(x_fours.remainder()) {
+        add_lanes(*a, x, &mut sums[0]);
+    }
+    for (a, x) in a_fours.zip(x_fours) {
+        for k in 0..4 {
+            add_lanes(a[k], &x[k], &mut sums[k]);
+        }
+    }
+}
+
+impl SupernodalFactor {
+    /// [`forward`](Self::forward) for several right-hand sides.
+    pub(super) fn forward_lanes(&mut self, x: &mut [Lanes]) {
+        let mut gathered = std::mem::take(&mut self.gathered_lanes);
+        gathered.resize(self.gathered.len(), Lanes::default());
+        vectorized(
+            #[inline(always)]
+            || {
+                for k in 0..self.supernode_count() {
+                    let node = self.supernode(k);
+                    let below = &mut gathered[..node.pattern.len()];
+                    below.fill(Lanes::default());
+                    for c in 0..node.width {
+                        let column = node.column(c);
+                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                        let solved = head[c].map(|v| v / column[c]);
+                        head[c] = solved;
+                        tail.iter_mut().zip(&column[c + 1..]).for_each(|(y, l)| add_lanes(-l, &solved, y));
+                        below.iter_mut().zip(&column[node.width..]).for_each(|(y, l)| add_lanes(*l, &solved, y));
+                    }
+                    for (&row, v) in node.pattern.iter().zip(below) {
+                        add_lanes(-1.0, v, &mut x[row]);
+                    }
+                }
+            },
+        );
+        self.gathered_lanes = gathered;
+    }
+
+    /// [`backward`](Self::backward) for several right-hand sides.
+    pub(super) fn backward_lanes(&mut self, x: &mut [Lanes]) {
+        let mut gathered = std::mem::take(&mut self.gathered_lanes);
+        gathered.resize(self.gathered.len(), Lanes::default());
+        vectorized(
+            #[inline(always)]
+            || {
+                for k in (0..self.supernode_count()).rev() {
+                    let node = self.supernode(k);
+                    let below = &mut gathered[..node.pattern.len()];
+                    for (&row, v) in node.pattern.iter().zip(&mut *below) {
+                        *v = x[row];
+                    }
+                    for c in (0..node.width).rev() {
+                        let column = node.column(c);
+                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
+                        let mut sums = [Lanes::default(); 4];
+                        sum_lanes(&column[c + 1..node.width], tail, &mut sums);
+                        sum_lanes(&column[node.width..], below, &mut sums);
+                        for lane in 0..head[c].len() {
+                            let sum = (sums[0][lane] + sums[1][lane]) + (sums[2][lane] + sums[3][lane]);
+                            head[c][lane] = (head[c][lane] - sum) / column[c];
+                        }
+                    }
+                }
+            },
+        );
+        self.gathered_lanes = gathered;
     }
 }
 

@@ -281,7 +281,7 @@ fn an_unobserved_block_is_named() {
         // With a floor under every pivot the same equations have a step, and the report knows that three directions are free.
         let floor = vec![1e-9; structure.dimension()];
         solver.solve(&equations, &floor, &mut step).unwrap();
-        assert_eq!(solver.weak_pivots(), 3, "{}", solver.name());
+        assert_eq!(solver.unobserved_pivots(), 3, "{}", solver.name());
         // Aggregates move it with its neighbours, until the damping is all that is left to tell.
         let still = if solver.name().contains("block-Jacobi") { 1e-3 } else { 0.0 };
         assert!(step[39..42].iter().all(|d| d.abs() <= still), "{}: {:?}", solver.name(), &step[39..42]);
@@ -372,4 +372,57 @@ fn conjugate_gradients_name_what_stops_them() {
     assert_eq!(pcg.solve(&[1.0; 30], &mut x, hilbert, turned), Err(LinearError::NoCurvature { iteration: 1 }));
     let nan = |_: &[f64], out: &mut [f64]| out.fill(f64::NAN);
     assert_eq!(pcg.solve(&[1.0; 30], &mut x, nan, identity), Err(LinearError::NoCurvature { iteration: 1 }));
+}
+
+#[test]
+fn equations_that_treat_coordinates_alike_are_solved_by_one_factor_until_they_do_not() {
+    let pairs = |random: &mut Random| (0..150).map(|_| (random.index(60), random.index(60))).collect::<Vec<_>>();
+    let pairs = pairs(&mut Random(3));
+    let scalar = Arc::new(BlockStructure::new(&[1; 60], pairs.iter().copied(), 0).unwrap());
+    let structure = Arc::new(BlockStructure::new(&[3; 60], pairs, 0).unwrap());
+    let mut solver = BorderedCholesky::new(&structure);
+    let mut solve = |equations: &NormalEquations, damping: &[f64], alike: bool| {
+        assert_eq!(isotropic::Isotropic::fits(equations, damping), alike);
+        let mut h = equations.to_dense();
+        damping.iter().enumerate().for_each(|(i, d)| h[(i, i)] += d);
+        let mut step = vec![f64::NAN; 180];
+        solver.solve(equations, damping, &mut step).unwrap();
+        let g = DVector::from_column_slice(&equations.gradient);
+        let error = (h * DVector::from_column_slice(&step) + g).amax();
+        assert!(error < 1e-11, "{error:e}");
+        assert_eq!(solver.unobserved_pivots(), 0);
+    };
+    for seed in 0..3 {
+        let random = random_equations(&scalar, seed);
+        let mut equations = NormalEquations::new(structure.clone());
+        for (block, k) in equations.blocks.chunks_exact_mut(9).zip(&random.blocks) {
+            [0, 4, 8].iter().for_each(|a| block[*a] = *k);
+            block[1] = -0.0;
+        }
+        let mut numbers = Random(seed + 100);
+        equations.gradient.iter_mut().for_each(|g| *g = numbers.next());
+        let mut damping = vec![0.02; 180];
+        solve(&equations, &damping, true);
+        // another right-hand side, then another matrix, then none that fits
+        equations.gradient.reverse();
+        solve(&equations, &damping, true);
+        solve(&equations, &[], true);
+        damping[4] = 0.03;
+        solve(&equations, &damping, false);
+        solve(&equations, &[], true);
+        equations.blocks[2] = 1e-3;
+        solve(&equations, &[], false);
+        equations.blocks[2] = f64::NAN;
+        assert!(!isotropic::Isotropic::fits(&equations, &[]));
+    }
+    // What nothing observes is damped in three directions, and named without damping.
+    let empty = NormalEquations::new(structure.clone());
+    let mut step = vec![0.0; 180];
+    solver.solve(&empty, &[1e-3; 180], &mut step).unwrap();
+    assert_eq!((solver.unobserved_pivots(), step[0]), (180, 0.0));
+    let error = solver.solve(&empty, &[], &mut step).unwrap_err();
+    assert!(
+        matches!(error, LinearError::NotPositiveDefinite { at: Coordinate::Block { component: 0, .. } }),
+        "{error}"
+    );
 }

@@ -105,7 +105,7 @@ fn directions_that_nothing_observes() {
             } else {
                 assert!(summary.stop.converged(), "{shape:?}: {summary}");
                 assert!(summary.final_energy < 0.05, "{shape:?}: {summary}");
-                assert!(summary.weak_directions() <= 1, "{shape:?}: {summary}");
+                assert!(summary.unobserved_directions() <= 1, "{shape:?}: {summary}");
             }
         });
     }

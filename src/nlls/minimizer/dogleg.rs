@@ -26,17 +26,10 @@
 
 use std::ops::ControlFlow;
 
-use super::run::{Run, positive};
+use super::run::{DoglegPath, Run, positive};
 use super::{Convergence, Dogleg, IterationRecord, StopReason};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, Problem};
-
-/// The two corners of the line; sized on first use.
-#[derive(Debug, Default)]
-pub(super) struct Path {
-    cauchy: Vec<f64>,
-    newton: Vec<f64>,
-}
 
 pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogleg) -> StopReason {
     let mut energy = match run.start() {
@@ -132,7 +125,7 @@ fn corners<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogleg, last: f6
     let sparse = run.equations.structure().sparse_dimension();
     let buffers = &mut *run.buffers;
     let (g, x, bounds) = (&run.equations.gradient, &*run.x, &buffers.bounds);
-    let Path { cauchy, newton } = &mut buffers.path;
+    let DoglegPath { cauchy, newton } = &mut buffers.path;
     newton.clone_from(&buffers.step);
     cauchy.clear();
     cauchy.extend(g.iter().zip(&buffers.scaling).map(|(g, d)| -g / positive(*d)));
@@ -163,7 +156,7 @@ struct Blend {
 /// Writes the step of this radius.
 fn blend<P: Problem + ?Sized>(run: &mut Run<'_, P>, radius: f64) -> Blend {
     let buffers = &mut *run.buffers;
-    let Path { cauchy, newton } = &buffers.path;
+    let DoglegPath { cauchy, newton } = &buffers.path;
     let scaling = &buffers.scaling;
     let product = |a: &[f64], b: &[f64]| -> f64 { (0..a.len()).map(|i| positive(scaling[i]) * a[i] * b[i]).sum() };
     let step = &mut buffers.step;

@@ -4,7 +4,6 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::bounded::Bounds;
-use super::dogleg::Path;
 use super::{Convergence, IterationRecord, Observer, Options, StageTimes, StopReason, Workspace};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, LinearSolver, NormalEquations, Problem};
@@ -46,7 +45,14 @@ pub(super) struct Buffers {
     /// x before a step of [`Run::polish`].
     kept: Vec<f64>,
     pub bounds: Bounds,
-    pub path: Path,
+    pub path: DoglegPath,
+}
+
+/// The two corners of a dogleg's path; sized on first use.
+#[derive(Debug, Default)]
+pub(super) struct DoglegPath {
+    pub cauchy: Vec<f64>,
+    pub newton: Vec<f64>,
 }
 
 /// What the quadratic model says of a step.
@@ -299,7 +305,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         let record = IterationRecord {
             iteration: self.summary.iterations,
             energy: self.summary.final_energy,
-            weak_directions: self.solver.weak_pivots(),
+            unobserved_directions: self.solver.unobserved_pivots(),
             linear_iterations: self.solver.iterations().unwrap_or(0),
             times,
             ..step

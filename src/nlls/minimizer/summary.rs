@@ -124,7 +124,7 @@ pub struct IterationRecord {
     /// The step was accepted.
     pub accepted: bool,
     /// Directions in which nothing but damping holds the parameters.
-    pub weak_directions: usize,
+    pub unobserved_directions: usize,
     /// Iterations of the linear solver; 0 from direct ones.
     pub linear_iterations: usize,
     /// Wall times; not serialised.
@@ -210,8 +210,8 @@ impl Summary {
 
     /// Most directions that damping alone held in any iteration.
     #[must_use]
-    pub fn weak_directions(&self) -> usize {
-        self.records.iter().map(|r| r.weak_directions).max().unwrap_or(0)
+    pub fn unobserved_directions(&self) -> usize {
+        self.records.iter().map(|r| r.unobserved_directions).max().unwrap_or(0)
     }
 
     /// One line: iterations, energies, reason.
@@ -286,8 +286,8 @@ impl Summary {
         writeln!(f)?;
         writeln!(f, "  energy          {:.9e} -> {:.9e}", self.initial_energy, self.final_energy)?;
         writeln!(f, "  iterations      {} ({} accepted)", self.iterations, self.accepted_steps())?;
-        if self.weak_directions() > 0 {
-            writeln!(f, "  unobserved      {} directions are held by damping alone", self.weak_directions())?;
+        if self.unobserved_directions() > 0 {
+            writeln!(f, "  unobserved      {} directions are held by damping alone", self.unobserved_directions())?;
         }
         if times {
             let ms = |d: Duration| d.as_secs_f64() * 1e3;

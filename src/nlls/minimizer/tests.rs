@@ -158,7 +158,7 @@ fn a_damping_floor_leaves_unobserved_directions_where_they_are() {
         assert!(summary.stop.converged(), "{summary}");
         assert!((x[0] - 2.0_f64.sqrt()).abs() < 1e-9 && (x[1] - x[0]).abs() < 1e-9);
         assert_eq!(x[2], 5.0);
-        assert!(summary.weak_directions() >= 1, "{summary}");
+        assert!(summary.unobserved_directions() >= 1, "{summary}");
     }
 }
 

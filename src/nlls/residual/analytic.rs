@@ -2,7 +2,7 @@
 
 use std::any::{Any, TypeId};
 
-use super::builder::Block;
+use super::block::Block;
 use super::family::{AnyFamily, GRAIN, Setting};
 use super::{AnalyticResidual, BlockId};
 use crate::nlls::parallel::for_each;

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use num_dual::DualSVec64;
 
-use super::builder::Block;
+use super::block::Block;
 use super::{BlockId, BlockList, Residual};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{Kernel, OptionError, RobustKernel};

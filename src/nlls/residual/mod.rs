@@ -12,6 +12,7 @@
 //! slot (r, J, w); then every block row sums the residuals that touch it, in the order in which they were added.
 
 mod analytic;
+mod block;
 mod builder;
 mod family;
 mod problem;

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use super::builder::{Block, Contribution, Gather, Layout, Place, TargetKind};
+use super::block::{Block, Place};
+use super::builder::{Contribution, Gather, Layout, TargetKind};
 use super::family::AnyFamily;
 use super::{BlockId, FamilyId, ResidualProblemBuilder};
 use crate::nlls::{BlockStructure, BorderBounds, Kernel, NormalEquations, OptionError, Problem};

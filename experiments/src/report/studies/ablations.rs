@@ -1,7 +1,7 @@
 //! Ablations: what each part of the hybrid is worth, one changed at a time.
 
 use anyhow::Result;
-use nonrigid::registration::{GraphDistance, ModelKind, NodeKind, RotationKind, Schedule, StepAlgorithm};
+use nonrigid::registration::{ModelKind, Schedule, StepAlgorithm};
 
 use crate::plots::{Bar, GroupedBars};
 use crate::report::effort::Effort;
@@ -53,7 +53,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     table.write(setting.out, "ablations")?;
 
-    let columns = ["off", "slide", "rmse", "p95", "flips", "self_intersections", "iterations", "largest_weight"];
+    let columns =
+        ["normal", "tangential", "rmse", "p95", "flips", "self_intersections", "iterations", "largest_weight"];
     let mut shown = Table::new(&[&["group", "variant"][..], &columns].concat());
     let mut bars: Vec<(String, Bar)> = Vec::new();
     for variant in &variants {
@@ -84,25 +85,20 @@ fn variants(effort: &Effort) -> Result<Vec<Variant>> {
         Ok(())
     };
     for nodes in [50, 100, 200, 400, 800, 1600] {
-        add("nodes", nodes.to_string(), &|s| s.graph.nodes = nodes)?;
+        add("nodes", nodes.to_string(), &|s| s.model.set("nodes", nodes as i64))?;
     }
     for influences in [1, 2, 4, 6, 8] {
-        add("influences", format!("K = {influences}"), &|s| s.graph.influences = influences)?;
+        add("influences", format!("K = {influences}"), &|s| s.model.set("influences", influences as i64))?;
     }
-    for (name, distance) in [("along the surface", GraphDistance::Surface), ("through space", GraphDistance::Euclidean)]
-    {
-        add("distance", name.into(), &|s| s.graph.distance = distance)?;
+    for (name, distance) in [("along the surface", "surface"), ("through space", "euclidean")] {
+        add("distance", name.into(), &|s| s.model.set("distance", distance))?;
     }
-    for (name, rotation) in [
-        ("matrix", RotationKind::Matrix),
-        ("quaternion", RotationKind::Quaternion),
-        ("angle-axis", RotationKind::AngleAxis),
-    ] {
-        add("rotation", name.into(), &|s| s.graph.rotation = rotation)?;
+    for (name, rotation) in [("matrix", "matrix"), ("quaternion", "quaternion"), ("angle-axis", "angle_axis")] {
+        add("rotation", name.into(), &|s| s.model.set("rotation", rotation))?;
     }
     add("nodes' motion", "affine".into(), &|s| {
-        s.graph.node = NodeKind::Affine;
-        s.levels.iter_mut().for_each(|level| level.lambda_rotation = 1.0);
+        s.model.set("node", "affine");
+        s.levels.iter_mut().for_each(|level| level.model.set("lambda_rotation", 1.0));
     })?;
     for (name, algorithm) in [
         ("Gauss-Newton", StepAlgorithm::GaussNewton),
@@ -113,7 +109,10 @@ fn variants(effort: &Effort) -> Result<Vec<Variant>> {
     }
     for factor in [0.0, 0.1, 1.0, 10.0] {
         add("prior", format!("lambda_blend x {factor}"), &|s| {
-            s.levels.iter_mut().for_each(|level| level.lambda_blend *= factor);
+            for level in &mut s.levels {
+                let lambda = level.model.number("lambda_blend").unwrap_or(0.0);
+                level.model.set("lambda_blend", factor * lambda);
+            }
         })?;
     }
     if !effort.kernels_and_terms {

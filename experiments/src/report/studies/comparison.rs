@@ -4,7 +4,7 @@ use anyhow::Result;
 use nonrigid::registration::ModelKind;
 
 use crate::plots::{Bar, GroupedBars};
-use crate::report::study::{Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, spread};
+use crate::report::study::{Block, Section, Setting, Study, spread, write_runs};
 use crate::report::table::{Table, number};
 use crate::scan_bench::{CaseSource, Variant, measure, summarize};
 
@@ -38,29 +38,15 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         Ok(())
     })?;
 
-    let mut table = Table::new(&[&["group", "name", "case"][..], &ERROR_COLUMNS, &["error"]].concat());
-    let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mib", "threads"]);
-    for row in &rows {
-        let of = [row.group.clone(), row.model.clone(), row.case.clone()];
-        let mut cells = of.to_vec();
-        cells.extend(error_cells(row.score.as_ref()));
-        cells.push(row.error.clone().unwrap_or_default());
-        table.push(cells);
-        let mut cells = of.to_vec();
-        let mib = row.peak_bytes.map_or(f64::NAN, |b| b as f64 / 1048576.0);
-        cells.extend([row.seconds.unwrap_or(f64::NAN), mib, threads as f64].map(number));
-        times.push(cells);
-    }
-    table.write(setting.out, "comparison")?;
-    times.write(setting.out, "comparison.timing")?;
+    write_runs(setting.out, "comparison", &rows, threads)?;
 
     let columns = [
         "group",
         "variant",
         "rmse",
         "worst",
-        "off",
-        "slide",
+        "normal",
+        "tangential",
         "p95",
         "flips",
         "self-intersections",
@@ -80,7 +66,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         bars.push((s.group.clone(), Bar { name: s.model.clone(), value: s.mean_rmse, spread: Some(spread(&of).1) }));
         let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
         let mut cells = vec![s.group, s.model];
-        cells.extend([s.mean_rmse, s.worst_rmse, s.mean_off, s.mean_slide, s.mean_p95].map(number));
+        cells.extend([s.mean_rmse, s.worst_rmse, s.mean_normal, s.mean_tangential, s.mean_p95].map(number));
         cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));
         let missing = f64::NAN;
         cells.extend(
@@ -93,7 +79,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let caption = format!("Mean and range of the rmse over {cases} cases.");
     let figure = setting.plot("comparison", &GroupedBars::new("", "rmse / mm", bars).svg()?, caption)?;
     let caption = format!(
-        "Over {cases} cases, millimetres: means of rmse, off, slide, p95, steps and seconds; the worst rmse; the most flips and \
+        "Over {cases} cases, millimetres: means of rmse, normal and tangential error, p95, steps and seconds; the worst rmse; the most flips and \
          self-intersections of a case; the greatest memory, data included. {threads} threads."
     );
     let shown = Block::Table { table: shown, caption, file: "comparison.csv and comparison.timing.csv".into() };

@@ -5,7 +5,7 @@ use std::fs;
 use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
-use nonrigid::mesh::io::write_polygon_mesh;
+use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourScale, Frame, RgbImage, Scene, Sheet, Style, View, render};
@@ -146,8 +146,8 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, Polygo
         let panels = vec![
             labelled(panel(&clay(&mesh.triangulate()), &face, angle), &format!("{model} {:.2} mm", row.errors.rmse)),
             labelled(panel(&wired(&mesh), &open, View::Front), "mouth"),
-            labelled(heat(&errors.off), "off"),
-            labelled(heat(&errors.slide), "slide"),
+            labelled(heat(&errors.normal), "normal"),
+            labelled(heat(&errors.tangential), "tangential"),
         ];
         sheet = sheet.row("", panels);
     }

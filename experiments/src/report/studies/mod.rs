@@ -7,6 +7,7 @@ mod extreme;
 mod inputs;
 mod mask_models;
 mod masks;
+mod peers;
 mod presets;
 mod real;
 mod resolution;
@@ -29,6 +30,7 @@ pub const STUDIES: &[Study] = &[
     ablations::STUDY,
     silence::STUDY,
     real::STUDY,
+    peers::STUDY,
     solver::STUDY,
     masks::STUDY,
     presets::STUDY,
@@ -37,3 +39,5 @@ pub const STUDIES: &[Study] = &[
 
 /// The study that needs scans of the user's.
 pub const REAL: &str = real::STUDY.name;
+/// The study that needs other programs.
+pub const PEERS: &str = peers::STUDY.name;

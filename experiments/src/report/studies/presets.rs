@@ -1,7 +1,7 @@
 //! Figs. 6 to 8 of Li et al. 2018, and its twenty modules on every face.
 
 use anyhow::{Context, Result};
-use nonrigid::mesh::io::read_polygon_mesh;
+use nonrigid::io::read_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, preset, preset_names};
 use nonrigid::registration::ModelKind;

@@ -3,8 +3,7 @@
 use anyhow::Result;
 use nonrigid::evaluation::percentile;
 use nonrigid::mesh::{PoseKind, Vec3};
-use nonrigid::model::Linearisation;
-use nonrigid::registration::{ModelFactory as _, ModelKind, Schedule};
+use nonrigid::registration::{ModelKind, Schedule};
 use nonrigid::rig::{Population, Rig, ShapeBasis, ShapePca, ShapeSelection};
 use rand::SeedableRng as _;
 use rand::seq::SliceRandom as _;
@@ -142,7 +141,7 @@ fn raw_shapes(studio: &Studio, count: usize, seed: u64) -> Result<ShapeBasis> {
 fn schedule(paper: bool) -> Result<Schedule> {
     let mut schedule = ModelKind::Hybrid.schedule()?;
     if paper {
-        schedule.solver.linearisation = Linearisation::Reference;
+        schedule.model.set("linearisation", "reference");
     }
     Ok(schedule)
 }

@@ -1,0 +1,480 @@
+//! The command line `data-gen`: a synthetic face rig and scans of it with exact truth, as folders. Other programs call it with arguments
+//! of their own: [`write()`] for folders, [`scan_options`] for a scan in memory.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use crate::{
+    Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner, Subject,
+    WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
+};
+use clap::Parser;
+use clap::builder::PossibleValuesParser;
+use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say};
+use nonrigid::io::FilePlan;
+use nonrigid::render::save_png;
+
+const EXAMPLES: &str = "\
+Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading. In a checkout, `data-gen` is `cargo run --release -p data-gen --`.
+
+Examples:
+  data-gen --seed 7 --out out/data                               # the rig and the six standard cases
+  data-gen --seed 7 --out out/data --case same_open --triangles 1000000
+  data-gen --seed 7 --out out/data --case my_smile --expression mouthSmile=0.8 --expression jawOpen=0.3
+  data-gen --seed 7 --out out/data --cases 20                    # 20 cases of random people and expressions
+  data-gen --seed 7 --out out/data --population 200              # and 200 neutral faces for `nonrigid rig pca`
+  data-gen --seed 7 --out out/data --frames 60 --fps 30          # a sequence of two seconds
+  data-gen --seed 7 --out out/data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8
+  data-gen --seed 7 --out out/data --cases 10 --scanner fused    # as seven depth cameras see them
+  data-gen --seed 7 --out out/data --cases 10 --scanner frame --rig RIG   # people of a rig of one's own";
+
+/// The command line, as clap knows it.
+#[must_use]
+pub fn command() -> clap::Command {
+    <Arguments as clap::CommandFactory>::command()
+}
+
+/// Synthetic face rigs and scans with exact truth, from one seed: DIR/rig and DIR/cases/NAME, in millimetres.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES, allow_negative_numbers = true)]
+struct Arguments {
+    /// Folder for everything; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Everything random comes from this number.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Threads; default: one per processor. The result is the same with any number.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Also a picture of the rig and the first scans, DIR/contact_sheet.png.
+    #[arg(long)]
+    contact_sheet: bool,
+
+    /// Scans people of this rig instead of the generated one: any that `nonrigid register --rig` reads, in millimetres. It is not
+    /// written again. Needs --scanner frame or fused.
+    #[arg(long, value_name = "RIG", conflicts_with_all = ["vertices", "identity_modes"], help_heading = "Rig")]
+    rig: Option<PathBuf>,
+    /// Vertices of the template, approximately: 1,000 to 500,000.
+    #[arg(long, default_value_t = 5000, value_parser = in_range(1000, 500_000), help_heading = "Rig")]
+    vertices: usize,
+    /// Identity modes of the rig, at most 200.
+    #[arg(long, default_value_t = 100, value_parser = in_range(0, 200), help_heading = "Rig")]
+    identity_modes: usize,
+
+    /// Only these cases, repeatable. Names other than the six standard ones take their expression from --expression or
+    /// --preset or chance; those that begin with `new` are of an unknown person, all others of one whose own neutral is known.
+    #[arg(long = "case", value_name = "NAME", help_heading = "Cases", conflicts_with = "cases")]
+    names: Vec<String>,
+    /// This many cases of random people and expressions, every other one unknown, instead of the standard ones.
+    #[arg(long, value_name = "N", value_parser = in_range(0, 100_000), help_heading = "Cases")]
+    cases: Option<usize>,
+    /// A sequence of N frames of one person, DIR/sequence/frame_0000 and so on with weights.csv, instead of cases.
+    #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases", conflicts_with_all = ["names", "cases"])]
+    frames: Option<usize>,
+    /// Also N random people's neutral faces as OBJ, DIR/population, as `nonrigid rig pca` reads them.
+    #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases")]
+    population: Option<usize>,
+    /// Frames per second of a sequence.
+    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases")]
+    fps: f64,
+    /// Weight of an expression, repeatable, for every case or as the peak of a sequence; without _L or _R: both sides.
+    #[arg(long = "expression", value_name = "NAME=WEIGHT", value_parser = name_and_weight, help_heading = "Cases")]
+    expressions: Vec<(String, f64)>,
+    /// A named expression for every case or as the peak of a sequence.
+    #[arg(long, value_parser = PossibleValuesParser::new(PRESETS.iter().map(|p| p.0)), conflicts_with = "expressions", help_heading = "Cases")]
+    preset: Option<String>,
+    /// Identity weights, for every case; missing ones are 0. Default: drawn.
+    #[arg(long, value_delimiter = ',', value_name = "W,W,...", allow_hyphen_values = true, help_heading = "Cases")]
+    identity: Option<Vec<f64>>,
+    /// Standard deviation of drawn identity weights.
+    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, help_heading = "Cases")]
+    identity_sigma: f64,
+    /// Largest angle of the random rotation, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().rotation, help_heading = "Cases")]
+    rotation: f64,
+    /// Largest translation along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().translation, help_heading = "Cases")]
+    translation: f64,
+
+    /// How the surface becomes a scan: irregular points on the generated face itself; one depth image, cut at jumps; or seven depth
+    /// images made one surface. Depth images have noise that neighbours share, and lose what they see steeply.
+    #[arg(long, value_enum, default_value_t, help_heading = "Scanner")]
+    scanner: Scanner,
+    /// Triangles of each finished scan: 5,000 to 5,000,000, met within about 3 %.
+    #[arg(long, default_value_t = ScanOptions::default().triangles, value_parser = in_range(5000, 5_000_000), help_heading = "Scanner")]
+    triangles: usize,
+    /// Azimuth from +Z towards +X, elevation and, if not 700 mm, distance of a camera; repeatable. Default: -30,0 0,0 30,0; for
+    /// `frame` one at random, for `fused` -60,0 to 60,0 in steps of 30 and 0,-25 0,25.
+    #[arg(long = "camera", value_name = "AZ,EL[,MM]", value_parser = camera, allow_hyphen_values = true, help_heading = "Scanner")]
+    cameras: Vec<Camera>,
+    /// A camera's position in the scan's coordinates, mm; repeatable.
+    #[arg(long = "camera-at", value_name = "X,Y,Z", value_parser = camera_at, allow_hyphen_values = true, help_heading = "Scanner")]
+    cameras_at: Vec<Camera>,
+    /// No cameras: everything is seen, inside the lips too.
+    #[arg(long, conflicts_with_all = ["cameras", "cameras_at"], help_heading = "Scanner")]
+    see_all: bool,
+    /// Steepest angle between normal and view ray, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().grazing, help_heading = "Scanner")]
+    grazing: f64,
+    /// Leaves the eyeballs out.
+    #[arg(long, help_heading = "Scanner")]
+    no_eyeballs: bool,
+    /// How differently a person makes an expression from how the rig does: largest relative change.
+    #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
+    manner: f64,
+    /// Largest height of wrinkles that no shape expresses, mm.
+    #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
+    detail: f64,
+    /// Strengths of forehead lines, crow's feet, folds and skin structure; 1 is usual.
+    #[arg(long, value_name = "F,C,F,S", value_parser = wrinkles, default_value = "1,1,1,1", help_heading = "Scanner")]
+    wrinkles: WrinkleMix,
+
+    /// Standard deviation of the noise along the view ray, mm.
+    #[arg(long, default_value_t = ScanOptions::default().noise, help_heading = "Faults")]
+    noise: f64,
+    /// Growth of the noise with the angle a to the ray: x (1 + G (1 / cos a - 1)).
+    #[arg(long, value_name = "G", default_value_t = ScanOptions::default().grazing_noise, help_heading = "Faults")]
+    grazing_noise: f64,
+    /// Number of holes.
+    #[arg(long, default_value_t = ScanOptions::default().holes, help_heading = "Faults")]
+    holes: usize,
+    /// Smallest and largest radius of a hole, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "4,9", help_heading = "Faults")]
+    hole_radius: [f64; 2],
+    /// Share of the points that are spikes.
+    #[arg(long, default_value_t = ScanOptions::default().spikes, help_heading = "Faults")]
+    spikes: f64,
+    /// Smallest and largest height of a spike, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "3,15", help_heading = "Faults")]
+    spike_height: [f64; 2],
+    /// Share of the triangles that float alone near the surface.
+    #[arg(long, default_value_t = ScanOptions::default().outliers, help_heading = "Faults")]
+    outliers: f64,
+    /// Number of loose parts beside the face.
+    #[arg(long, default_value_t = ScanOptions::default().loose_parts, help_heading = "Faults")]
+    loose_parts: usize,
+    /// Standard deviation of the landmarks along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().landmark_noise, help_heading = "Faults")]
+    landmark_noise: f64,
+}
+
+/// Why a scan could not be simulated, by stage.
+fn unsimulated(error: ScanError) -> Failure {
+    let stage = match error {
+        ScanError::Option(_) => Stage::Arguments,
+        ScanError::NothingSeen => Stage::Computation,
+    };
+    Failure::new(stage, error.to_string())
+}
+
+fn unwritten(error: anyhow::Error) -> Failure {
+    Failure::writing(format!("{error:#}"))
+}
+
+/// Where lines for the user go.
+type Said<'a> = &'a dyn Fn(std::fmt::Arguments<'_>) -> Result<(), Failure>;
+
+/// Runs the command line of this process.
+#[must_use]
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return answer(&error),
+    };
+    let threads = || -> Result<(), Failure> {
+        if let Some(threads) = arguments.threads {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(bounded("--threads", threads.into())).build_global();
+            pool.map_err(|e| Failure::computation(format!("threads: {e}")))?;
+        }
+        Ok(())
+    };
+    match threads().and_then(|()| run(&arguments, &|line| say(line))) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}
+
+fn parsed(arguments: impl IntoIterator<Item = OsString>) -> Result<Arguments, Failure> {
+    let line = std::iter::once(OsString::from("data-gen")).chain(arguments);
+    Arguments::try_parse_from(line).map_err(|e| {
+        let text = e.to_string();
+        let lines: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+        Failure::new(Stage::Arguments, lines.join(" ").trim_start_matches("error: "))
+    })
+}
+
+/// Does what the command line does with these arguments, without a word, on the threads of the caller.
+///
+/// # Errors
+/// As the command line, at its stages.
+pub fn write(arguments: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
+    run(&parsed(arguments)?, &|_| Ok(()))
+}
+
+/// The scan that these arguments of the command line describe, those of groups Cases, Scanner and Faults.
+///
+/// # Errors
+/// When one of them makes no sense.
+pub fn scan_options(arguments: impl IntoIterator<Item = OsString>) -> Result<ScanOptions, Failure> {
+    let out = [OsString::from("--out"), OsString::from("nowhere")];
+    Ok(parsed(out.into_iter().chain(arguments))?.scan_options())
+}
+
+fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
+    if !(1e-3..=1e4).contains(&arguments.fps) {
+        return Err(Failure::new(Stage::Arguments, format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
+    }
+    let Arguments { seed, vertices, identity_modes, .. } = *arguments;
+    if arguments.see_all && arguments.scanner != Scanner::Net {
+        return Err(Failure::new(Stage::Arguments, "--see-all: a depth camera does not see everything; leave it out"));
+    }
+    say(format_args!("seed {seed}"))?;
+    let start = Instant::now();
+    let rig = match &arguments.rig {
+        Some(path) => FaceRig::read(path).map_err(|e| Failure::new(Stage::Loading, format!("{e:#}")))?,
+        None => FaceRig::generate(&FaceOptions { vertices, identity_modes }),
+    };
+    let generated = start.elapsed().as_secs_f64();
+    let plans = plan(&rig, arguments)?;
+    // Whatever is wrong with the options shows before anything is written.
+    for plan in &plans {
+        plan.options.validate(&rig).map_err(unsimulated)?;
+    }
+    let count = plans.len();
+    let mut scans = plans.iter().map(|plan| simulate(&rig, plan)).peekable();
+    if let Some(Err(failure)) = scans.next_if(Result::is_err) {
+        return Err(failure);
+    }
+    check_plan(&files(arguments, &plans))?;
+    let folder = arguments.rig.clone().unwrap_or_else(|| arguments.out.join("rig"));
+    if arguments.rig.is_none() {
+        write_rig(&folder, &rig).map_err(Failure::writing)?;
+    }
+    let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
+    say(format_args!(
+        "{}: {vertices} vertices, {expressions} expressions, {modes} identity modes, {generated:.1} s",
+        folder.display()
+    ))?;
+    if let Some(people) = arguments.population {
+        let folder = arguments.out.join("population");
+        write_population(&folder, &rig, people, seed).map_err(Failure::writing)?;
+        say(format_args!("{}: {people} people", folder.display()))?;
+    }
+    let mut shown = Vec::new();
+    let mut weights = Vec::new();
+    for (k, (plan, scan)) in plans.iter().zip(&mut scans).enumerate() {
+        let (case, seconds) = scan?;
+        write_scan(&rig, plan, &case, &arguments.out, seconds, (&format!("{}/{count}", k + 1), say))?;
+        weights.push((plan.time, case.expression_weights.clone()));
+        if arguments.contact_sheet && shown.len() < 3 {
+            shown.push((plan.name.clone(), case));
+        }
+    }
+    if arguments.frames.is_some() {
+        let path = arguments.out.join("sequence/weights.csv");
+        write_weights(&path, &rig, &weights).map_err(unwritten)?;
+        say(format_args!("{}", path.display()))?;
+    }
+    if arguments.contact_sheet {
+        let path = arguments.out.join("contact_sheet.png");
+        save_png(&contact_sheet(&rig, &shown, seed).render(), &path).map_err(Failure::writing)?;
+        say(format_args!("{}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Everything that is written: a file of each folder stands for it.
+fn files(arguments: &Arguments, plans: &[Plan]) -> FilePlan {
+    let of_folder = |folder: &str| arguments.out.join(folder).join("neutral.npy");
+    let mut plan = match &arguments.rig {
+        Some(path) => FilePlan::new().reads("--rig", path.clone()),
+        None => FilePlan::new().writes("the rig", of_folder("rig")),
+    };
+    plan = plan.writes_all(plans.iter().map(|plan| (format!("--case {}", plan.name), of_folder(&plan.name))));
+    if arguments.contact_sheet {
+        plan = plan.writes("--contact-sheet", arguments.out.join("contact_sheet.png"));
+    }
+    plan
+}
+
+/// One scan to make.
+struct Plan {
+    /// Its folder, below the output's.
+    name: String,
+    options: ScanOptions,
+    /// What a fit knows; `None`: decided by what the scan shows, [`Subject::same`].
+    subject: Option<Subject>,
+    seed: u64,
+    /// In a sequence, seconds.
+    time: f64,
+}
+
+fn plan(rig: &FaceRig, arguments: &Arguments) -> Result<Vec<Plan>, Failure> {
+    let options = arguments.scan_options();
+    let seed = |k: usize| arguments.seed.wrapping_add(k as u64);
+    if let Some(frames) = arguments.frames {
+        let time = |frame: usize| frame as f64 / arguments.fps;
+        options.validate(rig).map_err(unsimulated)?;
+        let motion = Motion::new(rig, &options, time(frames), arguments.seed).map_err(unsimulated)?;
+        let frame = |k| Plan {
+            name: format!("sequence/frame_{k:04}"),
+            options: motion.options(time(k)),
+            subject: Some(Subject::Same { withheld: Vec::new() }),
+            seed: seed(k),
+            time: time(k),
+        };
+        return Ok((0..frames).map(frame).collect());
+    }
+    let unknown = || Some(Subject::new(rig));
+    if let Some(cases) = arguments.cases {
+        let case = |k| {
+            let (prefix, subject) = if k % 2 == 0 { ("same", None) } else { ("new", unknown()) };
+            Plan { name: format!("cases/{prefix}_{k:04}"), options: options.clone(), subject, seed: seed(k), time: 0.0 }
+        };
+        return Ok((0..cases).map(case).collect());
+    }
+    let standard = STANDARD_CASES.iter().map(|s| s.name.to_owned());
+    let wanted: Vec<String> = if arguments.names.is_empty() { standard.collect() } else { arguments.names.clone() };
+    let mut plans: Vec<Plan> = Vec::new();
+    for (k, name) in wanted.iter().enumerate() {
+        if wanted[..k].contains(name) {
+            return Err(Failure::new(Stage::Arguments, format!("--case {name:?} twice")));
+        }
+        let at = STANDARD_CASES.iter().position(|s| s.name == *name);
+        let mut options = options.clone();
+        let mut subject = if name.starts_with("new") { unknown() } else { None };
+        if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
+            return Err(Failure::new(Stage::Arguments, format!("--case {name:?} is no name for a folder")));
+        }
+        if let Some(standard) = at.map(|at| STANDARD_CASES[at]) {
+            options.expressions = options.expressions.or_else(|| Some(standard.expressions()));
+            subject = Some(standard.subject(rig).map_err(unsimulated)?);
+        }
+        // A standard case is the same whether it is made alone or with the others.
+        let number = at.unwrap_or(STANDARD_CASES.len() + plans.len());
+        plans.push(Plan { name: format!("cases/{name}"), options, subject, seed: seed(number), time: 0.0 });
+    }
+    Ok(plans)
+}
+
+/// Simulates one case; how many seconds it took.
+fn simulate(rig: &FaceRig, plan: &Plan) -> Result<(ScanCase, f64), Failure> {
+    let start = Instant::now();
+    let case = simulate_scan(rig, &plan.options, plan.seed).map_err(unsimulated)?;
+    Ok((case, start.elapsed().as_secs_f64()))
+}
+
+/// Writes one case that took so many seconds to simulate.
+fn write_scan(
+    rig: &FaceRig,
+    plan: &Plan,
+    case: &ScanCase,
+    out: &Path,
+    simulated: f64,
+    (progress, say): (&str, Said<'_>),
+) -> Result<(), Failure> {
+    let start = Instant::now();
+    let folder = out.join(&plan.name);
+    let subject = plan.subject.clone().unwrap_or_else(|| Subject::same(rig, case));
+    write_case(&folder, rig, case, &subject, plan.seed).map_err(Failure::writing)?;
+    let seen = case.observed.iter().filter(|o| **o).count();
+    let (points, triangles) = (case.scan.positions.len(), case.scan.triangles.len());
+    say(format_args!(
+        "[{progress}] {}: {points} points, {triangles} triangles, {seen} vertices observed; {simulated:.1} + {:.1} s",
+        folder.display(),
+        start.elapsed().as_secs_f64()
+    ))
+}
+
+impl Arguments {
+    fn scan_options(&self) -> ScanOptions {
+        let given = (!self.expressions.is_empty()).then(|| self.expressions.clone());
+        let all: Vec<Camera> = self.cameras.iter().chain(&self.cameras_at).copied().collect();
+        let chosen = self.see_all || self.scanner != Scanner::Net || !all.is_empty();
+        let cameras = if chosen { all } else { ScanOptions::default().cameras };
+        ScanOptions {
+            expressions: given.or_else(|| self.preset.as_deref().map(preset_weights)),
+            identity: self.identity.clone(),
+            identity_sigma: self.identity_sigma,
+            manner: self.manner,
+            detail: self.detail,
+            wrinkles: self.wrinkles,
+            detail_seed: None,
+            rotation: self.rotation,
+            translation: self.translation,
+            pose: None,
+            triangles: self.triangles,
+            eyeballs: !self.no_eyeballs,
+            scanner: self.scanner,
+            cameras,
+            grazing: self.grazing,
+            noise: self.noise,
+            grazing_noise: self.grazing_noise,
+            holes: self.holes,
+            hole_radius: self.hole_radius,
+            spikes: self.spikes,
+            spike_height: self.spike_height,
+            outliers: self.outliers,
+            loose_parts: self.loose_parts,
+            landmark_noise: self.landmark_noise,
+        }
+    }
+}
+
+fn in_range(low: usize, high: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
+    move |text| match text.parse() {
+        Ok(number) if (low..=high).contains(&number) => Ok(number),
+        _ => Err(format!("a whole number from {low} to {high}")),
+    }
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|t| t.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| format!("{N} numbers, separated by commas"))
+}
+
+fn two_numbers(text: &str) -> Result<[f64; 2], String> {
+    numbers(text)
+}
+
+fn camera(text: &str) -> Result<Camera, String> {
+    if let Ok([azimuth, elevation]) = numbers(text) {
+        return Ok(Camera::orbit(azimuth, elevation));
+    }
+    let [azimuth, elevation, distance] =
+        numbers(text).map_err(|_| "azimuth,elevation or azimuth,elevation,distance")?;
+    Ok(Camera::Orbit { azimuth, elevation, distance })
+}
+
+fn camera_at(text: &str) -> Result<Camera, String> {
+    Ok(Camera::Position(numbers(text)?))
+}
+
+fn wrinkles(text: &str) -> Result<WrinkleMix, String> {
+    let [forehead, crows_feet, folds, skin] = numbers(text)?;
+    Ok(WrinkleMix { forehead, crows_feet, folds, skin })
+}
+
+fn name_and_weight(text: &str) -> Result<(String, f64), String> {
+    let parts = text.split_once('=').and_then(|(name, weight)| Some((name, weight.parse::<f64>().ok()?)));
+    parts.map(|(name, weight)| (name.to_owned(), weight)).ok_or_else(|| "NAME=WEIGHT".into())
+}
+
+#[cfg(test)]
+#[path = "../../tests/support/help.rs"]
+mod help;
+
+#[cfg(test)]
+mod tests {
+    use super::{command, help};
+
+    #[test]
+    fn help_ends_with_examples_that_parse() {
+        let faults = help::faults(&command());
+        assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+}

@@ -1,0 +1,259 @@
+//! Morphs by recipes, measurements and evaluations.
+
+use std::path::PathBuf;
+
+use nonrigid::correspondence::ScanError;
+use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use nonrigid::landmark::TemplatePoint;
+use nonrigid::measurement::{self, NamedRegion};
+use nonrigid::mesh::PolygonMesh;
+use nonrigid::morph::{
+    self, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, Subject, preset, preset_names, preset_text,
+    replay,
+};
+use nonrigid::registration::WITHIN_MM;
+use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection};
+use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use serde::Serialize;
+
+use crate::arrays;
+use crate::errors::{computation, compute, guarded, input, value};
+use crate::inputs::{Landmarks, to_toml};
+use crate::mesh::Mesh;
+use crate::rig::Rig;
+
+/// Name, default millimetres, smallest and largest, and what it does, of each preset.
+#[pyfunction]
+fn presets() -> PyResult<Vec<(String, f64, Option<[f64; 2]>, String, String)>> {
+    let known = preset_names().into_iter().map(|name| {
+        let recipe = preset(name).ok_or_else(|| value("no such preset"))?.map_err(input)?;
+        let text = preset_text(name).unwrap_or_default();
+        Ok((name.to_owned(), recipe.amount, recipe.range, recipe.about.clone(), text))
+    });
+    known.collect()
+}
+
+fn recipe_error(error: RecipeError) -> PyErr {
+    match error {
+        RecipeError::Impossible { error: morph::MorphError::UnknownLandmark { ref known, .. }, .. }
+            if known == NO_LANDMARKS =>
+        {
+            value(format!("{error}; give landmarks, or a rig that has them"))
+        }
+        RecipeError::Impossible { .. } => computation(error),
+        _ => input(error),
+    }
+}
+
+fn recipe(py: Python<'_>, kind: &str, given: &Bound<'_, PyAny>) -> PyResult<Recipe> {
+    match kind {
+        "preset" => {
+            let name: String = given.extract()?;
+            let unknown = || value(format!("unknown preset {name:?}; there are {}", preset_names().join(", ")));
+            preset(&name).ok_or_else(unknown)?.map_err(input)
+        }
+        "file" => {
+            let path: PathBuf = given.extract()?;
+            compute(py, Some(1), || Recipe::read(&path).map_err(recipe_error))
+        }
+        _ => {
+            let keys = to_toml("recipe", given)?.ok_or_else(|| value("recipe: no keys"))?;
+            let text = toml::to_string(&keys).map_err(|e| value(format!("recipe: {e}")))?;
+            guarded(|| Recipe::from_text(&text, "recipe").map_err(recipe_error))
+        }
+    }
+}
+
+/// Names of landmarks and where they are on a mesh: those given, or else a rig's.
+fn places(landmarks: &[&Landmarks], rig: Option<&Rig>, mesh: &Mesh) -> PyResult<Vec<Vec<(String, TemplatePoint)>>> {
+    if landmarks.is_empty() {
+        let of_rig = rig.and_then(|r| r.rig.landmarks());
+        let points =
+            of_rig.map(|marks| marks.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))));
+        return Ok(points.map(Iterator::collect).into_iter().collect());
+    }
+    let on_mesh = |landmarks: &&Landmarks| {
+        let (set, _) = landmarks.in_millimetres(None, mesh)?;
+        set.on_template(&landmarks.path, mesh.polygons()).map_err(input)
+    };
+    landmarks.iter().map(on_mesh).collect()
+}
+
+/// Step by step: positions, report (JSON), and of each mask its name and weights.
+type Steps<'py> = Vec<(Bound<'py, PyArray2<f64>>, String, Vec<(String, Bound<'py, PyArray1<f64>>)>)>;
+
+#[pyfunction]
+#[pyo3(signature = (mesh, recipes, landmarks, rig, shapes, identity_modes, bounds, until, model, threads))]
+fn morph_mesh<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    recipes: Vec<(String, Bound<'py, PyAny>, Option<f64>)>,
+    landmarks: Vec<PyRef<'py, Landmarks>>,
+    rig: Option<&Rig>,
+    shapes: Option<Vec<String>>,
+    identity_modes: usize,
+    bounds: Option<[f64; 2]>,
+    until: Option<usize>,
+    model: Option<&str>,
+    threads: Option<usize>,
+) -> PyResult<Steps<'py>> {
+    let model = model.map(str::parse::<MorphModel>).transpose().map_err(value)?;
+    let recipes = recipes.iter().map(|(kind, given, amount)| Ok((recipe(py, kind, given)?, *amount)));
+    let recipes = recipes.collect::<PyResult<Vec<_>>>()?;
+    if let Some(until) = until
+        && recipes.iter().any(|(recipe, _)| until == 0 || until > recipe.step.len())
+    {
+        return Err(value(format!("until: {until}; the recipe has {} steps", recipes[0].0.step.len())));
+    }
+    let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
+    let outcomes = compute(py, threads, || {
+        let points: Vec<(String, TemplatePoint)> = places(&landmarks, rig, mesh)?.into_iter().flatten().collect();
+        let mut basis = match rig {
+            None => ShapeBasis::none(),
+            Some(rig) => rig.rig.select(ShapeSelection { names: shapes.as_deref(), identity_modes }).map_err(input)?,
+        };
+        if let Some(bounds) = bounds {
+            basis = basis.with_bounds(|_| bounds);
+        }
+        let mut moved: PolygonMesh = mesh.polygons().clone();
+        let regions = rig.and_then(|r| r.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(&moved));
+        let mut outcomes = Vec::new();
+        for (recipe, amount) in &recipes {
+            let subject = Subject { mesh: &moved, landmarks: &points, regions: &regions, shapes: &basis };
+            let options = ReplayOptions { amount: *amount, until, model };
+            outcomes.extend(replay(recipe, &subject, &options).map_err(recipe_error)?);
+            if let Some(last) = outcomes.last() {
+                moved.positions.clone_from(&last.positions);
+            }
+        }
+        Ok(outcomes)
+    })?;
+    let step = |outcome: morph::StepOutcome| {
+        let report = serde_json::to_string(&outcome.report).map_err(value)?;
+        let masks = outcome.masks.into_iter().map(|mask| (mask.name, mask.weights.into_values().into_pyarray(py)));
+        Ok((arrays::from_points(py, &outcome.positions)?, report, masks.collect()))
+    };
+    outcomes.into_iter().map(step).collect()
+}
+
+/// Everything as JSON, as CSV, and in words.
+#[pyfunction]
+#[pyo3(signature = (mesh, after, landmarks, rig, regions, align))]
+fn measure_mesh(
+    py: Python<'_>,
+    mesh: &Mesh,
+    after: Option<PyReadonlyArray2<'_, f64>>,
+    landmarks: Vec<PyRef<'_, Landmarks>>,
+    rig: Option<&Rig>,
+    regions: Option<Vec<(String, Vec<u32>)>>,
+    align: bool,
+) -> PyResult<(String, String, String)> {
+    let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
+    let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
+    compute(py, None, || {
+        let mut known = measurement::Landmarks::default();
+        for points in places(&landmarks, rig, mesh)? {
+            known.add(&points).map_err(input)?;
+        }
+        let polygons = mesh.polygons();
+        let regions = match regions {
+            Some(regions) => Regions::new(polygons.positions.len(), regions).map_err(input)?,
+            None => rig.and_then(|r| r.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(polygons)),
+        };
+        if let Some(after) = after.as_mut().filter(|_| align) {
+            let pairs: Vec<_> = after.iter().copied().zip(polygons.positions.iter().copied()).collect();
+            let pose = nonrigid::mesh::closest_pose(&pairs, nonrigid::mesh::PoseKind::Rigid).map_err(computation)?;
+            after.iter_mut().for_each(|p| *p = pose.apply(*p));
+        }
+        let named = |name| NamedRegion { name, vertices: regions.vertices(name).unwrap_or_default() };
+        let regions: Vec<NamedRegion<'_>> = regions.names().map(named).collect();
+        let subject =
+            measurement::Subject { mesh: polygons, after: after.as_deref(), landmarks: &known, regions: &regions };
+        let measured = subject.measure().map_err(input)?;
+        let json = serde_json::to_string(&measured).map_err(value)?;
+        Ok((json, measured.to_csv(), measured.to_string()))
+    })
+}
+
+/// Every measurement with its formula and landmarks.
+#[pyfunction]
+fn glossary() -> String {
+    measurement::glossary()
+}
+
+/// Distances to the truth or to the scan, then what the result is as a mesh.
+#[derive(Serialize)]
+struct Measured<D> {
+    #[serde(flatten)]
+    distances: D,
+    #[serde(flatten)]
+    mesh: MeshQuality,
+}
+
+fn result_of(template: &Mesh, positions: &PyReadonlyArray2<'_, f64>) -> PyResult<PolygonMesh> {
+    let positions = arrays::points("result", positions)?;
+    let (found, expected) = (positions.len(), template.polygons().positions.len());
+    if found != expected {
+        return Err(value(format!(
+            "the result has {found} vertices, the template has {expected}; they must correspond"
+        )));
+    }
+    Ok(template.polygons().with_positions(positions))
+}
+
+/// Errors against the truth, as JSON, and the distance of every vertex that the scan shows.
+#[pyfunction]
+fn evaluate_truth<'py>(
+    py: Python<'py>,
+    result: PyReadonlyArray2<'_, f64>,
+    template: &Mesh,
+    truth: PyReadonlyArray2<'_, f64>,
+    observed: Option<PyReadonlyArray1<'_, bool>>,
+) -> PyResult<(String, Bound<'py, PyArray1<f64>>)> {
+    let (result, truth) = (result_of(template, &result)?, arrays::points("truth", &truth)?);
+    let observed = observed.map_or_else(|| vec![true; truth.len()], |o| o.as_array().to_vec());
+    let (text, distances) = compute(py, None, || {
+        let triangles = result.triangulate().triangles;
+        let (errors, vertices) = TruthErrors::new(&result.positions, &truth, &observed, &triangles).map_err(input)?;
+        let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
+        let text = serde_json::to_string(&Measured { distances: errors, mesh }).map_err(value)?;
+        Ok((text, vertices.observed_distance(&observed)))
+    })?;
+    Ok((text, distances.into_pyarray(py)))
+}
+
+/// Distances to the scan both ways, as JSON, and that of every vertex.
+#[pyfunction]
+fn evaluate_scan<'py>(
+    py: Python<'py>,
+    result: PyReadonlyArray2<'_, f64>,
+    template: &Mesh,
+    scan: &Mesh,
+) -> PyResult<(String, Bound<'py, PyArray1<f64>>)> {
+    let result = result_of(template, &result)?;
+    let (text, distances) = compute(py, None, || {
+        let surface = scan.polygons().triangulate();
+        let normals = scan.file.normals.as_deref();
+        if surface.triangles.is_empty() && !normals.iter().copied().flatten().any(|n| n.norm_squared() > 0.0) {
+            return Err(input(ScanError::Empty));
+        }
+        let on_scan = ScanDistance::new(&surface, normals).map_err(input)?;
+        let on_result = ScanDistance::new(&result.triangulate(), None).map_err(input)?;
+        let to_scan: Vec<f64> = result.positions.iter().map(|p| on_scan.of(p)).collect();
+        let to_result: Vec<f64> = surface.positions.iter().map(|p| on_result.of(p)).collect();
+        let distances = SurfaceDistances::from_distances(&to_scan, &to_result, WITHIN_MM);
+        let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
+        Ok((serde_json::to_string(&Measured { distances, mesh }).map_err(value)?, to_scan))
+    })?;
+    Ok((text, distances.into_pyarray(py)))
+}
+
+pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(presets, module)?)?;
+    module.add_function(wrap_pyfunction!(morph_mesh, module)?)?;
+    module.add_function(wrap_pyfunction!(measure_mesh, module)?)?;
+    module.add_function(wrap_pyfunction!(glossary, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluate_truth, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluate_scan, module)?)
+}

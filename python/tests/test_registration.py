@@ -1,0 +1,232 @@
+"""Callbacks, Ctrl-C, errors by kind, pickles, files, normal equations."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Data
+
+import nonrigid
+from nonrigid import data_gen
+
+
+def test_the_callback_sees_every_step_on_its_own_thread(face: data_gen.Face, case: data_gen.Case) -> None:
+    steps, positions, threads = [], [], set()
+
+    def see(step: nonrigid.Step) -> None:
+        steps.append(step)
+        threads.add(threading.get_ident())
+
+    def look(step: nonrigid.Step, vertices: np.ndarray) -> None:
+        positions.append((step.level, step.step, vertices))
+        threads.add(threading.get_ident())
+
+    found = nonrigid.register(
+        face.rig.mesh, case.scan, rig=face.rig, landmarks=case.landmarks, model="blendshape", callback=see, on_positions=look
+    )
+    assert threads == {threading.get_ident()}
+    assert [s.energy for s in steps] == [h["energy"] for h in found.history]
+    assert [(s.level, s.step) for s in steps] == [p[:2] for p in positions]
+    assert np.array_equal(positions[-1][2], found.positions)
+    assert steps[0].energies.keys() and 0 < steps[0].inliers <= 1 and "level=0" in repr(steps[0])
+
+
+def test_a_callback_stops(face: data_gen.Face, case: data_gen.Case) -> None:
+    mesh, marks = face.rig.mesh, case.landmarks
+    found = nonrigid.register(mesh, case.scan, landmarks=marks, model="graph", callback=lambda step: step.level < 1)
+    assert not found.finished and found.history[-1]["level"] == 1 and found.history[-1]["step"] == 0
+    assert "stopped" in repr(found)
+    calls = []
+
+    def fail(step: nonrigid.Step) -> None:
+        calls.append(step)
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        nonrigid.register(mesh, case.scan, landmarks=marks, model="graph", callback=fail)
+    assert len(calls) == 1
+    with pytest.raises(KeyError, match="mine"):
+        nonrigid.register(mesh, case.scan, landmarks=marks, model="graph", on_positions=lambda step, positions: fail(step))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_ends_within_a_step(tmp_path: Path) -> None:
+    program = tmp_path / "long.py"
+    program.write_text(
+        "import nonrigid\nfrom nonrigid import data_gen\n"
+        "face = data_gen.Face(20000, 2)\ncase = face.scan(triangles=100000)\nprint('begin', flush=True)\n"
+        "try:\n    while True:\n"
+        "        nonrigid.register(face.rig.mesh, case.scan, landmarks=case.landmarks, model='graph')\n"
+        "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
+    )
+    process = subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_ends_the_search_of_a_start(tmp_path: Path) -> None:
+    program = tmp_path / "search.py"
+    program.write_text(
+        "import nonrigid\nfrom nonrigid import data_gen\n"
+        "face = data_gen.Face(5000, 2)\ncase = face.scan(triangles=60000)\nkeys = nonrigid.Schedule('rigid').to_dict()\n"
+        "keys['search']['rotations'] = 1_000_000\nprint('begin', flush=True)\n"
+        "try:\n"
+        "    nonrigid.register(face.rig.mesh, case.scan, schedule=keys, model='rigid')\n"
+        "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
+    )
+    process = subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    time.sleep(2.0)
+    assert process.poll() is None, "the search was to take minutes"
+    clock = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
+    assert time.monotonic() - clock < 1.0
+
+
+def test_other_threads_run_meanwhile(face: data_gen.Face, case: data_gen.Case) -> None:
+    ticks = []
+    stop = threading.Event()
+
+    def tick() -> None:
+        while not stop.wait(0.002):
+            ticks.append(time.monotonic())
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, landmarks=case.landmarks)
+    stop.set()
+    thread.join()
+    assert len(ticks) > 10
+    with ThreadPoolExecutor(4) as pool:
+        run = lambda _: nonrigid.register(face.rig.mesh, case.scan, landmarks=case.landmarks, model="rigid").positions
+        results = list(pool.map(run, range(8)))
+    assert all(np.array_equal(r, results[0]) for r in results)
+
+
+def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tmp_path: Path) -> None:
+    mesh, marks = face.rig.mesh, case.landmarks
+    with pytest.raises(FileNotFoundError, match="missing.ply"):
+        nonrigid.register(mesh, tmp_path / "missing.ply")
+    for argument in ("landmarks", "mask", "schedule", "rig", "neutral", "warm_start"):
+        with pytest.raises(FileNotFoundError):
+            nonrigid.register(mesh, case.scan, **{argument: tmp_path / "missing.npy"})
+    (tmp_path / "bad.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\n")
+    with pytest.raises(ValueError, match="bad.ply"):
+        nonrigid.Mesh.read(tmp_path / "bad.ply")
+    with pytest.raises(IsADirectoryError):
+        nonrigid.register(mesh, case.scan, landmarks=tmp_path)
+    for wrong, words in [
+        ({"model": "hybird"}, "unknown model"),
+        ({"schedule": {"levels": []}}, "level"),
+        ({"landmarks": {"99999": (0, 0, 0)}}, "99999"),
+        ({"landmarks": {0: (0, 0)}}, "x, y, z"),
+        ({"mask": [0.5]}, "one for each template vertex"),
+        ({"mask": np.full(len(mesh.vertices), 2.0)}, "from 0 to 1"),
+        ({"threads": 0}, "threads"),
+        ({"flip": "maybe"}, "flip"),
+        ({"regions": ["nowhere"]}, "nowhere"),
+        ({"identity_modes": 3}, "give rig"),
+        ({"unit": {"scan": "m"}}, "no input 'scan'"),
+        ({"unit": "furlong"}, "unit"),
+        ({"model": "blendshape"}, "blendshapes"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            nonrigid.register(mesh, case.scan, **{"landmarks": marks, "model": "graph", **wrong})
+    with pytest.raises(ValueError, match="not finite"):
+        nonrigid.register(mesh, (np.full((3, 3), np.nan), [[0, 1, 2]]), model="rigid")
+    far = nonrigid.Mesh(case.scan.vertices + 1e4, case.scan.faces)
+    with pytest.raises(nonrigid.ComputationError, match="no vertex of the template"):
+        here = {v: mesh.vertices[v] for v in (0, 100, 500)}
+        nonrigid.register(mesh, far, landmarks=here, model="rigid")
+    assert issubclass(nonrigid.ComputationError, RuntimeError)
+
+
+def test_saving(registered: nonrigid.Registration, data: Data, tmp_path: Path) -> None:
+    registered.save(tmp_path / "a.ply", report=tmp_path / "a.json", state=tmp_path / "b.json")
+    again = nonrigid.Mesh.read(tmp_path / "a.ply")
+    assert np.array_equal(again.vertices, registered.positions)
+    with pytest.raises(FileNotFoundError):
+        registered.save(tmp_path / "none" / "a.ply")
+    with pytest.raises(ValueError, match="twice|same file"):
+        registered.save(tmp_path / "c.obj", report=tmp_path / "d.json", state=tmp_path / "d.json")
+    scan = data.scan().read_bytes()
+    found = nonrigid.register(data.template, data.scan(), landmarks=data.landmarks(), model="rigid")
+    with pytest.raises(ValueError, match="would overwrite"):
+        found.save(data.scan())
+    with pytest.raises(ValueError, match="would overwrite"):
+        found.save(tmp_path / "e.obj", report=data.landmarks())
+    assert data.scan().read_bytes() == scan and not (tmp_path / "e.obj").exists() and not (tmp_path / "c.obj").exists()
+
+
+def test_pickles(registered: nonrigid.Registration, case: data_gen.Case, tmp_path: Path) -> None:
+    again = pickle.loads(pickle.dumps(registered))
+    assert np.array_equal(again.positions, registered.positions) and again.report == registered.report
+    assert again.weights == registered.weights and again.mesh == registered.mesh and again.doubts == registered.doubts
+    with pytest.raises(ValueError, match="give it"):
+        again.picture(tmp_path / "a.png")
+    again.picture(tmp_path / "a.png", scan=case.scan)
+    registered.picture(tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_weights_have_standard_deviations(registered: nonrigid.Registration, face: data_gen.Face) -> None:
+    assert list(registered.weights)[:54] == face.rig.names[:54] and len(registered.weights) == 58
+    assert all(w.std_dev is None or w.std_dev > 0 for w in registered.weights.values())
+    assert registered.accepted.dtype == bool and registered.accepted.mean() > 0.5
+    assert 0 <= registered.error_probability <= 1
+
+
+def test_normal_equations(face: data_gen.Face, case: data_gen.Case, registered: nonrigid.Registration) -> None:
+    sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
+    found = nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, identity_modes=4, landmarks=case.landmarks, equations=True)
+    assert np.array_equal(found.positions, registered.positions), "keeping the equations changes nothing"
+    hessian, gradient = found.normal_equations()
+    assert sparse.issparse(hessian) and hessian.shape == (len(gradient), len(gradient)) and (len(gradient) - 58) % 6 == 0
+    assert abs(hessian - hessian.T).max() == 0
+    lowest = np.linalg.eigvalsh(hessian.toarray())[0]
+    assert lowest > -1e-6 * hessian.diagonal().max()
+    # the deviations of the report are those of the covariance of the border
+    inverse = np.linalg.inv(hessian.toarray())[-58:, -58:]
+    deviations = np.array([w.std_dev for w in found.weights.values()], dtype=float)
+    ratio = np.sqrt(np.diag(inverse)) / deviations
+    assert ratio.std() < 0.02 * ratio.mean()
+    with pytest.raises(ValueError, match="equations=True"):
+        registered.normal_equations()
+
+
+FORK = """
+import multiprocessing, sys
+import nonrigid
+from nonrigid import data_gen
+def work(seed):
+    face = data_gen.Face(1000, 2)
+    case = face.scan(seed=seed, triangles=5000)
+    return nonrigid.register(face.rig.mesh, case.scan, landmarks=case.landmarks, model="rigid").positions.tobytes()
+if __name__ == "__main__":
+    here = [work(1), work(2)]  # threads have run in this process
+    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
+        assert pool.map(work, [1, 2]) == here
+    print("same")
+"""
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_after_a_fork(python: Callable[..., subprocess.CompletedProcess[str]], method: str) -> None:
+    if sys.platform == "win32" and method == "fork":
+        pytest.skip("there is no fork on this system")
+    ended = python(FORK, method)
+    assert ended.returncode == 0 and ended.stdout == "same\n", ended.stderr

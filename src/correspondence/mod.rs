@@ -1,0 +1,56 @@
+//! Which point of a scan belongs to which vertex of a template, and which of these pairs to believe.
+
+mod closest;
+mod masks;
+mod scan;
+
+use serde::{Deserialize, Serialize};
+
+pub use closest::Correspondences;
+pub use masks::VertexMasks;
+pub(crate) use scan::check_normals;
+pub use scan::{ScanError, ScanSurface};
+
+/// What of the scan is believed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ScanOptions {
+    /// Rounds of averaging of the scan's vertex normals with their neighbours'.
+    pub normal_smoothing: usize,
+    /// Whether the scan is turned over first: `auto` (default), `yes` or `no`.
+    pub flip: ScanFlip,
+    /// Reject correspondences on the scan's open boundary.
+    pub reject_boundary: bool,
+    /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
+    /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
+    /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
+    pub template_rim: f64,
+}
+
+impl Default for ScanOptions {
+    fn default() -> Self {
+        Self { normal_smoothing: 2, flip: ScanFlip::Auto, reject_boundary: true, template_rim: 0.0 }
+    }
+}
+
+/// Whether a scan is turned over before it is registered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScanFlip {
+    /// Where it fits the template better so.
+    #[default]
+    Auto,
+    /// Always.
+    Yes,
+    /// Never.
+    No,
+}
+
+/// What a pair must keep to be accepted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Acceptance {
+    /// Greatest distance, in the unit of the positions.
+    pub distance: f64,
+    /// Greatest angle between the normals, degrees.
+    pub angle: f64,
+}

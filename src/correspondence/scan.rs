@@ -1,0 +1,245 @@
+//! The scan, prepared for the searches of a registration: triangles or a cloud of points with normals behind one interface.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use thiserror::Error;
+
+use super::ScanOptions;
+use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
+use crate::mesh::{MeshError, OrientedPoints, TriangleMesh, Vec3};
+
+/// Why a scan cannot be searched.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ScanError {
+    /// It has neither triangles nor normals.
+    #[error(
+        "the scan has no triangles and no normals, so its surface is not known; give a mesh, or points that have normals: \
+         nx, ny, nz in PLY, columns 4 to 6 in XYZ (point cloud programs compute them)"
+    )]
+    Empty,
+    /// Its normals are not one a vertex.
+    #[error("scan: found {normals} normals for {vertices} vertices, expected one each")]
+    NormalCount {
+        /// Number of normals.
+        normals: usize,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// Its geometry cannot be used.
+    #[error("scan: {0}")]
+    Mesh(#[from] MeshError),
+}
+
+/// A scan prepared for closest-point queries: the surface of its triangles or, without any, of its points with normals
+/// ([`OrientedPoints`]).
+#[derive(Debug)]
+pub struct ScanSurface {
+    surface: Surface,
+    reject_boundary: bool,
+}
+
+#[derive(Debug)]
+enum Surface {
+    Triangles { mesh: TriangleMesh, normals: Vec<Vec3>, boundary: OpenBoundary, tree: ClosestPoint },
+    Points(OrientedPoints),
+}
+
+/// The closest point of a scan.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hit {
+    /// Triangle or point on which it lies: the hint of the next search.
+    pub feature: u32,
+    pub point: Vec3,
+    /// Weights of the triangle's corners; of a point, 1.
+    pub barycentric: [f64; 3],
+    /// Unit length, or zero where the scan has none.
+    pub normal: Vec3,
+    /// Whether the scan ends there.
+    pub on_boundary: bool,
+}
+
+impl ScanSurface {
+    /// Prepares a scan. `normals` are the file's own, if it had any, one per vertex and of any length; without them those of
+    /// the triangles are computed.
+    ///
+    /// # Errors
+    /// When a coordinate is not finite, there are neither triangles nor normals, or not as many normals as vertices.
+    pub fn new(mesh: TriangleMesh, normals: Option<&[Vec3]>, options: &ScanOptions) -> Result<Self, ScanError> {
+        let unusable = ScanError::from;
+        check_normals(&mesh, normals)?;
+        let reject_boundary = options.reject_boundary;
+        if let (true, Some(normals)) = (mesh.triangles.is_empty(), normals) {
+            let points = OrientedPoints::new(&mesh.positions, normals, options.normal_smoothing).map_err(unusable)?;
+            return Ok(Self { surface: Surface::Points(points), reject_boundary });
+        }
+        let tree = || ClosestPoint::new(&mesh).map_err(unusable);
+        let rest = || {
+            let mut normals = match normals {
+                Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
+                None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
+            };
+            let edges = EdgeGraph::of(&mesh);
+            for _ in 0..options.normal_smoothing {
+                normals = smooth_normals(&edges, &normals);
+            }
+            (normals, OpenBoundary::of(&mesh))
+        };
+        let (tree, (normals, boundary)) = rayon::join(tree, rest);
+        Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree: tree? }, reject_boundary })
+    }
+
+    /// The closest point within the square root of `squared_reach`. The answer does not depend on the hint, a
+    /// [`Hit::feature`].
+    pub(crate) fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
+        match &self.surface {
+            Surface::Triangles { mesh, normals, boundary, tree, .. } => {
+                let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
+                let corners = mesh.triangles[hit.triangle as usize];
+                let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
+                Some(Hit {
+                    feature: hit.triangle,
+                    point: hit.point,
+                    barycentric: hit.barycentric,
+                    normal: normal.try_normalize(0.0).unwrap_or_default(),
+                    on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
+                })
+            }
+            Surface::Points(points) => {
+                let hit = points.query(p, hint, squared_reach)?;
+                let (feature, point, normal) = (hit.index, hit.point, hit.normal);
+                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
+            }
+        }
+    }
+
+    /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
+    #[must_use]
+    pub fn closest_within(&self, p: Vec3, reach: f64) -> Option<Vec3> {
+        self.closest_hit(p, reach).map(|hit| hit.point)
+    }
+
+    /// [`closest_within`](Self::closest_within), with what is known of the scan there.
+    pub(crate) fn closest_hit(&self, p: Vec3, reach: f64) -> Option<Hit> {
+        // A disc may be nearer than its point.
+        let search = if matches!(self.surface, Surface::Points(_)) { f64::INFINITY } else { reach * reach };
+        let hit = self.closest(&p, None, search)?;
+        (!hit.on_boundary && (hit.point - p).norm_squared() <= reach * reach).then_some(hit)
+    }
+
+    /// Whether correspondences on the open boundary are to be rejected.
+    pub(crate) fn rejects_boundary(&self) -> bool {
+        self.reject_boundary
+    }
+
+    /// Vertices spread evenly over the scan, no two nearer than `spacing` and every other one within `spacing` of them, as
+    /// (position, unit normal); and the area that each stands for. The boundary is left out where it is not believed.
+    ///
+    /// A vertex is taken, in the order of the scan, unless one before it is too near: a choice that does not depend on how the
+    /// scan lies in space.
+    #[must_use]
+    pub fn spread(&self, spacing: f64) -> (Vec<(Vec3, Vec3)>, f64) {
+        let (candidates, area): (Vec<(Vec3, Vec3)>, f64) = match &self.surface {
+            Surface::Triangles { mesh, normals, boundary, .. } => {
+                let inside = used(mesh).filter(|&v| !(self.reject_boundary && boundary.vertices()[v]));
+                let area = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
+                (inside.map(|v| (mesh.positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
+            }
+            Surface::Points(points) => {
+                let inside = (0..points.points().len()).filter(|&i| !(self.reject_boundary && points.on_edge(i)));
+                (inside.map(|i| (points.points()[i], points.normals()[i])).collect(), points.area())
+            }
+        };
+        let cell = |p: &Vec3| p.map(|x| (x / spacing).floor() as i64);
+        let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        let mut chosen: Vec<(Vec3, Vec3)> = Vec::new();
+        for (p, normal) in candidates {
+            let at = cell(&p);
+            let near = |dx: i64, dy: i64, dz: i64| {
+                let others = cells.get(&[at.x.saturating_add(dx), at.y.saturating_add(dy), at.z.saturating_add(dz)]);
+                others.is_some_and(|c| c.iter().any(|&i| (chosen[i as usize].0 - p).norm() < spacing))
+            };
+            let taken = (-1..=1).any(|dx| (-1..=1).any(|dy| (-1..=1).any(|dz| near(dx, dy, dz))));
+            if !taken {
+                cells.entry(at.into()).or_default().push(chosen.len() as u32);
+                chosen.push((p, normal));
+            }
+        }
+        let each = area / chosen.len().max(1) as f64;
+        (chosen, each)
+    }
+}
+
+/// Refuses a scan that has no surface.
+pub(crate) fn check_normals(mesh: &TriangleMesh, normals: Option<&[Vec3]>) -> Result<(), ScanError> {
+    let vertices = mesh.positions.len();
+    if let Some(normals) = normals.filter(|n| n.len() != vertices) {
+        return Err(ScanError::NormalCount { normals: normals.len(), vertices });
+    }
+    let directed = normals.is_some_and(|normals| normals.iter().any(|n| n.norm_squared() > 0.0));
+    if mesh.triangles.is_empty() && !directed { Err(ScanError::Empty) } else { Ok(()) }
+}
+
+/// Vertices that triangles use, ascending.
+fn used(mesh: &TriangleMesh) -> impl Iterator<Item = usize> + use<> {
+    let mut used = vec![false; mesh.positions.len()];
+    mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+    used.into_iter().enumerate().filter(|u| u.1).map(|u| u.0)
+}
+
+/// Each normal averaged with its neighbours'.
+fn smooth_normals(edges: &EdgeGraph, normals: &[Vec3]) -> Vec<Vec3> {
+    let average = |i: usize| {
+        let sum = edges.neighbours(i).iter().fold(normals[i], |sum, &j| sum + normals[j as usize]);
+        sum.try_normalize(0.0).unwrap_or_default()
+    };
+    (0..normals.len()).into_par_iter().map(average).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::sheet;
+
+    fn cloud(mesh: &TriangleMesh) -> ScanSurface {
+        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let points = TriangleMesh { triangles: Vec::new(), ..mesh.clone() };
+        ScanSurface::new(points, Some(&normals), &ScanOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn triangles_and_their_vertices_answer_alike() {
+        let mesh = sheet(31, 31, |c, r| Vec3::new(0.5 * c, 0.5 * r, 0.002 * (c - 15.0).powi(2)));
+        let (on_mesh, on_cloud) =
+            (ScanSurface::new(mesh.clone(), None, &ScanOptions::default()).unwrap(), cloud(&mesh));
+        for i in 0..400 {
+            let p = Vec3::new(f64::from(i % 20) - 2.3, f64::from(i / 20) - 2.4, 1.0);
+            let [a, b] = [&on_mesh, &on_cloud].map(|s| s.closest(&p, None, f64::INFINITY).unwrap());
+            let depth = p.x.min(15.0 - p.x).min(p.y).min(15.0 - p.y);
+            if depth.abs() > 1.0 {
+                assert_eq!((a.on_boundary, b.on_boundary), (depth < 0.0, depth < 0.0), "{p}");
+            }
+            if depth > 1.0 {
+                assert!((a.point - b.point).norm() < 0.02, "{p}: {} {}", a.point, b.point);
+                assert!(a.normal.dot(&b.normal) > 0.999, "{p}");
+                let [a, b] = [&on_mesh, &on_cloud].map(|s| s.closest_within(p, 1.2));
+                assert!((a.unwrap() - b.unwrap()).norm() < 0.02, "{p}");
+            }
+            assert!(on_cloud.closest_within(p + Vec3::z() * 3.0, 1.0).is_none());
+        }
+    }
+
+    #[test]
+    fn a_scan_without_a_surface_is_refused() {
+        let points = TriangleMesh { positions: vec![Vec3::zeros(); 2], triangles: Vec::new() };
+        let refused = |normals: Option<&[Vec3]>| {
+            ScanSurface::new(points.clone(), normals, &ScanOptions::default()).unwrap_err().to_string()
+        };
+        assert!(refused(None).contains("nx, ny, nz"));
+        assert!(refused(Some(&[Vec3::zeros(); 2])).contains("nx, ny, nz"));
+        assert!(refused(Some(&[Vec3::z(); 3])).contains("3 normals for 2 vertices"));
+    }
+}

@@ -1,0 +1,267 @@
+//! Writing: one node, one mesh, one primitive, one container.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::MILLIMETRES_PER_METRE;
+use super::topology::{Triangles, split};
+use crate::io::{WriteError, write_atomically};
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::srgb::to_light;
+use crate::mesh::{PolygonMesh, Vec3};
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+/// Writes a mesh as `.glb`, with normals, and morph targets if there are any: `target_deltas` target by target, vertex by
+/// vertex, x y z, in millimetres. Targets that move few vertices are stored sparsely. `extras` comes back from
+/// [`read_gltf`](super::read_gltf) as it is. A mesh without polygons becomes points. Targets have no normals of their own.
+///
+/// # Errors
+/// When the file cannot be written, a coordinate is not finite in 32 bits, texture indices do not belong to the corners, a
+/// polygon has fewer than three corners, or there are not as many displacements as names times vertices.
+pub fn write_glb(
+    path: &Path,
+    mesh: &PolygonMesh,
+    target_names: &[&str],
+    target_deltas: &[f32],
+    extras: &Map<String, Value>,
+) -> Result<(), WriteError> {
+    write_painted_glb(path, mesh, Look::default(), target_names, target_deltas, extras)
+}
+
+/// What a mesh looks like.
+#[derive(Clone, Copy, Default)]
+pub(in crate::io) struct Look<'a> {
+    /// sRGB, one per vertex.
+    pub colors: Option<&'a [[u8; 3]]>,
+    /// A PNG file, which the texture coordinates are of.
+    pub png: Option<&'a [u8]>,
+}
+
+/// [`write_glb`] with colours.
+pub(in crate::io) fn write_painted_glb(
+    path: &Path,
+    mesh: &PolygonMesh,
+    Look { colors, png }: Look<'_>,
+    target_names: &[&str],
+    target_deltas: &[f32],
+    extras: &Map<String, Value>,
+) -> Result<(), WriteError> {
+    WriteError::check_count(path, "colours", colors.map(<[_]>::len), mesh.positions.len())?;
+    check(path, mesh, target_names, target_deltas)?;
+    let (Triangles { positions, uvs, triangles, .. }, mut note) = split(mesh);
+    note.extras = extras.clone();
+    let sources = || (0..mesh.positions.len()).chain(note.copies.iter().map(|&v| v as usize));
+
+    let mut file = Contents::default();
+    let metres = |mm: f64| (mm / MILLIMETRES_PER_METRE) as f32;
+    let points: Vec<[f32; 3]> = positions.iter().map(|p| [metres(p.x), metres(p.y), metres(p.z)]).collect();
+    let mut attributes = json!({ "POSITION": file.points(&points) });
+    if let Some(colors) = colors {
+        let light: Vec<f32> = sources().flat_map(|v| <[f64; 3]>::from(to_light(colors[v])).map(|c| c as f32)).collect();
+        attributes["COLOR_0"] = json!(file.floats(&light, "VEC3"));
+    }
+    let mut primitive = Map::new();
+    if triangles.is_empty() {
+        primitive.insert("mode".into(), json!(0));
+    } else {
+        // of the mesh, not of the copies, so that no seam shows; and of what is written, so that it is written the same again
+        let written: Vec<Vec3> = points[..mesh.positions.len()]
+            .iter()
+            .map(|p| Vec3::from(p.map(f64::from)) * MILLIMETRES_PER_METRE)
+            .collect();
+        let normals = vertex_normals(&written, &mesh.triangulate().triangles, NormalWeighting::Area);
+        let normal = |v: usize| if normals[v] == Vec3::zeros() { Vec3::z() } else { normals[v] };
+        let normals: Vec<f32> = sources().map(normal).flat_map(|n| [n.x as f32, n.y as f32, n.z as f32]).collect();
+        attributes["NORMAL"] = json!(file.floats(&normals, "VEC3"));
+        if !uvs.is_empty() {
+            let uvs: Vec<f32> = uvs.iter().flat_map(|uv| [uv[0] as f32, (1.0 - uv[1]) as f32]).collect();
+            attributes["TEXCOORD_0"] = json!(file.floats(&uvs, "VEC2"));
+        }
+        primitive.insert("material".into(), json!(0));
+        primitive.insert("indices".into(), json!(file.indices(triangles.as_flattened(), points.len())));
+    }
+    primitive.insert("attributes".into(), attributes);
+    let mut of_mesh = Map::new();
+    let mut mesh_extras = Map::new();
+    if !target_names.is_empty() {
+        let width = 3 * mesh.positions.len();
+        let target = |k: usize| -> Value {
+            let deltas = &target_deltas[k * width..(k + 1) * width];
+            let deltas: Vec<[f32; 3]> =
+                sources().map(|v| [0, 1, 2].map(|a| metres(f64::from(deltas[3 * v + a])))).collect();
+            json!({ "POSITION": file.displacements(&deltas) })
+        };
+        primitive.insert("targets".into(), (0..target_names.len()).map(target).collect());
+        of_mesh.insert("weights".into(), json!(vec![0.0; target_names.len()]));
+        mesh_extras.insert("targetNames".into(), json!(target_names));
+    }
+    let note = serde_json::to_value(&note).map_err(|e| WriteError::data(path, "notes as JSON", e.to_string()))?;
+    mesh_extras.insert("nonrigid".into(), note);
+    of_mesh.insert("extras".into(), mesh_extras.into());
+    of_mesh.insert("primitives".into(), json!([primitive]));
+    let mut document = json!({
+        "asset": { "version": "2.0", "generator": concat!("nonrigid ", env!("CARGO_PKG_VERSION")) },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [of_mesh],
+        "accessors": file.accessors,
+    });
+    if !triangles.is_empty() {
+        // the format's default is metal, which is black without surroundings
+        let mut material = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.7 });
+        if let Some(png) = png {
+            let view = file.view(png.iter().map(|b| [*b]), None);
+            document["images"] = json!([{ "bufferView": view, "mimeType": "image/png" }]);
+            document["textures"] = json!([{ "source": 0 }]);
+            material["baseColorTexture"] = json!({ "index": 0 });
+        }
+        document["materials"] = json!([{ "pbrMetallicRoughness": material }]);
+    }
+    document["bufferViews"] = json!(file.views);
+    document["buffers"] = json!([{ "byteLength": file.bytes.len() }]);
+    let mut json = document.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let length = 12 + 8 + json.len() + 8 + file.bytes.len();
+    let Ok(length) = u32::try_from(length) else {
+        return Err(WriteError::data(path, "less than 4 GiB, what a container can have", format!("{length} bytes")));
+    };
+    write_atomically(path, |w| {
+        w.write_all(b"glTF")?;
+        w.write_all(&2u32.to_le_bytes())?;
+        w.write_all(&length.to_le_bytes())?;
+        for (kind, chunk) in [(b"JSON", &json), (b"BIN\0", &file.bytes)] {
+            w.write_all(&(chunk.len() as u32).to_le_bytes())?; // less than `length`
+            w.write_all(kind)?;
+            w.write_all(chunk)?;
+        }
+        Ok(())
+    })
+}
+
+fn check(path: &Path, mesh: &PolygonMesh, names: &[&str], deltas: &[f32]) -> Result<(), WriteError> {
+    let fail = |expected: String, found: String| Err(WriteError::data(path, expected, found));
+    let vertices = mesh.positions.len();
+    if vertices == 0 {
+        return fail("at least one vertex".into(), "none".into());
+    }
+    let finite = |x: &f64| (*x as f32).is_finite();
+    if let Some(v) = mesh.positions.iter().position(|p| !p.iter().all(finite)) {
+        return fail("coordinates within 32 bits".into(), format!("{:?} at vertex {v}", mesh.positions[v].as_slice()));
+    }
+    if let Some(uv) = mesh.metadata.uvs.iter().find(|uv| !uv.iter().all(finite)) {
+        return fail("texture coordinates within 32 bits".into(), format!("{uv:?}"));
+    }
+    if let Some(f) = (0..mesh.polygon_count()).find(|&f| mesh.polygon(f).len() < 3) {
+        return fail(format!("at least 3 corners in polygon {f}"), mesh.polygon(f).len().to_string());
+    }
+    let of_corners = mesh.metadata.corner_uvs.len();
+    if of_corners != 0 && of_corners != mesh.corners.len() {
+        return fail(format!("a texture index for each of {} corners", mesh.corners.len()), of_corners.to_string());
+    }
+    if deltas.len() != 3 * vertices * names.len() {
+        return fail(
+            format!("displacements of {vertices} vertices in {} targets", names.len()),
+            deltas.len().to_string(),
+        );
+    }
+    match deltas.iter().position(|d| !d.is_finite()) {
+        Some(i) => {
+            fail(format!("finite displacements in target {:?}", names[i / (3 * vertices)]), deltas[i].to_string())
+        }
+        None => Ok(()),
+    }
+}
+
+/// The binary chunk and what lies where in it.
+#[derive(Default)]
+struct Contents {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Contents {
+    /// A view of its own for some values of at most four bytes; its number.
+    fn view<const N: usize>(&mut self, values: impl Iterator<Item = [u8; N]>, target: Option<u32>) -> usize {
+        let start = self.bytes.len();
+        values.for_each(|b| self.bytes.extend(b));
+        let mut view = json!({ "buffer": 0, "byteOffset": start, "byteLength": self.bytes.len() - start });
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.push(view);
+        self.views.len() - 1
+    }
+
+    fn accessor(&mut self, accessor: Value) -> usize {
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+
+    fn floats(&mut self, values: &[f32], kind: &str) -> usize {
+        let view = self.view(values.iter().map(|v| v.to_le_bytes()), Some(ARRAY_BUFFER));
+        let count = values.len() / if kind == "VEC2" { 2 } else { 3 };
+        self.accessor(json!({ "bufferView": view, "componentType": FLOAT, "type": kind, "count": count }))
+    }
+
+    /// Indices of `vertices` vertices, in 16 bits where that is enough.
+    fn indices(&mut self, values: &[u32], vertices: usize) -> usize {
+        let (view, kind) = self.index_view(values, vertices, Some(ELEMENT_ARRAY_BUFFER));
+        self.accessor(json!({ "bufferView": view, "componentType": kind, "type": "SCALAR", "count": values.len() }))
+    }
+
+    fn index_view(&mut self, values: &[u32], vertices: usize, target: Option<u32>) -> (usize, u32) {
+        // the largest number of 16 bits is reserved
+        if vertices < usize::from(u16::MAX) {
+            (self.view(values.iter().map(|&v| (v as u16).to_le_bytes()), target), UNSIGNED_SHORT)
+        } else {
+            (self.view(values.iter().map(|v| v.to_le_bytes()), target), UNSIGNED_INT)
+        }
+    }
+
+    fn points(&mut self, points: &[[f32; 3]]) -> usize {
+        let index = self.floats(points.as_flattened(), "VEC3");
+        self.bound(index, points)
+    }
+
+    /// Displacements, sparsely if that is shorter.
+    fn displacements(&mut self, deltas: &[[f32; 3]]) -> usize {
+        let moved: Vec<u32> = (0..).zip(deltas).filter(|(_, d)| **d != [0.0; 3]).map(|(i, _)| i).collect();
+        if 16 * moved.len() >= 12 * deltas.len() {
+            return self.points(deltas);
+        }
+        let mut accessor = json!({ "componentType": FLOAT, "type": "VEC3", "count": deltas.len() });
+        if !moved.is_empty() {
+            let (indices, kind) = self.index_view(&moved, deltas.len(), None);
+            let values = moved.iter().flat_map(|&i| deltas[i as usize]).map(f32::to_le_bytes);
+            let values = self.view(values, None);
+            accessor["sparse"] = json!({
+                "count": moved.len(),
+                "indices": { "bufferView": indices, "componentType": kind },
+                "values": { "bufferView": values },
+            });
+        }
+        let index = self.accessor(accessor);
+        self.bound(index, deltas)
+    }
+
+    /// States the smallest and the largest coordinates of an accessor, which the format asks for.
+    fn bound(&mut self, accessor: usize, points: &[[f32; 3]]) -> usize {
+        let bound = |pick: fn(f32, f32) -> f32| -> [f32; 3] {
+            let folded = points.iter().copied().reduce(|a, b| [0, 1, 2].map(|k| pick(a[k], b[k])));
+            folded.unwrap_or_default()
+        };
+        self.accessors[accessor]["min"] = json!(bound(f32::min).map(f64::from));
+        self.accessors[accessor]["max"] = json!(bound(f32::max).map(f64::from));
+        accessor
+    }
+}

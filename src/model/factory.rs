@@ -1,0 +1,174 @@
+//! How a schedule makes a model and drives it from level to level.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+#[cfg(doc)]
+use super::Autodiff;
+use super::AutodiffError;
+use crate::energy::{DeformationModel, NoOptions, OptionTable, Options, OptionsError};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::rig::ShapeBasis;
+
+/// A deformation model that a schedule can stiffen and soften.
+pub trait RegistrationModel: DeformationModel {
+    /// Takes the `[level.model]` of a level; `unit` is the model's length of one of the schedule's millimetres.
+    ///
+    /// # Errors
+    /// For what it does not know or cannot take.
+    fn set_level(&mut self, options: &Options, unit: f64) -> Result<(), OptionsError>;
+
+    /// Takes which vertices have no correspondence, 0 to 1 each, for a model that is stiffer there. Called before every step.
+    fn set_unseen(&mut self, _unseen: &[f64]) {}
+
+    /// Writes the shape that the model deforms, before its local motions: where vertices belong, up to a rigid motion, when
+    /// nothing is seen of them. The rest shape, unless the model knows better.
+    fn prediction(&mut self, _x: &[f64], rest: &[Vec3], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend_from_slice(rest);
+    }
+
+    /// Names and values of the blendshape weights in `x`, if the model has any; in the order of the border's coordinates.
+    fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
+        Vec::new()
+    }
+
+    /// How many directions no data fixed at the last linearisation, for a model that knows better than the linear solver, which
+    /// counts coordinates that damping alone holds.
+    fn unobserved_directions(&self) -> Option<usize> {
+        None
+    }
+}
+
+/// What a model is built from.
+#[derive(Debug, Clone, Copy)]
+pub struct ModelInput<'a> {
+    /// The template's rest shape, centred.
+    pub rest: &'a TriangleMesh,
+    /// The blendshapes, in the frame of `rest`.
+    pub shapes: &'a ShapeBasis,
+    /// The schedule's `[model]`.
+    pub options: &'a Options,
+    /// Number of vertices of the template that the schedule's weights are meant for.
+    pub reference_vertices: f64,
+}
+
+/// Builds a model for a template. Implement this for your own model to register with it and to see it in `scan_bench`.
+pub trait ModelFactory: Send + Sync {
+    /// Name on the command line, in tables and in output files.
+    fn name(&self) -> &str;
+
+    /// The model's default schedule, a TOML file.
+    fn default_schedule(&self) -> &str;
+
+    /// Whether blendshapes are part of the model.
+    fn uses_shapes(&self) -> bool {
+        false
+    }
+
+    /// Whether the model can do nothing without blendshapes.
+    fn needs_shapes(&self) -> bool {
+        false
+    }
+
+    /// Whether the schedule must name a second stage.
+    fn needs_second_stage(&self) -> bool {
+        false
+    }
+
+    /// Reads a schedule's `[model]` and fills in what it leaves out. No options unless overridden.
+    ///
+    /// # Errors
+    /// For what the model does not know or cannot take.
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<NoOptions>()
+    }
+
+    /// The same for a `[level.model]`; [`SmoothLevel`] unless overridden.
+    ///
+    /// # Errors
+    /// As [`options`](Self::options).
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<SmoothLevel>()
+    }
+
+    /// Builds the model.
+    ///
+    /// # Errors
+    /// When the template's geometry does not do, or an option.
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError>;
+}
+
+/// A model of the table under another name, with a schedule of its own.
+pub(super) struct Scheduled {
+    pub name: &'static str,
+    pub schedule: &'static str,
+    pub of: &'static dyn ModelFactory,
+    /// Whether the schedule has a `[then]`.
+    pub two_stages: bool,
+}
+
+impl ModelFactory for Scheduled {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn default_schedule(&self) -> &str {
+        self.schedule
+    }
+
+    fn uses_shapes(&self) -> bool {
+        self.of.uses_shapes()
+    }
+
+    fn needs_shapes(&self) -> bool {
+        self.of.needs_shapes()
+    }
+
+    fn needs_second_stage(&self) -> bool {
+        self.two_stages
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        self.of.options(given)
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        self.of.level_options(given)
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        self.of.build(input)
+    }
+}
+
+/// Why a model could not be built.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ModelError {
+    /// The template's geometry cannot be used.
+    #[error("template: {0}")]
+    Template(#[from] MeshError),
+    /// The schedule's `[model]` cannot be used.
+    #[error("model: {0}")]
+    Options(#[from] OptionsError),
+    /// A model of one's own is stated wrongly.
+    #[error("model {0}")]
+    Autodiff(#[from] AutodiffError),
+    /// Anything else that a model of one's own has to say.
+    #[error("{0}")]
+    Other(String),
+}
+
+/// `[level.model]` of models with one regulariser: free vertices, ARAP, per-vertex affine maps, and [`Autodiff`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SmoothLevel {
+    /// `lambda_smooth`.
+    pub lambda_smooth: f64,
+}
+
+impl OptionTable for SmoothLevel {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::not_negative("lambda_smooth", self.lambda_smooth)
+    }
+}

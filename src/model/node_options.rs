@@ -1,0 +1,206 @@
+//! What schedules say to the models made of nodes and blendshapes.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform,
+    QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
+};
+use crate::energy::{OptionTable, Options, OptionsError};
+use crate::mesh::Vec3;
+use crate::rig::ShapeBasis;
+
+/// `[model]` of the hybrid and the graph: how the deformation graph is made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GraphOptions {
+    /// Number of nodes; at most one for three vertices.
+    pub nodes: usize,
+    /// Nodes that move each vertex, `K`.
+    pub influences: usize,
+    /// How distances are measured.
+    pub distance: GraphDistance,
+    /// How a node moves.
+    pub node: NodeKind,
+    /// What the rotation of a rigid node is parametrised by.
+    pub rotation: RotationKind,
+    /// Stiffness below which the graph does not fall where the scan shows nothing, in the unit of
+    /// [`lambda_graph`](GraphLevel::lambda_graph): an edge of (7) counts `(lambda_unseen / lambda_graph)^u` times where that is more
+    /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
+    /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
+    pub lambda_unseen: f64,
+    /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding.
+    pub linearisation: Linearisation,
+}
+
+impl Default for GraphOptions {
+    fn default() -> Self {
+        Self {
+            nodes: 400,
+            influences: 4,
+            distance: GraphDistance::Surface,
+            node: NodeKind::Rigid,
+            rotation: RotationKind::Matrix,
+            lambda_unseen: 0.0,
+            linearisation: Linearisation::Structured,
+        }
+    }
+}
+
+impl OptionTable for GraphOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::count("nodes", self.nodes)?;
+        OptionsError::count("influences", self.influences)?;
+        OptionsError::not_negative("lambda_unseen", self.lambda_unseen)?;
+        if self.node == NodeKind::Affine && self.rotation != RotationKind::Matrix {
+            return Err(OptionsError::Conflict {
+                key: "rotation",
+                reason: "affine nodes have no rotation to parametrise; leave it out, or let nodes be rigid",
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Distance between nodes and vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GraphDistance {
+    /// Along the surface's edges: the two lips touch in space without sharing nodes.
+    #[default]
+    Surface,
+    /// Through space.
+    Euclidean,
+}
+
+impl GraphDistance {
+    /// A graph of so many nodes on the model's rest shape.
+    pub(super) fn graph(
+        self,
+        input: &ModelInput<'_>,
+        nodes: usize,
+        influences: usize,
+    ) -> Result<NodeGraph, ModelError> {
+        let nodes = nodes.min(input.rest.positions.len().div_ceil(3));
+        Ok(match self {
+            Self::Surface => NodeGraph::along_surface(input.rest, nodes, influences)?,
+            Self::Euclidean => NodeGraph::through_space(input.rest, nodes, influences)?,
+        })
+    }
+}
+
+/// The motion of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NodeKind {
+    /// Rotation and translation (Klimov 2020).
+    Rigid,
+    /// Any affine map, kept near the rotations by `lambda_rotation` (Sumner et al. 2007).
+    Affine,
+}
+
+/// The parametrisation of a rigid node's rotation. An affine node has none: to name another than the default for it is an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RotationKind {
+    /// A 3 x 3 matrix with steps from the left, `R <- exp(omega^) R`: [`RigidMotion`](super::RigidMotion).
+    #[default]
+    Matrix,
+    /// A unit quaternion with the same steps: [`QuaternionMotion`](super::QuaternionMotion).
+    Quaternion,
+    /// The rotation vector itself, `R = exp(r^)`, `r <- r + delta`; for turns well below `2 pi`:
+    /// [`AngleAxisMotion`](super::AngleAxisMotion).
+    AngleAxis,
+}
+
+/// `[model]` of models of one node: the blendshapes, rigid and similarity.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OneNodeOptions {
+    /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding.
+    pub linearisation: Linearisation,
+}
+
+impl OptionTable for OneNodeOptions {}
+
+/// `[level.model]` of graphs.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GraphLevel {
+    /// `lambda_graph` of (7), per directed edge.
+    pub lambda_graph: f64,
+    /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph` and the square of a node's reach
+    /// ([`NodeGraph::squared_reach`]): dimensionless, and a ratio to (7), so that softening `lambda_graph` softens both.
+    pub lambda_rotation: f64,
+}
+
+impl OptionTable for GraphLevel {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::not_negative("lambda_graph", self.lambda_graph)?;
+        OptionsError::not_negative("lambda_rotation", self.lambda_rotation)
+    }
+}
+
+/// The hybrid, or the graph where `shapes` is empty, with nodes as `[model]` says.
+pub(super) fn build(
+    name: &'static str,
+    input: &ModelInput<'_>,
+    shapes: &ShapeBasis,
+) -> Result<Box<dyn RegistrationModel>, ModelError> {
+    fn with<T: NodeTransform<W>, const W: usize>(
+        name: &'static str,
+        input: &ModelInput<'_>,
+        shapes: &ShapeBasis,
+        options: &GraphOptions,
+    ) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let nodes = options.distance.graph(input, options.nodes, options.influences)?;
+        let rest = input.rest.positions.clone();
+        let mut model = Hybrid::<T, W>::named(name, rest, nodes, shapes.clone(), Stiffness::default());
+        model.linearisation = options.linearisation;
+        model.lambda_unseen = options.lambda_unseen;
+        Ok(Box::new(model))
+    }
+    let options = input.options.read::<GraphOptions>()?;
+    match (options.node, options.rotation) {
+        (NodeKind::Affine, _) => with::<AffineMotion, 12>(name, input, shapes, &options),
+        (NodeKind::Rigid, RotationKind::Matrix) => with::<RigidMotion, 6>(name, input, shapes, &options),
+        (NodeKind::Rigid, RotationKind::Quaternion) => with::<QuaternionMotion, 6>(name, input, shapes, &options),
+        (NodeKind::Rigid, RotationKind::AngleAxis) => with::<AngleAxisMotion, 6>(name, input, shapes, &options),
+    }
+}
+
+/// A model of one node, with the linearisation that `[model]` names.
+pub(super) fn one_node<T: NodeTransform<W>, const W: usize>(
+    mut model: Hybrid<T, W>,
+    options: &Options,
+) -> Result<Box<dyn RegistrationModel>, ModelError> {
+    model.linearisation = options.read::<OneNodeOptions>()?.linearisation;
+    Ok(Box::new(model))
+}
+
+impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
+    /// Which of the three there are is the factory's business.
+    fn set_level(&mut self, options: &Options, unit: f64) -> Result<(), OptionsError> {
+        let lambda = |key: &str| options.number(key).unwrap_or(0.0);
+        self.stiffness = Stiffness {
+            graph: lambda("lambda_graph"),
+            rotation: lambda("lambda_rotation"),
+            blend: lambda("lambda_blend") * unit * unit,
+        };
+        Ok(())
+    }
+
+    fn set_unseen(&mut self, unseen: &[f64]) {
+        let graph = self.stiffness.graph;
+        self.stiffen_unseen(unseen, if graph > 0.0 { (self.lambda_unseen / graph).max(1.0) } else { 1.0 });
+    }
+
+    fn prediction(&mut self, x: &[f64], _rest: &[Vec3], out: &mut Vec<Vec3>) {
+        out.clear();
+        out.extend_from_slice(self.blended(x));
+    }
+
+    fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
+        self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
+    }
+}

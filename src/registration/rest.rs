@@ -1,0 +1,96 @@
+//! The template as a registration uses it.
+
+use super::RegistrationInput;
+use super::Schedule;
+use super::facing;
+use crate::correspondence::{ScanSurface, VertexMasks};
+use crate::mesh::adjacency::EdgeGraph;
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::{TriangleMesh, Vec3, referenced, surface_points};
+
+/// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
+pub(super) struct Rest {
+    pub mesh: TriangleMesh,
+    /// Vertices that a triangle uses.
+    pub used: Vec<bool>,
+    pub masks: VertexMasks,
+    pub centre: Vec3,
+    /// Length of one of the schedule's millimetres.
+    pub unit: f64,
+    /// Weight per vertex for weight one on the schedule's reference template.
+    pub density: f64,
+}
+
+impl Rest {
+    pub fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Self {
+        let mut mesh = input.template.triangulate();
+        mesh.positions.copy_from_slice(input.rest_positions());
+        let corners = || mesh.triangles.as_flattened().iter().copied();
+        let used = referenced(mesh.positions.len(), corners());
+        let points = surface_points(&mesh.positions, corners());
+        let count = points.len() as f64;
+        let centre = points.iter().sum::<Vec3>() / count;
+        let size = (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt();
+        mesh.positions.iter_mut().for_each(|p| *p -= centre);
+        let unit = size / schedule.reference_size;
+        let finer = (count / schedule.reference_vertices).sqrt();
+        let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim).of_surface(&used);
+        let density = schedule.reference_vertices / count;
+        Self { mesh, used, masks, centre, unit, density }
+    }
+
+    /// Whether the scan faces inwards, by its normals near vertices of the model.
+    pub fn sees_the_inside(&self, scan: &ScanSurface, vertices: &[Vec3]) -> bool {
+        let normals = vertex_normals(vertices, &self.mesh.triangles, NormalWeighting::Area);
+        let unseen = self.masks.unseen();
+        let each = vertices.len() / FACING_VERTICES + 1;
+        let chosen = || (0..vertices.len()).step_by(each).filter(|&v| !unseen[v] && normals[v] != Vec3::zeros());
+        let points: Vec<Vec3> = chosen().map(|v| vertices[v]).collect();
+        let normals: Vec<Vec3> = chosen().map(|v| normals[v]).collect();
+        facing::faces_inwards(scan, &points, &normals, FACING_REACH * self.unit)
+    }
+}
+
+/// Vertices of the template that are asked, about, and how far from the scan they may be, millimetres.
+const FACING_VERTICES: usize = 1000;
+const FACING_REACH: f64 = 20.0;
+
+/// The vertices within `rings` rings of the open boundary; the boundary itself is the first.
+fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
+    let edges = EdgeGraph::of(mesh);
+    let mut marked = if rings > 0 { edges.boundary_vertices() } else { vec![false; mesh.positions.len()] };
+    for _ in 1..rings {
+        let grown = (0..marked.len()).map(|i| marked[i] || edges.neighbours(i).iter().any(|&j| marked[j as usize]));
+        marked = grown.collect();
+    }
+    marked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::testing::sheet;
+
+    #[test]
+    fn the_rim_grows_ring_by_ring() {
+        let mesh = sheet(9, 7, |c, r| Vec3::new(c, r, 0.0));
+        for (rings, marked) in [(0, 0), (1, 28), (2, 48), (3, 60), (4, 63), (9, 63)] {
+            let rim = rim(&mesh, rings);
+            assert_eq!(rim.iter().filter(|m| **m).count(), marked, "{rings} rings");
+            for (p, in_rim) in mesh.positions.iter().zip(rim) {
+                let depth = p.x.min(8.0 - p.x).min(p.y).min(6.0 - p.y);
+                assert_eq!(in_rim, depth < rings as f64, "{rings} rings, {p}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_closed_surface_has_no_rim() {
+        let positions = vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z()];
+        let closed = TriangleMesh { positions, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]] };
+        assert_eq!(rim(&closed, 3), [false; 4]);
+        let opened = TriangleMesh { triangles: closed.triangles[..3].to_vec(), ..closed };
+        assert_eq!(rim(&opened, 1), [true, false, true, true]);
+    }
+}

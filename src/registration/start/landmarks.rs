@@ -1,0 +1,189 @@
+//! The pose by landmarks: closed form, without the landmarks that stray, and of another size only where no expression explains it.
+
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
+
+use super::{OTHER_SIZE, StartInput, StartOptions};
+use crate::landmark::Landmark;
+use crate::mesh::{Pose, PoseKind, Vec3, weighted_closest_pose};
+use crate::registration::RegistrationError;
+use crate::rig::Family;
+
+/// By how much a template differs from another person at a landmark, millimetres.
+const MISMATCH: f64 = 4.0;
+/// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
+const STRAY: f64 = 25.0;
+const STRAY_SLOPE: f64 = 0.25;
+const NEAREST: usize = 3;
+/// More than this share of the landmarks cannot be suspect: then nothing says which are right.
+const MOST_SUSPECTS: f64 = 0.25;
+/// Landmarks are mirrored if their mirror image fits so many times better, and they are off by so many millimetres.
+const MIRRORED: f64 = 2.0;
+const MIRRORED_RMS: f64 = 6.0;
+
+/// The pose by landmarks, and which of them took no part: their numbers and distances, the farthest first.
+pub(super) fn landmark_pose(
+    input: &StartInput<'_>,
+    kind: PoseKind,
+    options: &StartOptions,
+) -> Result<(Pose, Vec<(usize, f64)>), RegistrationError> {
+    let all = input.landmarks;
+    let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
+        weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
+    };
+    let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
+        let mut free = fit(kept, PoseKind::Similarity, input.sigma)?;
+        let spread = spread(kept.iter().map(|&i| all[i].0)).max(f64::MIN_POSITIVE);
+        let doubt = MISMATCH * input.unit / (spread * (kept.len() as f64).sqrt());
+        let other_size = |pose: &Pose| options.scale_sigma > 0.0 && pose.scale.ln().abs() > OTHER_SIZE.max(3.0 * doubt);
+        if kind == PoseKind::Similarity {
+            return Ok(fit(kept, kind, free.scale * input.sigma)?);
+        }
+        if !(0.5..=2.0).contains(&free.scale) {
+            return Err(RegistrationError::Scale { scale: free.scale });
+        }
+        if other_size(&free) {
+            let expressive = expressive_similarity(input, kept)?;
+            if expressive.scale.ln().abs() < free.scale.ln().abs() {
+                free = expressive;
+            }
+        }
+        Ok(if other_size(&free) { free } else { fit(kept, kind, input.sigma)? })
+    };
+    let mut kept: Vec<usize> = (0..all.len()).collect();
+    let mut pose = by_kind(&kept)?;
+    let mut suspects = Vec::new();
+    while let Some((i, _)) = stray(input, &kept, &pose) {
+        kept.retain(|k| *k != i);
+        suspects.push(i);
+        if suspects.len() as f64 > MOST_SUSPECTS * all.len() as f64 || kept.len() < 3 {
+            (kept, suspects) = ((0..all.len()).collect(), Vec::new());
+            pose = by_kind(&kept)?;
+            break;
+        }
+        pose = by_kind(&kept)?;
+    }
+    // Of the mirrored template, turned about: whatever the plane.
+    let rms = |pose: &Pose, sign: f64| {
+        let away = |&i: &usize| {
+            let p = Vec3::new(sign * all[i].0.x, all[i].0.y, all[i].0.z);
+            (pose.apply(p) - all[i].1.target).norm_squared()
+        };
+        (kept.iter().map(away).sum::<f64>() / kept.len() as f64).sqrt()
+    };
+    let mirrored = kept.iter().map(|&i| {
+        let p = all[i].0;
+        (Vec3::new(-p.x, p.y, p.z), all[i].1.target, all[i].1.weight(input.sigma))
+    });
+    if let (true, Ok(mirrored)) = (kept.len() > 3, weighted_closest_pose(mirrored, PoseKind::Similarity)) {
+        let (rms, reflected) = (rms(&pose, 1.0), rms(&mirrored, -1.0));
+        if rms > MIRRORED * reflected && rms > MIRRORED_RMS * input.unit * pose.scale {
+            return Err(RegistrationError::Mirrored { rms, reflected });
+        }
+    }
+    let mut found: Vec<(usize, f64)> =
+        suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    Ok((pose, found))
+}
+
+/// Rounds in which pose and expression follow each other, at most, and the change of the scale that ends them.
+const ROUNDS: usize = 50;
+const SAME_SCALE: f64 = 1e-4;
+
+/// The similarity that landmarks ask for where expressions may move the template's: an open mouth is no larger face. Minimises, over
+/// pose and weights `w`, the sum of `|T^-1(t_i) - p_i - D_i w|^2 / MISMATCH^2` and of `(w_k / sigma_k)^2`, by turns.
+fn expressive_similarity(input: &StartInput<'_>, kept: &[usize]) -> Result<Pose, RegistrationError> {
+    let (all, shapes) = (input.landmarks, input.shapes);
+    let expressions: Vec<usize> =
+        (0..shapes.len()).filter(|&k| shapes.shapes()[k].family != Family::Identity).collect();
+    let sigma = MISMATCH * input.unit;
+    let mut motion = DMatrix::<f64>::zeros(3 * kept.len(), expressions.len());
+    for (row, &i) in kept.iter().enumerate() {
+        for (v, share) in all[i].1.template.corners() {
+            let of_vertex = shapes.vertex(v as usize);
+            for (column, &k) in expressions.iter().enumerate() {
+                for axis in 0..3 {
+                    motion[(3 * row + axis, column)] += share * f64::from(of_vertex[axis * shapes.len() + k]) / sigma;
+                }
+            }
+        }
+    }
+    let prior = DVector::from_iterator(expressions.len(), expressions.iter().map(|&k| shapes.sigmas()[k].powi(-2)));
+    let solver = (motion.tr_mul(&motion) + DMatrix::from_diagonal(&prior)).cholesky();
+    let mut moved = DVector::<f64>::zeros(3 * kept.len());
+    let fit = |moved: &DVector<f64>| {
+        let pair = |(row, &i): (usize, &usize)| {
+            let (p, l) = all[i];
+            (p + moved.fixed_rows::<3>(3 * row), l.target, l.weight(input.sigma))
+        };
+        weighted_closest_pose(kept.iter().enumerate().map(pair), PoseKind::Similarity)
+    };
+    let mut pose = fit(&moved)?;
+    let Some(solver) = solver.filter(|_| !expressions.is_empty()) else { return Ok(pose) };
+    for _ in 0..ROUNDS {
+        let mut left = DVector::<f64>::zeros(3 * kept.len());
+        for (row, &i) in kept.iter().enumerate() {
+            let (p, l) = all[i];
+            let back = pose.rotation.transpose() * (l.target - pose.translation) / pose.scale;
+            left.fixed_rows_mut::<3>(3 * row).copy_from(&((back - p) / sigma));
+        }
+        moved = &motion * solver.solve(&motion.tr_mul(&left)) * sigma;
+        let before = std::mem::replace(&mut pose, fit(&moved)?);
+        if (pose.scale / before.scale).ln().abs() < SAME_SCALE {
+            break;
+        }
+    }
+    Ok(pose)
+}
+
+/// Root mean square distance of points from their middle.
+fn spread(points: impl Iterator<Item = Vec3> + Clone) -> f64 {
+    let count = points.clone().count().max(1) as f64;
+    let middle = points.clone().sum::<Vec3>() / count;
+    (points.map(|p| (p - middle).norm_squared()).sum::<f64>() / count).sqrt()
+}
+
+/// The landmark that differs most from its nearest ones, of those that differ too much. A jaw that opens moves all that is near.
+fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> Option<(usize, f64)> {
+    if kept.len() < 5 {
+        return None;
+    }
+    let unit = input.unit * pose.scale;
+    let way: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0)).collect();
+    let excess = |a: usize| {
+        let apart = |b: usize| (input.landmarks[kept[a]].0 - input.landmarks[kept[b]].0).norm();
+        let mut others: Vec<usize> = (0..kept.len()).filter(|&b| b != a).collect();
+        others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
+        let over = |&b: &usize| (way[a] - way[b]).norm() - STRAY_SLOPE * apart(b) * pose.scale;
+        let own = input.landmarks[kept[a]].1.sigma.unwrap_or(0.0);
+        others.iter().take(NEAREST).map(over).fold(f64::INFINITY, f64::min) - (STRAY * unit).max(4.0 * own)
+    };
+    let worst = (0..kept.len()).map(|a| (kept[a], excess(a))).filter(|w| w.1 > 0.0);
+    worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+}
+
+/// Predicted root mean square error of a pose by landmarks at the template's vertices.
+pub(super) fn deviation(input: &StartInput<'_>, landmarks: &[(Vec3, &Landmark)], pose: &Pose) -> f64 {
+    let jacobian = |p: Vec3| {
+        let arm = pose.rotation * (p - input.centre) * pose.scale;
+        let turn = -arm.cross_matrix();
+        let mut j = SMatrix::<f64, 3, 6>::zeros();
+        j.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+        j
+    };
+    let scale = input.unit * pose.scale;
+    let mut information = SMatrix::<f64, 6, 6>::zeros();
+    for (p, l) in landmarks {
+        let j = jacobian(*p);
+        let own = l.sigma.unwrap_or(input.sigma * pose.scale);
+        information += j.tr_mul(&j) / (own * own + (MISMATCH * scale).powi(2));
+    }
+    let Some(covariance) = information.try_inverse() else { return f64::INFINITY };
+    let vertices = &input.template.positions;
+    let variance = |p: &Vec3| {
+        let j = jacobian(p + input.centre);
+        (j * covariance * j.transpose()).trace()
+    };
+    (vertices.iter().map(variance).sum::<f64>() / vertices.len().max(1) as f64).max(0.0).sqrt()
+}

@@ -1,0 +1,35 @@
+//! What goes wrong, in words for the person at the page: what it was, and what to do.
+
+/// A sentence for the person at the page.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Problem(pub String);
+
+/// Says a problem.
+pub fn problem(what: impl std::fmt::Display) -> Problem {
+    Problem(what.to_string())
+}
+
+impl From<rusqlite::Error> for Problem {
+    fn from(error: rusqlite::Error) -> Self {
+        Self(format!("the vault's database says: {error}; is the disk full, or the vault of a newer version?"))
+    }
+}
+
+impl From<std::io::Error> for Problem {
+    fn from(error: std::io::Error) -> Self {
+        Self(format!("the vault's files: {error}; is the disk full or write-protected?"))
+    }
+}
+
+impl From<nonrigid::io::ReadError> for Problem {
+    fn from(error: nonrigid::io::ReadError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+impl From<nonrigid::io::WriteError> for Problem {
+    fn from(error: nonrigid::io::WriteError) -> Self {
+        Self(error.to_string())
+    }
+}

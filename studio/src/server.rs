@@ -1,0 +1,319 @@
+//! The server: one page, one WebSocket, uploads and downloads. It holds faces of patients: it answers only who knows its token, only
+//! under its own address, and only to its own page.
+
+use std::net::{IpAddr, SocketAddr};
+use std::path::Path as FilePath;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Path, Query, Request, State};
+use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
+use axum::http::{Method, StatusCode};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::serve::ListenerExt as _;
+use futures_util::{SinkExt as _, StreamExt as _};
+use serde::Deserialize;
+use tokio::io::AsyncWriteExt as _;
+use tokio::net::TcpListener;
+
+use crate::case::FileRef;
+use crate::error::{Problem, problem};
+use crate::protocol::{ClientMessage, ServerMessage};
+use crate::session::{self, Hub, Inbox, Outgoing};
+use crate::vault::{LARGEST_FILE, check_name, random_name};
+
+/// The bundled page: path and contents.
+static PAGE: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/page.rs"));
+
+/// Largest message of the page, bytes: a painted mask of a million vertices.
+const LARGEST_MESSAGE: usize = 16 << 20;
+/// Messages to a page that may wait.
+const WAITING: usize = 256;
+
+/// A server that listens.
+pub struct Server {
+    listener: TcpListener,
+    gate: Arc<Gate>,
+}
+
+/// Who may come in.
+struct Gate {
+    hub: Arc<Hub>,
+    token: String,
+    cookie: String,
+    /// `Host` as a browser sends it.
+    hosts: Vec<String>,
+    policy: String,
+}
+
+impl Server {
+    /// Listens; port 0 takes a free one.
+    ///
+    /// # Errors
+    /// When the address is taken or is not this machine's.
+    pub async fn bind(hub: Arc<Hub>, host: IpAddr, port: u16) -> Result<Self, Problem> {
+        let busy = |e| problem(format!("cannot listen on {host} port {port}: {e}; choose another one with --port"));
+        let listener = TcpListener::bind(SocketAddr::new(host, port)).await.map_err(busy)?;
+        let port = listener.local_addr()?.port();
+        let mut hosts = vec![SocketAddr::new(host, port).to_string()];
+        if host.is_loopback() {
+            hosts.push(format!("localhost:{port}"));
+        }
+        let sockets: Vec<String> = hosts.iter().map(|h| format!("ws://{h}")).collect();
+        let policy = format!(
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self' {}; \
+             base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+            sockets.join(" ")
+        );
+        // browsers keep one cookie for all ports of a host
+        let cookie = format!("nonrigid_studio_{port}");
+        Ok(Self { listener, gate: Arc::new(Gate { hub, token: random_name()?, cookie, hosts, policy }) })
+    }
+
+    /// Its address, with the token.
+    #[must_use]
+    pub fn address(&self) -> String {
+        format!("http://{}/?token={}", self.gate.hosts[0], self.gate.token)
+    }
+
+    /// Serves until the process ends.
+    ///
+    /// # Errors
+    /// When the system takes the listener away.
+    pub async fn run(self) -> Result<(), Problem> {
+        let Self { listener, gate } = self;
+        tokio::spawn(watch(gate.hub.clone()));
+        let routes = Router::new()
+            .route("/socket", get(socket))
+            .route("/upload", post(upload))
+            .route("/files/{asset}/{file}", get(download))
+            .fallback(get(page))
+            .layer(middleware::from_fn_with_state(gate.clone(), guard))
+            .with_state(gate);
+        // The small message after a large one would wait for the page's system to confirm that: up to 40 ms in each frame of a drag.
+        let listener = listener.tap_io(|stream| drop(stream.set_nodelay(true)));
+        axum::serve(listener, routes).await?;
+        Ok(())
+    }
+}
+
+/// Tells windows when another program has changed the vault.
+async fn watch(hub: Arc<Hub>) {
+    let mut known = None;
+    loop {
+        tokio::time::sleep(Duration::from_millis(700)).await;
+        let reading = hub.clone();
+        let version = tokio::task::spawn_blocking(move || reading.vault.foreign_version().ok()).await.ok().flatten();
+        if known.is_some() && version != known {
+            hub.tell(None);
+        }
+        known = version;
+    }
+}
+
+/// Texts of equal length are compared in the same time wherever they differ.
+fn same(a: &str, b: &str) -> bool {
+    a.len() == b.len() && a.bytes().zip(b.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
+}
+
+fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+impl Gate {
+    fn knows(&self, headers: &HeaderMap) -> bool {
+        let cookies = headers.get_all(header::COOKIE).iter().filter_map(|c| c.to_str().ok()).flat_map(|c| c.split(';'));
+        let mut values = cookies.filter_map(|c| c.trim().split_once('=')).filter(|(name, _)| *name == self.cookie);
+        values.any(|(_, value)| same(value, &self.token))
+    }
+
+    /// A page of another site can neither read answers nor make changes: what it sends names where it comes from.
+    fn own_origin(&self, headers: &HeaderMap, needed: bool) -> bool {
+        match text(headers, header::ORIGIN) {
+            Some(origin) => self.hosts.iter().any(|host| origin.strip_prefix("http://") == Some(host)),
+            None => !needed && !headers.contains_key(header::ORIGIN),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+struct Token {
+    token: Option<String>,
+}
+
+fn refused(status: StatusCode, why: &'static str) -> Response {
+    (status, why).into_response()
+}
+
+/// What every request has to pass.
+async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    let mut response = if !text(headers, header::HOST).is_some_and(|host| gate.hosts.iter().any(|h| h == host)) {
+        refused(StatusCode::MISDIRECTED_REQUEST, "This server answers only under the address that it has printed.")
+    } else if request.uri().path() == "/" && given.token.as_ref().is_some_and(|token| same(token, &gate.token)) {
+        // the token leaves the address bar and the history
+        let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", gate.cookie, gate.token);
+        let mut response = (StatusCode::SEE_OTHER, [(header::LOCATION, "/")]).into_response();
+        response.headers_mut().extend(HeaderValue::from_str(&cookie).map(|c| (header::SET_COOKIE, c)));
+        response
+    } else if !gate.knows(headers) {
+        refused(StatusCode::UNAUTHORIZED, "Open the address that the program has printed, with its token.")
+    } else if !gate.own_origin(headers, request.method() != Method::GET || request.uri().path() == "/socket") {
+        refused(StatusCode::FORBIDDEN, "This request comes from another page.")
+    } else {
+        next.run(request).await
+    };
+    let headers = response.headers_mut();
+    headers.extend(HeaderValue::from_str(&gate.policy).map(|p| (header::CONTENT_SECURITY_POLICY, p)));
+    for (name, value) in [
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::CACHE_CONTROL, "no-store"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// The page and its parts.
+async fn page(request: Request) -> Response {
+    let path = request.uri().path().trim_start_matches('/');
+    let path = if path.is_empty() { "index.html" } else { path };
+    let Some((_, bytes)) = PAGE.iter().find(|(known, _)| *known == path) else {
+        return refused(StatusCode::NOT_FOUND, "There is nothing here.");
+    };
+    let kind = match FilePath::new(path).extension().and_then(|e| e.to_str()) {
+        Some("html") => "text/html; charset=utf-8",
+        Some("js") => "text/javascript",
+        Some("css") => "text/css",
+        Some("svg") => "image/svg+xml",
+        _ => "application/octet-stream",
+    };
+    ([(header::CONTENT_TYPE, kind)], Bytes::from_static(bytes)).into_response()
+}
+
+fn failed(status: StatusCode, problem: Problem) -> Response {
+    (status, problem.0).into_response()
+}
+
+/// A file of the vault; pictures are shown, everything else is saved.
+async fn download(State(gate): State<Arc<Gate>>, Path((asset, file)): Path<(String, String)>) -> Response {
+    let path = match check_name(&file).and_then(|()| gate.hub.vault.path(&FileRef { asset, file: file.clone() })) {
+        Ok(path) => path,
+        Err(problem) => return failed(StatusCode::NOT_FOUND, problem),
+    };
+    let opened = match tokio::fs::File::open(path).await {
+        Ok(opened) => opened,
+        Err(error) => return failed(StatusCode::NOT_FOUND, error.into()),
+    };
+    let extension = file.rsplit('.').next().unwrap_or_default().to_lowercase();
+    let picture = match extension.as_str() {
+        "png" => Some("image/png"),
+        "jpg" | "jpeg" => Some("image/jpeg"),
+        "webp" => Some("image/webp"),
+        _ => None,
+    };
+    let stream = futures_util::stream::unfold(opened, |mut file| async move {
+        let mut buffer = vec![0; 1 << 16];
+        match tokio::io::AsyncReadExt::read(&mut file, &mut buffer).await {
+            Ok(0) => None,
+            Ok(read) => {
+                buffer.truncate(read);
+                Some((Ok(Bytes::from(buffer)), file))
+            }
+            Err(error) => Some((Err(error), file)),
+        }
+    });
+    let kind = picture.unwrap_or("application/octet-stream");
+    let ascii: String =
+        file.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
+    let save = if picture.is_some() { "inline".to_owned() } else { format!("attachment; filename=\"{ascii}\"") };
+    ([(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, save)], Body::from_stream(stream))
+        .into_response()
+}
+
+#[derive(Deserialize)]
+struct Name {
+    name: String,
+}
+
+/// Takes a file until a message says what it is.
+async fn upload(State(gate): State<Arc<Gate>>, Query(Name { name }): Query<Name>, body: Body) -> Response {
+    match receive(&gate.hub, &name, body).await {
+        Ok(id) => id.into_response(),
+        Err(problem) => failed(StatusCode::BAD_REQUEST, problem),
+    }
+}
+
+async fn receive(hub: &Arc<Hub>, name: &str, body: Body) -> Result<String, Problem> {
+    check_name(name)?;
+    let incoming = hub.vault.incoming()?;
+    let mut file = tokio::fs::File::create(incoming.folder.join(name)).await?;
+    let mut stream = body.into_data_stream();
+    let mut length = 0;
+    while let Some(chunk) = stream.next().await {
+        let chunk = chunk.map_err(|e| problem(format!("{name}: it did not arrive whole: {e}")))?;
+        length += chunk.len() as u64;
+        if length > LARGEST_FILE {
+            return Err(problem(format!("{name}: larger than {} GB; decimate it first", LARGEST_FILE >> 30)));
+        }
+        file.write_all(&chunk).await?;
+    }
+    file.flush().await?;
+    hub.keep_upload(incoming)
+}
+
+async fn socket(State(gate): State<Arc<Gate>>, upgrade: WebSocketUpgrade) -> Response {
+    upgrade
+        .max_message_size(LARGEST_MESSAGE)
+        .max_frame_size(LARGEST_MESSAGE)
+        .on_upgrade(move |socket| window(gate.hub.clone(), socket))
+}
+
+async fn window(hub: Arc<Hub>, socket: WebSocket) {
+    let (mut sink, mut stream) = socket.split();
+    let (page, mut outgoing) = tokio::sync::mpsc::channel(WAITING);
+    let to_window = session::open(&hub, page.clone());
+    let writer = tokio::spawn(async move {
+        while let Some(message) = outgoing.recv().await {
+            let message = match message {
+                Outgoing::Message(message) => Message::text(serde_json::to_string(&message).unwrap_or_default()),
+                Outgoing::Frame(bytes) => Message::binary(bytes),
+            };
+            if sink.send(message).await.is_err() {
+                break;
+            }
+        }
+    });
+    while let Some(Ok(message)) = stream.next().await {
+        let message = match message {
+            Message::Text(text) => serde_json::from_str::<ClientMessage>(&text).map_err(|e| e.to_string()),
+            Message::Binary(_) => Err("binary frames are not understood".to_owned()),
+            Message::Close(_) => break,
+            Message::Ping(_) | Message::Pong(_) => continue,
+        };
+        match message {
+            Ok(message) => {
+                if to_window.send(Inbox::Page(Box::new(message))).is_err() {
+                    break;
+                }
+            }
+            Err(error) => {
+                let text = format!("the page sent what the server does not understand ({error}); reload the page");
+                if page.send(Outgoing::Message(Box::new(ServerMessage::Error { text }))).await.is_err() {
+                    break;
+                }
+            }
+        }
+    }
+    // the window's thread may be gone already
+    let _ = to_window.send(Inbox::Closed);
+    writer.abort();
+}

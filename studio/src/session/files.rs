@@ -1,0 +1,224 @@
+//! Files that join a case, and files that are written for the user.
+
+use nonrigid::io;
+
+use super::{Window, nearest_vertex};
+use crate::case::{Edit, FileRef, Pair, Photo, Source, Unit};
+use crate::error::{Problem, problem};
+use crate::protocol::{Export, Role, ServerMessage, Upload};
+use crate::vault::Incoming;
+use crate::vault::OpenCase;
+use crate::{plan, store, wrap};
+
+impl Window {
+    pub(super) fn add(&mut self, role: Role, files: &[Upload], unit: Option<Unit>) -> Result<(), Problem> {
+        let hub = self.hub.clone();
+        let (Some(first), true) = (files.first(), files.len() <= crate::vault::MOST_FILES) else {
+            return Err(problem("choose between one file and two thousand"));
+        };
+        let gathered = hub.gathered(files)?;
+        let path = gathered.folder.join(&first.name);
+        if role == Role::Case {
+            let id = crate::archive::import(&hub.vault, &path)?;
+            hub.forget(files);
+            self.list("")?;
+            return self.open_case(id);
+        }
+        let id = self.case()?.id;
+        let main = match role {
+            Role::Rig if files.len() > 1 => String::new(),
+            _ => main_file(files)?,
+        };
+        let at_file = gathered.folder.join(&main);
+        let unit = match role {
+            Role::Template | Role::Scan | Role::Rig => {
+                let rig = role == Role::Rig;
+                let whole = if main.is_empty() { &gathered.folder } else { &at_file };
+                let points = if rig { store::points_of_rig(whole) } else { store::points_of_mesh(whole) };
+                let points = points.map_err(|e| without_folder(&e, &gathered))?;
+                match unit.map_or_else(|| store::guess_unit(&at_file, &points), Ok) {
+                    Ok(unit) => unit,
+                    Err((text, units)) => {
+                        self.say(ServerMessage::UnitWanted { role, files: files.to_vec(), text, units });
+                        return Ok(());
+                    }
+                }
+            }
+            _ => Unit::Mm,
+        };
+        let template_inside = gathered.folder.join("template.obj").exists();
+        match role {
+            Role::Recipe => {
+                let text = plan::text_of(&at_file)?;
+                plan::check(&text).map_err(|e| without_folder(&e, &gathered))?;
+                let name = main.trim_end_matches(".toml").to_owned();
+                self.change(&format!("recipe {name}"), |case| {
+                    case.apply(&Edit::NewPlan { name, copy_of: None })?;
+                    case.apply(&Edit::SetRecipe { recipe: text })
+                })?;
+            }
+            Role::Schedule => {
+                let model = self.case()?.case.wrap.model.parse().map_err(problem)?;
+                wrap::read_schedule(&at_file, &model).map_err(|e| without_folder(&e, &gathered))?;
+                let asset = hub.vault.take(&gathered)?;
+                self.change(&format!("schedule {main}"), |case| {
+                    case.wrap.schedule = Some(FileRef { asset, file: main });
+                    Ok(())
+                })?;
+            }
+            Role::ScanLandmarks => {
+                let case = &self.case()?.case;
+                let source = case.scan_in_work().ok_or_else(|| problem("add the scan before its landmarks"))?;
+                let scan = hub.store.scan(&hub.vault, source)?;
+                let places =
+                    wrap::scan_places(&at_file, source.unit, &scan).map_err(|e| without_folder(&e, &gathered))?;
+                self.change(&format!("{} landmarks of {main}", places.len()), |case| {
+                    for (name, target) in places {
+                        let known = case.wrap.pairs.iter().find(|p| p.name == name);
+                        // a name that is a number is a vertex of the template, unless a landmark has it
+                        let vertex = known.map_or_else(|| name.parse().ok(), |p| p.vertex);
+                        case.apply(&Edit::SetPair { pair: Pair { name, vertex, target: Some(target), doubt: None } })?;
+                    }
+                    Ok(())
+                })?;
+            }
+            Role::TemplateLandmarks => {
+                let case = &self.case()?.case;
+                let source = case.template.as_ref().ok_or_else(|| problem("add the template before its landmarks"))?;
+                let mesh = hub.store.mesh(&hub.vault, source)?;
+                let mut set = nonrigid::landmark::read_landmark_set(&at_file)?;
+                set.assume(store::length_unit(source.unit));
+                let points = set.on_template(&at_file, &mesh).map_err(|e| without_folder(&e.into(), &gathered))?;
+                self.change(&format!("{} landmarks of {main}", points.len()), |case| {
+                    for (name, point) in points {
+                        let vertex = Some(nearest_vertex(&mesh.positions, point.position(&mesh.positions)));
+                        let known = case.wrap.pairs.iter().find(|p| p.name == name);
+                        let target = known.and_then(|p| p.target);
+                        case.apply(&Edit::SetPair { pair: Pair { name, vertex, target, doubt: None } })?;
+                    }
+                    Ok(())
+                })?;
+            }
+            Role::Template | Role::Scan | Role::Rig | Role::Photo => {
+                let asset = hub.vault.take(&gathered)?;
+                let at = FileRef { asset, file: main.clone() };
+                let name = if main.is_empty() { "rig".to_owned() } else { main.clone() };
+                let source = Source { at: at.clone(), name: name.clone(), unit };
+                let label = name.clone();
+                let open = hub.vault.change(id, &label, |case| {
+                    match role {
+                        Role::Template => (case.template, case.wrapped) = (Some(source), None),
+                        Role::Rig => {
+                            if case.template.is_none() && template_inside {
+                                let file = FileRef { file: "template.obj".to_owned(), ..at };
+                                case.template = Some(Source { at: file, name: "template.obj".to_owned(), unit });
+                            }
+                            case.rig = Some(source);
+                        }
+                        Role::Scan => {
+                            case.scans.push(source);
+                            case.apply(&Edit::UseScan { index: case.scans.len() as u32 - 1 })?;
+                        }
+                        _ => case.photos.push(Photo { at, name }),
+                    }
+                    Ok(())
+                })?;
+                self.made(open)?;
+            }
+            Role::Case => {}
+        }
+        hub.forget(files);
+        Ok(())
+    }
+
+    pub(super) fn paint(&mut self, weights: Option<Vec<f32>>) -> Result<(), Problem> {
+        let hub = self.hub.clone();
+        let case = &self.case()?.case;
+        let source = case.template.clone().ok_or_else(|| problem("there is no template to paint on"))?;
+        let vertices = hub.store.mesh(&hub.vault, &source)?.positions.len();
+        let mask = match weights {
+            None => None,
+            Some(weights) => {
+                if weights.len() != vertices || !weights.iter().all(|w| (0.0..=1.0).contains(w)) {
+                    return Err(problem(format!(
+                        "a mask has a number from 0 to 1 for each of the {vertices} vertices"
+                    )));
+                }
+                let write = |path: &std::path::Path| Ok(io::write_npy(path, &[weights.len()], &weights)?);
+                Some(hub.vault.add_file("mask.npy", write)?)
+            }
+        };
+        self.change("painted mask", |case| {
+            case.wrap.mask = mask;
+            Ok(())
+        })
+    }
+
+    pub(super) fn export(&mut self, what: &Export) -> Result<(), Problem> {
+        let hub = self.hub.clone();
+        let OpenCase { id, case, .. } = self.case()?.clone();
+        let known = |format: &str| {
+            if ["obj", "ply", "glb"].contains(&format) {
+                Ok(())
+            } else {
+                Err(problem("meshes are written as obj, ply or glb"))
+            }
+        };
+        let at = match what {
+            Export::Wrapped { format } => {
+                known(format)?;
+                let wrapped =
+                    case.wrapped.as_ref().ok_or_else(|| problem("nothing is wrapped yet: press Wrap first"))?;
+                if format == "obj" {
+                    wrapped.mesh.clone()
+                } else {
+                    // the colours come back from the file, eight bits each
+                    let file = io::read_mesh_file(&hub.vault.path(&wrapped.mesh)?)?;
+                    let write =
+                        |path: &std::path::Path| Ok(io::write_colored_mesh(path, &file.mesh, file.colors.as_deref())?);
+                    hub.vault.add_file(&format!("wrapped.{format}"), write)?
+                }
+            }
+            Export::Recipe => hub.vault.add_bytes("plan.toml", case.plan_in_work()?.recipe.as_bytes())?,
+            Export::Face { format } => {
+                known(format)?;
+                let recipe = case.plan_in_work()?.recipe.clone();
+                if plan::is_empty(&recipe) {
+                    return Err(problem("the plan has no steps yet: move a slider or draw a region"));
+                }
+                let positions = self.positions(&case, &recipe)?.positions;
+                let mesh = hub.store.face(&hub.vault, &case)?.with_positions(positions);
+                hub.vault.add_file(&format!("morphed.{format}"), |path| Ok(io::write_polygon_mesh(path, &mesh)?))?
+            }
+            Export::Landmarks => {
+                let whole: Vec<&Pair> =
+                    case.wrap.pairs.iter().filter(|p| p.vertex.is_some() && p.target.is_some()).collect();
+                if whole.is_empty() {
+                    return Err(problem("no landmark has both sides yet"));
+                }
+                wrap::landmark_files(&hub.vault, &whole)?[0].clone()
+            }
+            Export::Case => crate::archive::export(&hub.vault, id)?,
+        };
+        self.say(ServerMessage::Exported { at });
+        Ok(())
+    }
+}
+
+/// A message about a file that waits, without the folder where it waits.
+fn without_folder(error: &Problem, incoming: &Incoming) -> Problem {
+    let folder = format!("{}{}", incoming.folder.display(), std::path::MAIN_SEPARATOR);
+    problem(error.0.replace(&folder, "").replace(&*incoming.folder.to_string_lossy(), "the rig"))
+}
+
+/// Of files that were added together, the one that the others belong to: a glTF file's buffers, an OBJ file's materials.
+fn main_file(files: &[Upload]) -> Result<String, Problem> {
+    let side = [".bin", ".mtl", ".png", ".jpg", ".jpeg"];
+    let lower = |f: &Upload| f.name.to_lowercase();
+    let main: Vec<&Upload> =
+        files.iter().filter(|f| files.len() == 1 || !side.iter().any(|s| lower(f).ends_with(s))).collect();
+    match main[..] {
+        [one] => Ok(one.name.clone()),
+        _ => Err(problem("add one mesh at a time; a folder of several files is a rig")),
+    }
+}

@@ -1,0 +1,631 @@
+//! The vault: cases and articles in an SQLite database, meshes and pictures as files beside it.
+//!
+//! ```text
+//! DIR/vault.sqlite         cases, every revision of them, articles
+//! DIR/assets/HASH/NAME     files that were added together, under their own names; HASH is that of names and contents
+//! DIR/incoming/...         what is being written; swept when it is a day old
+//! ```
+//!
+//! Every change of a case is one transaction that reads the newest revision, applies an [`Edit`] and writes the next one: whatever is
+//! killed when, the vault holds a whole case, and several windows, or programs, on one vault never write over each other.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{Read, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rusqlite::{Connection, OptionalExtension as _, Transaction, TransactionBehavior, params};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+use ts_rs::TS;
+
+use crate::case::{Case, Edit, FileRef};
+use crate::error::{Problem, problem};
+
+/// Steps from one version of the schema to the next; `user_version` counts those that are done.
+const MIGRATIONS: [&str; 2] = [
+    "CREATE TABLE cases (id INTEGER PRIMARY KEY AUTOINCREMENT, head INTEGER NOT NULL, touched INTEGER NOT NULL) STRICT;
+     CREATE TABLE revisions (
+         case_id INTEGER NOT NULL REFERENCES cases (id) ON DELETE CASCADE,
+         number INTEGER NOT NULL, label TEXT NOT NULL, document TEXT NOT NULL,
+         PRIMARY KEY (case_id, number)) STRICT, WITHOUT ROWID;",
+    "CREATE TABLE articles (
+         id INTEGER PRIMARY KEY AUTOINCREMENT, title TEXT NOT NULL, tags TEXT NOT NULL, body TEXT NOT NULL,
+         recipe TEXT NOT NULL) STRICT;",
+];
+
+/// Every revision of a case that undo and redo reach.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct History {
+    /// Which of them is the case, from 0.
+    head: usize,
+    /// What undo calls each, and the case as it was then; at least one.
+    revisions: Vec<(String, Case)>,
+}
+
+impl History {
+    /// That of a case without one.
+    #[must_use]
+    pub fn of(case: Case) -> Self {
+        Self { head: 0, revisions: vec![("new case".to_owned(), case)] }
+    }
+
+    /// Whether its head is one of its revisions: of what was read, nobody knows.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.head < self.revisions.len()
+    }
+
+    /// The case.
+    ///
+    /// # Panics
+    /// Unless it [is sound](Self::is_sound).
+    #[must_use]
+    pub fn at_head(&self) -> &Case {
+        &self.revisions[self.head].1
+    }
+
+    /// All of them, the oldest first.
+    pub fn cases(&self) -> impl Iterator<Item = &Case> {
+        self.revisions.iter().map(|(_, case)| case)
+    }
+}
+
+/// A case as the list shows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, TS)]
+pub struct CaseSummary {
+    /// Its number.
+    pub id: u32,
+    /// The client.
+    pub name: String,
+    /// Date, as the user has written it.
+    pub date: String,
+    /// Beginning of the notes.
+    pub notes: String,
+    /// When it was changed last, seconds since 1970.
+    #[ts(type = "number")]
+    pub touched: i64,
+    /// Scans.
+    pub scans: u32,
+    /// Whether a template is wrapped.
+    pub wrapped: bool,
+    /// Plans that have steps.
+    pub plans: u32,
+}
+
+/// A case at its newest revision.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpenCase {
+    /// Its number.
+    pub id: u32,
+    /// Revision.
+    pub revision: u32,
+    /// The document.
+    pub case: Case,
+    /// What undo would take back.
+    pub undo: Option<String>,
+    /// What redo would do again.
+    pub redo: Option<String>,
+}
+
+/// An article of the knowledge base.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, TS)]
+pub struct Article {
+    /// Its number; 0 for a new one.
+    pub id: u32,
+    /// Title.
+    pub title: String,
+    /// Tags, separated by blanks.
+    pub tags: String,
+    /// Markdown.
+    pub body: String,
+    /// A recipe (TOML), or nothing.
+    pub recipe: String,
+}
+
+/// A vault that is open.
+pub struct Vault {
+    folder: PathBuf,
+    database: Mutex<Connection>,
+}
+
+/// Most bytes of one file.
+pub const LARGEST_FILE: u64 = 2 << 30;
+/// Most files of one asset.
+pub const MOST_FILES: usize = 2000;
+
+impl Vault {
+    /// Opens a vault, makes it where there is none, and brings its schema to this version.
+    ///
+    /// # Errors
+    /// When the folder cannot be made or written, or a newer program has written it.
+    pub fn open(folder: &Path) -> Result<Self, Problem> {
+        let unusable = |error: &dyn std::fmt::Display| {
+            problem(format!("{}: cannot be a vault: {error}; choose another folder with --vault", folder.display()))
+        };
+        for part in ["assets", "incoming"] {
+            fs::create_dir_all(folder.join(part)).map_err(|e| unusable(&e))?;
+        }
+        // a command that is copied elsewhere needs the whole path
+        let folder = folder.canonicalize().map_err(|e| unusable(&e))?;
+        let mut database = Connection::open(folder.join("vault.sqlite")).map_err(|e| unusable(&e))?;
+        database.busy_timeout(Duration::from_secs(20))?;
+        database.execute_batch(
+            "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON; PRAGMA secure_delete = ON;",
+        )?;
+        let change = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let version: usize = change.query_row("PRAGMA user_version", [], |row| row.get(0))?;
+        if version > MIGRATIONS.len() {
+            let message =
+                format!("its version is {version}, this program knows {}; use the newer one", MIGRATIONS.len());
+            return Err(unusable(&message));
+        }
+        for migration in &MIGRATIONS[version..] {
+            change.execute_batch(migration)?;
+        }
+        change.pragma_update(None, "user_version", MIGRATIONS.len())?;
+        if version < 2 {
+            for article in crate::knowledge::first_articles() {
+                insert_article(&change, &article)?;
+            }
+        }
+        change.commit()?;
+        let vault = Self { folder, database: Mutex::new(database) };
+        vault.sweep()?;
+        Ok(vault)
+    }
+
+    fn database(&self) -> MutexGuard<'_, Connection> {
+        // a panic elsewhere rolls its transaction back; the connection stays sound
+        self.database.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A number that grows when another program changes the vault.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub fn foreign_version(&self) -> Result<i64, Problem> {
+        Ok(self.database().query_row("PRAGMA data_version", [], |row| row.get(0))?)
+    }
+
+    /// Cases whose name, date, notes or plans contain `query`, the last changed one first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub fn cases(&self, query: &str) -> Result<Vec<CaseSummary>, Problem> {
+        let database = self.database();
+        let mut rows = database.prepare(
+            "SELECT c.id, c.touched, r.document FROM cases c JOIN revisions r ON r.case_id = c.id AND r.number = c.head
+             ORDER BY c.touched DESC, c.id DESC",
+        )?;
+        let rows = rows.query_map([], |row| Ok((row.get::<_, u32>(0)?, row.get(1)?, row.get::<_, String>(2)?)))?;
+        let query = query.to_lowercase();
+        let mut found = Vec::new();
+        for row in rows {
+            let (id, touched, document) = row?;
+            let case = parse(id, &document)?;
+            let plans = case.plans.iter().map(|p| p.name.as_str());
+            let words: Vec<&str> = [&*case.name, &*case.date, &*case.notes].into_iter().chain(plans).collect();
+            if words.join("\n").to_lowercase().contains(&query) {
+                found.push(CaseSummary {
+                    id,
+                    notes: case.notes.chars().take(120).collect(),
+                    touched,
+                    scans: case.scans.len() as u32,
+                    wrapped: case.wrapped.is_some(),
+                    plans: case.plans.iter().filter(|p| !crate::plan::is_empty(&p.recipe)).count() as u32,
+                    name: case.name,
+                    date: case.date,
+                });
+            }
+        }
+        Ok(found)
+    }
+
+    /// Adds a case.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub fn add_case(&self, case: &Case) -> Result<u32, Problem> {
+        self.add_history(&History::of(case.clone()))
+    }
+
+    /// Adds a case with its history.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub fn add_history(&self, history: &History) -> Result<u32, Problem> {
+        let mut database = self.database();
+        let change = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let head = u32::try_from(history.head + 1).map_err(problem)?;
+        change.execute("INSERT INTO cases (head, touched) VALUES (?1, ?2)", params![head, now()])?;
+        let id = u32::try_from(change.last_insert_rowid()).map_err(problem)?;
+        for (number, (label, case)) in (1..).zip(&history.revisions) {
+            write_revision(&change, id, number, label, case)?;
+        }
+        change.commit()?;
+        Ok(id)
+    }
+
+    /// A case with its history.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn history(&self, id: u32) -> Result<History, Problem> {
+        let mut database = self.database();
+        // one view of it, whatever other windows write
+        let view = database.transaction()?;
+        let open = read(&view, id)?;
+        let mut rows =
+            view.prepare("SELECT number, label, document FROM revisions WHERE case_id = ?1 ORDER BY number")?;
+        let rows = rows.query_map([id], |row| Ok((row.get::<_, u32>(0)?, row.get(1)?, row.get::<_, String>(2)?)))?;
+        let mut history = History { head: 0, revisions: Vec::new() };
+        for row in rows {
+            let (number, label, document): (u32, String, String) = row?;
+            if number == open.revision {
+                history.head = history.revisions.len();
+            }
+            history.revisions.push((label, parse(id, &document)?));
+        }
+        Ok(history)
+    }
+
+    /// A case at its newest revision.
+    ///
+    /// # Errors
+    /// When it is not there.
+    pub fn case(&self, id: u32) -> Result<OpenCase, Problem> {
+        read(&self.database(), id)
+    }
+
+    /// Applies a change of the user's.
+    ///
+    /// # Errors
+    /// When it cannot be applied, or not be written; nothing has changed then.
+    pub fn edit(&self, id: u32, edit: &Edit) -> Result<OpenCase, Problem> {
+        self.change(id, &edit.label(), |case| case.apply(edit))
+    }
+
+    /// Applies any change; `label` is what undo calls it. One that changes nothing leaves no revision.
+    ///
+    /// # Errors
+    /// As [`edit`](Self::edit).
+    pub fn change(
+        &self,
+        id: u32,
+        label: &str,
+        change: impl FnOnce(&mut Case) -> Result<(), Problem>,
+    ) -> Result<OpenCase, Problem> {
+        let mut database = self.database();
+        let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let open = read(&transaction, id)?;
+        let mut case = open.case.clone();
+        change(&mut case)?;
+        if case == open.case {
+            return Ok(open);
+        }
+        let number = open.revision + 1;
+        transaction.execute("DELETE FROM revisions WHERE case_id = ?1 AND number >= ?2", params![id, number])?;
+        write_revision(&transaction, id, number, label, &case)?;
+        transaction.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
+        let open = read(&transaction, id)?;
+        transaction.commit()?;
+        Ok(open)
+    }
+
+    /// Goes one revision back, or forth.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn step(&self, id: u32, forth: bool) -> Result<OpenCase, Problem> {
+        let mut database = self.database();
+        let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let open = read(&transaction, id)?;
+        let number = match (forth, &open.undo, &open.redo) {
+            (true, _, Some(_)) => open.revision + 1,
+            (false, Some(_), _) => open.revision - 1,
+            (true, ..) => return Err(problem("nothing was undone")),
+            (false, ..) => return Err(problem("this is where the case began")),
+        };
+        transaction.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
+        let open = read(&transaction, id)?;
+        transaction.commit()?;
+        Ok(open)
+    }
+
+    /// Deletes a case: all revisions, and every file that no other case has.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub fn delete_case(&self, id: u32) -> Result<(), Problem> {
+        let mut database = self.database();
+        let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let own = assets(&transaction, Some(id))?;
+        if transaction.execute("DELETE FROM cases WHERE id = ?1", [id])? == 0 {
+            return Err(problem("this case is not there any more"));
+        }
+        let others = assets(&transaction, None)?;
+        // files first, and under the lock: a crash in between leaves a case that can be deleted again, not a file without a case
+        for asset in own.difference(&others) {
+            remove_folder(&self.folder.join("assets").join(asset))?;
+        }
+        transaction.commit()?;
+        database.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))?;
+        Ok(())
+    }
+
+    /// Articles whose title, tags or text contain `query`.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub fn articles(&self, query: &str) -> Result<Vec<Article>, Problem> {
+        let database = self.database();
+        let mut rows = database.prepare("SELECT id, title, tags, body, recipe FROM articles ORDER BY title, id")?;
+        let rows = rows.query_map([], |row| {
+            Ok(Article {
+                id: row.get(0)?,
+                title: row.get(1)?,
+                tags: row.get(2)?,
+                body: row.get(3)?,
+                recipe: row.get(4)?,
+            })
+        })?;
+        let articles = rows.collect::<Result<Vec<_>, _>>()?;
+        let query = query.to_lowercase();
+        let has = |a: &Article| format!("{}\n{}\n{}", a.title, a.tags, a.body).to_lowercase().contains(&query);
+        Ok(articles.into_iter().filter(has).collect())
+    }
+
+    /// Adds an article, or writes one anew; its number.
+    ///
+    /// # Errors
+    /// When its recipe is none, or the database cannot be written.
+    pub fn save_article(&self, article: &Article) -> Result<u32, Problem> {
+        if article.title.trim().is_empty() || article.title.len() + article.tags.len() > 1000 {
+            return Err(problem("an article needs a title of at most 1000 bytes"));
+        }
+        if article.body.len() > 1 << 20 {
+            return Err(problem("the article is longer than a megabyte; split it"));
+        }
+        if !article.recipe.is_empty() {
+            crate::plan::read(&article.recipe)?;
+        }
+        let database = self.database();
+        if article.id == 0 {
+            insert_article(&database, article)?;
+            return u32::try_from(database.last_insert_rowid()).map_err(problem);
+        }
+        let Article { id, title, tags, body, recipe } = article;
+        let changed = database.execute(
+            "UPDATE articles SET title = ?2, tags = ?3, body = ?4, recipe = ?5 WHERE id = ?1",
+            params![id, title, tags, body, recipe],
+        )?;
+        if changed == 0 { Err(problem("this article is not there any more; save it as a new one")) } else { Ok(*id) }
+    }
+
+    /// Deletes an article.
+    ///
+    /// # Errors
+    /// When the database cannot be written.
+    pub fn delete_article(&self, id: u32) -> Result<(), Problem> {
+        self.database().execute("DELETE FROM articles WHERE id = ?1", [id])?;
+        Ok(())
+    }
+
+    /// The vault's folder, for people.
+    #[must_use]
+    pub fn path_of_folder(&self) -> String {
+        self.folder.display().to_string()
+    }
+
+    /// Where a file of the vault is.
+    ///
+    /// # Errors
+    /// When the name is not one of the vault's, or nothing is there.
+    pub fn path(&self, at: &FileRef) -> Result<PathBuf, Problem> {
+        let missing = || problem(format!("the vault has no file {:?} any more; add it again", at.file));
+        if !is_hash(&at.asset) {
+            return Err(missing());
+        }
+        let mut path = self.folder.join("assets").join(&at.asset);
+        if !at.file.is_empty() {
+            check_name(&at.file)?;
+            path.push(&at.file);
+        }
+        if path.exists() { Ok(path) } else { Err(missing()) }
+    }
+
+    /// A new empty folder for files on their way into the vault.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    pub fn incoming(&self) -> Result<Incoming, Problem> {
+        let folder = self.folder.join("incoming").join(random_name()?);
+        fs::create_dir(&folder)?;
+        Ok(Incoming { folder })
+    }
+
+    /// Takes the files of a folder into the vault: its hash.
+    ///
+    /// # Errors
+    /// When a file cannot be read or moved.
+    pub fn take(&self, incoming: &Incoming) -> Result<String, Problem> {
+        let mut listing = Vec::new();
+        for entry in fs::read_dir(&incoming.folder)? {
+            let path = entry?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            check_name(&name)?;
+            let mut file = fs::File::open(&path)?;
+            file.sync_all()?;
+            let mut hash = Sha256::new();
+            let mut buffer = vec![0; 1 << 16];
+            loop {
+                let read = file.read(&mut buffer)?;
+                if read == 0 {
+                    break;
+                }
+                hash.update(&buffer[..read]);
+            }
+            listing.push((name, hex(&hash.finalize())));
+        }
+        if listing.is_empty() {
+            return Err(problem("no file came; choose at least one"));
+        }
+        listing.sort();
+        let text = serde_json::to_string(&listing).map_err(problem)?;
+        let asset = hex(&Sha256::digest(text.as_bytes()));
+        let place = self.folder.join("assets").join(&asset);
+        if !place.exists()
+            && let Err(error) = fs::rename(&incoming.folder, &place)
+            && !place.exists()
+        {
+            return Err(error.into());
+        }
+        Ok(asset)
+    }
+
+    /// Writes one file into the vault.
+    ///
+    /// # Errors
+    /// When `fill` fails or the file cannot be written.
+    pub fn add_file(&self, name: &str, fill: impl FnOnce(&Path) -> Result<(), Problem>) -> Result<FileRef, Problem> {
+        check_name(name)?;
+        let incoming = self.incoming()?;
+        fill(&incoming.folder.join(name))?;
+        Ok(FileRef { asset: self.take(&incoming)?, file: name.to_owned() })
+    }
+
+    /// Writes bytes into the vault.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn add_bytes(&self, name: &str, bytes: &[u8]) -> Result<FileRef, Problem> {
+        self.add_file(name, |path| Ok(fs::File::create(path)?.write_all(bytes)?))
+    }
+
+    /// Removes what no case refers to and nobody can be writing any more.
+    fn sweep(&self) -> Result<(), Problem> {
+        let used = assets(&self.database(), None)?;
+        for part in ["assets", "incoming"] {
+            for entry in fs::read_dir(self.folder.join(part))? {
+                let entry = entry?;
+                let old = entry.metadata()?.modified()?.elapsed().is_ok_and(|age| age > Duration::from_secs(24 * 3600));
+                if old && !used.contains(&*entry.file_name().to_string_lossy()) {
+                    remove_folder(&entry.path())?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Files on their way into the vault; what is not taken is removed.
+#[derive(Debug)]
+pub struct Incoming {
+    /// Where they are.
+    pub folder: PathBuf,
+}
+
+impl Drop for Incoming {
+    fn drop(&mut self) {
+        // taken, or swept later
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn remove_folder(path: &Path) -> Result<(), Problem> {
+    match fs::remove_dir_all(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+fn now() -> i64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs().cast_signed())
+}
+
+fn insert_article(database: &Connection, article: &Article) -> Result<(), Problem> {
+    let Article { title, tags, body, recipe, .. } = article;
+    database.execute(
+        "INSERT INTO articles (title, tags, body, recipe) VALUES (?1, ?2, ?3, ?4)",
+        params![title, tags, body, recipe],
+    )?;
+    Ok(())
+}
+
+fn parse(id: u32, document: &str) -> Result<Case, Problem> {
+    serde_json::from_str(document).map_err(|e| problem(format!("case {id} in the vault cannot be read: {e}")))
+}
+
+fn read(database: &Connection, id: u32) -> Result<OpenCase, Problem> {
+    let sql =
+        "SELECT r.number, r.label, r.document FROM cases c JOIN revisions r ON r.case_id = c.id AND r.number = c.head
+               WHERE c.id = ?1";
+    let row = database.query_row(sql, [id], |row| Ok((row.get::<_, u32>(0)?, row.get(1)?, row.get::<_, String>(2)?)));
+    let (revision, label, document): (u32, String, String) =
+        row.optional()?.ok_or_else(|| problem("this case is not there any more; choose another one"))?;
+    let exists = |number: u32| -> Result<Option<String>, Problem> {
+        let sql = "SELECT label FROM revisions WHERE case_id = ?1 AND number = ?2";
+        Ok(database.query_row(sql, params![id, number], |row| row.get(0)).optional()?)
+    };
+    let undo = exists(revision.wrapping_sub(1))?.map(|_| label);
+    Ok(OpenCase { id, revision, case: parse(id, &document)?, undo, redo: exists(revision + 1)? })
+}
+
+fn write_revision(change: &Transaction<'_>, id: u32, number: u32, label: &str, case: &Case) -> Result<(), Problem> {
+    let document = serde_json::to_string(case).map_err(problem)?;
+    change.execute(
+        "INSERT INTO revisions (case_id, number, label, document) VALUES (?1, ?2, ?3, ?4)",
+        params![id, number, label, document],
+    )?;
+    Ok(())
+}
+
+/// The assets of a case, or of all, in any of their revisions.
+fn assets(database: &Connection, id: Option<u32>) -> Result<BTreeSet<String>, Problem> {
+    let mut rows = database.prepare("SELECT case_id, document FROM revisions WHERE ?1 IS NULL OR case_id = ?1")?;
+    let rows = rows.query_map([id], |row| Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?)))?;
+    let mut found = BTreeSet::new();
+    for row in rows {
+        let (id, document) = row?;
+        found.extend(parse(id, &document)?.assets().map(str::to_owned));
+    }
+    Ok(found)
+}
+
+/// Whether a text can be an asset's.
+#[must_use]
+pub fn is_hash(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b))
+}
+
+/// Refuses a name that is not that of one plain file.
+///
+/// # Errors
+/// With what is wrong.
+pub fn check_name(name: &str) -> Result<(), Problem> {
+    let odd = |c: char| c.is_control() || "/\\:*?\"<>|".contains(c);
+    if name.is_empty() || name.len() > 200 || name.starts_with('.') || name.contains(odd) {
+        let shown: String = name.chars().take(60).collect();
+        return Err(problem(format!("{shown:?} cannot be the name of a file here; rename it")));
+    }
+    Ok(())
+}
+
+/// Bytes as hexadecimal digits.
+#[must_use]
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// 32 hexadecimal digits that nobody can guess.
+///
+/// # Errors
+/// When the system has no random numbers.
+pub fn random_name() -> Result<String, Problem> {
+    let mut bytes = [0; 16];
+    getrandom::fill(&mut bytes).map_err(|e| problem(format!("the system gives no random numbers: {e}")))?;
+    Ok(hex(&bytes))
+}

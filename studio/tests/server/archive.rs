@@ -1,0 +1,156 @@
+//! Zip files, also hostile ones.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use studio::archive::{export, import};
+use studio::case::{Case, Photo, WrapSummary, Wrapped};
+use studio::vault::Vault;
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+fn vault() -> (tempfile::TempDir, Vault) {
+    let folder = tempfile::tempdir().unwrap();
+    let vault = Vault::open(folder.path()).unwrap();
+    (folder, vault)
+}
+
+/// Name and bytes.
+type Entry<'a> = (&'a str, &'a [u8]);
+
+fn write(path: &Path, entries: &[Entry<'_>]) {
+    let mut zip = ZipWriter::new(std::fs::File::create(path).unwrap());
+    for (name, bytes) in entries {
+        zip.start_file(*name, SimpleFileOptions::default()).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap();
+}
+
+fn document(case: &Case) -> Vec<u8> {
+    serde_json::to_vec(&serde_json::json!({ "format": 1, "case": case })).unwrap()
+}
+
+#[test]
+fn a_case_comes_back_the_same_in_another_vault() {
+    let [(_one, from), (_two, to)] = [vault(), vault()];
+    let at = from.add_bytes("photo.png", b"png").unwrap();
+    let case =
+        Case { name: "Ä/ö ..".to_owned(), photos: vec![Photo { at, name: "p".to_owned() }], ..Case::default() };
+    let id = from.add_case(&case).unwrap();
+    let zip = export(&from, id).unwrap();
+    let new = import(&to, &from.path(&zip).unwrap()).unwrap();
+    assert_eq!(to.case(new).unwrap().case, case);
+    assert_eq!(std::fs::read(to.path(&case.photos[0].at).unwrap()).unwrap(), b"png");
+    // twice gives two clients, not a mixture
+    assert_ne!(import(&to, &from.path(&zip).unwrap()).unwrap(), new);
+}
+
+#[test]
+fn the_history_goes_with_the_case() {
+    let [(_one, from), (_two, to)] = [vault(), vault()];
+    let first = from.add_bytes("photo.png", b"first").unwrap();
+    let case = Case { photos: vec![Photo { at: first.clone(), name: "p".to_owned() }], ..Case::default() };
+    let id = from.add_case(&case).unwrap();
+    let name = |name: &str| {
+        from.change(id, &format!("named {name}"), |case| {
+            case.name = name.to_owned();
+            case.photos.clear();
+            Ok(())
+        })
+        .unwrap()
+    };
+    name("A");
+    name("B");
+    from.step(id, false).unwrap();
+    let zip = from.path(&export(&from, id).unwrap()).unwrap();
+    let new = import(&to, &zip).unwrap();
+    assert_eq!(to.history(new).unwrap(), from.history(id).unwrap());
+    let open = to.case(new).unwrap();
+    assert_eq!((&*open.case.name, open.undo.as_deref(), open.redo.as_deref()), ("A", Some("named A"), Some("named B")));
+    assert_eq!(to.step(new, true).unwrap().case.name, "B");
+    to.step(new, false).unwrap();
+    // what only an older revision has is there too
+    assert_eq!(to.step(new, false).unwrap().case, case);
+    assert_eq!(std::fs::read(to.path(&first).unwrap()).unwrap(), b"first");
+
+    // a history that leads elsewhere, or nowhere, is refused
+    let outside = tempfile::tempdir().unwrap();
+    let path = outside.path().join("case.zip");
+    let other = Case { name: "other".to_owned(), ..Case::default() };
+    let good = Case::default();
+    for (head, revisions) in [(0, vec![("x", &other)]), (1, vec![("x", &good)]), (0, vec![])] {
+        let history = serde_json::json!({ "head": head, "revisions": revisions });
+        let text = serde_json::json!({ "format": 2, "case": good, "history": history }).to_string();
+        write(&path, &[("case.json", text.as_bytes())]);
+        assert!(import(&to, &path).unwrap_err().0.contains("history"), "{text}");
+    }
+    assert_eq!(to.cases("").unwrap().len(), 1);
+}
+
+#[test]
+fn hostile_zip_files_are_refused_and_leave_nothing() {
+    let (folder, vault) = vault();
+    let outside = tempfile::tempdir().unwrap();
+    let path = outside.path().join("case.zip");
+    let good = document(&Case::default());
+    let zeros = "0".repeat(64);
+    let inside = format!("assets/{zeros}/a.png");
+    let asked = Case { photos: vec![Photo { at: crate::client::no_file(), name: String::new() }], ..Case::default() };
+    let mut recipe = Case::default();
+    recipe.plans[0].recipe = "[[step]]\n[[step.mask]]\nweights = '/etc/passwd'\ndisplacement = [0, 0, 1]".to_owned();
+    let [missing, named] = [&asked, &recipe].map(document);
+    // what is copied into a shell writes nowhere but where the user stands
+    let at = vault.add_bytes("x.obj", b"x").unwrap();
+    let there = format!("assets/{}/x.obj", at.asset);
+    let commanded = |words: &[&str]| {
+        let wrapped = Wrapped {
+            mesh: at.clone(),
+            state: at.clone(),
+            report: at.clone(),
+            command: words.iter().map(|w| (*w).to_owned()).collect(),
+            model: "rigid".to_owned(),
+            scan: String::new(),
+            summary: WrapSummary {
+                within: 1.0,
+                median: 0.0,
+                p95: 0.0,
+                flipped: 0,
+                probability: 0.0,
+                steps: 1,
+                doubts: Vec::new(),
+            },
+        };
+        document(&Case { wrapped: Some(wrapped), ..Case::default() })
+    };
+    let writes = commanded(&["register", "--out", "/home/user/.profile"]);
+    let reads = commanded(&["register", "--template", "/etc/passwd", "--out", "wrapped.obj"]);
+    let bomb = vec![0u8; 400 << 20];
+    let cases: [(&str, &[Entry<'_>]); 14] = [
+        ("no case.json", &[]),
+        ("../evil", &[("case.json", &good), ("../../evil.png", b"x")]),
+        ("/tmp/evil", &[("case.json", &good), ("/tmp/evil.png", b"x")]),
+        ("..", &[("case.json", &good), ("assets/../a.png", b"x")]),
+        ("name", &[("case.json", &good), ("assets/0/..\\evil.png", b"x")]),
+        ("was changed", &[("case.json", &good), (&inside, b"x")]),
+        ("missing", &[("case.json", &missing)]),
+        ("case", &[("case.json", b"{")]),
+        ("format is 9", &[("case.json", b"{\"format\":9,\"case\":{}}")]),
+        ("not in the vault", &[("case.json", &named)]),
+        ("command line", &[("case.json", &writes), (&there, b"x")]),
+        ("command line", &[("case.json", &reads), (&there, b"x")]),
+        ("unpacks to more", &[("case.json", &good), (&inside, &bomb)]),
+        ("unpacks to more", &[("case.json", &bomb)]),
+    ];
+    for (why, entries) in cases {
+        write(&path, entries);
+        let error = import(&vault, &path).unwrap_err().0;
+        assert!(error.contains(why), "{why}: {error}");
+    }
+    std::fs::write(&path, b"PK\x03\x04 nothing").unwrap();
+    assert!(import(&vault, &path).is_err());
+    assert!(vault.cases("").unwrap().is_empty());
+    let left: Vec<_> = std::fs::read_dir(folder.path().join("incoming")).unwrap().collect();
+    assert!(left.is_empty(), "{left:?}");
+    assert!(!Path::new("/tmp/evil.png").exists() && !folder.path().join("evil.png").exists());
+}

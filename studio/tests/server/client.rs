@@ -1,0 +1,192 @@
+//! A server on a vault of its own, and a page without a browser.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::Value;
+use studio::case::{Case, FileRef, Source, Unit};
+use studio::server::Server;
+use studio::session::Hub;
+use studio::vault::Vault;
+use tempfile::TempDir;
+use tungstenite::handshake::client::generate_key;
+use tungstenite::{Message, WebSocket};
+
+/// A server that runs until the test ends.
+pub struct Running {
+    pub hub: Arc<Hub>,
+    pub host: String,
+    pub token: String,
+    pub folder: TempDir,
+    _runtime: tokio::runtime::Runtime,
+}
+
+impl Running {
+    pub fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let hub = Arc::new(Hub::new(Vault::open(folder.path()).unwrap()));
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+        let server = runtime.block_on(Server::bind(hub.clone(), [127, 0, 0, 1].into(), 0)).unwrap();
+        let address = server.address();
+        let (host, token) = address.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
+        let (host, token) = (host.to_owned(), token.to_owned());
+        runtime.spawn(server.run());
+        Self { hub, host, token, folder, _runtime: runtime }
+    }
+
+    pub fn cookie(&self) -> String {
+        let port = self.host.rsplit(':').next().unwrap();
+        format!("Cookie: nonrigid_studio_{port}={}\r\n", self.token)
+    }
+
+    /// Status, head and body of an answer. `extra` are whole header lines; `Host` is the server's unless it is given.
+    pub fn http(&self, method: &str, path: &str, extra: &str, body: &[u8]) -> (u16, String, Vec<u8>) {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        let host = if extra.contains("Host:") { String::new() } else { format!("Host: {}\r\n", self.host) };
+        let length = body.len();
+        write!(
+            stream,
+            "{method} {path} HTTP/1.1\r\n{host}{extra}Content-Length: {length}\r\nConnection: close\r\n\r\n"
+        )
+        .unwrap();
+        stream.write_all(body).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (status, head, answer[end + 4..].to_vec())
+    }
+
+    /// Opens a WebSocket with these header lines.
+    pub fn socket(&self, headers: &[(&str, &str)]) -> Result<Page, u16> {
+        let stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        let mut request = tungstenite::http::Request::builder()
+            .uri(format!("ws://{}/socket", self.host))
+            .header("Host", &self.host)
+            .header("Connection", "Upgrade")
+            .header("Upgrade", "websocket")
+            .header("Sec-WebSocket-Version", "13")
+            .header("Sec-WebSocket-Key", generate_key());
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        match tungstenite::client(request.body(()).unwrap(), stream) {
+            Ok((socket, _)) => Ok(Page(socket)),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
+                Err(answer.status().as_u16())
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    pub fn page(&self) -> Page {
+        let cookie = self.cookie();
+        let cookie = cookie.trim().strip_prefix("Cookie: ").unwrap();
+        let mut page = self.socket(&[("Cookie", cookie), ("Origin", &format!("http://{}", self.host))]).unwrap();
+        page.wait("cases");
+        page
+    }
+
+    /// A case of a bumpy sheet, 100 mm wide, as template and as scan.
+    pub fn add_sheet(&self) -> u32 {
+        let at = self.hub.vault.add_bytes("sheet.obj", sheet().as_bytes()).unwrap();
+        let source = Source { at, name: "sheet.obj".to_owned(), unit: Unit::Mm };
+        let case = Case { template: Some(source.clone()), scans: vec![source], scan: Some(0), ..Case::default() };
+        self.hub.vault.add_case(&case).unwrap()
+    }
+
+    pub fn upload(&self, name: &str, bytes: &[u8]) -> String {
+        let origin = format!("{}Origin: http://{}\r\n", self.cookie(), self.host);
+        let (status, _, body) = self.http("POST", &format!("/upload?name={name}"), &origin, bytes);
+        let body = String::from_utf8(body).unwrap();
+        assert_eq!(status, 200, "{body}");
+        body
+    }
+}
+
+pub fn sheet() -> String {
+    scaled_sheet(1.0)
+}
+
+pub fn scaled_sheet(unit: f64) -> String {
+    let n = 21;
+    let mut text = String::new();
+    for k in 0..n * n {
+        let (x, y) = (5.0 * f64::from(k % n), 7.0 * f64::from(k / n));
+        let z = 20.0 * (x / 30.0).sin() * (y / 50.0).cos() + 0.002 * x * y;
+        text += &format!("v {} {} {}\n", unit * x, unit * y, unit * z);
+    }
+    for r in 0..n - 1 {
+        for c in 1..n {
+            let a = r * n + c;
+            text += &format!("f {} {} {} {}\n", a, a + 1, a + n + 1, a + n);
+        }
+    }
+    text
+}
+
+pub fn no_file() -> FileRef {
+    FileRef { asset: "0".repeat(64), file: "x.obj".to_owned() }
+}
+
+/// A page without a browser.
+pub struct Page(WebSocket<TcpStream>);
+
+impl Page {
+    pub fn send(&mut self, message: &Value) {
+        self.text(&message.to_string());
+    }
+
+    pub fn text(&mut self, text: &str) {
+        self.0.send(Message::text(text)).unwrap();
+    }
+
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        self.0.send(Message::binary(bytes.to_vec())).unwrap();
+    }
+
+    /// The next message of this type.
+    pub fn wait(&mut self, kind: &str) -> Value {
+        loop {
+            if let Message::Text(text) = self.0.read().unwrap() {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["type"] == kind {
+                    return message;
+                }
+            }
+        }
+    }
+
+    /// The next message that is no numbers.
+    pub fn next(&mut self) -> Value {
+        loop {
+            if let Message::Text(text) = self.0.read().unwrap() {
+                return serde_json::from_str(&text).unwrap();
+            }
+        }
+    }
+
+    /// The header of the next numbers in a slot.
+    pub fn numbers(&mut self, slot: &str) -> Value {
+        loop {
+            if let Message::Binary(bytes) = self.0.read().unwrap() {
+                let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+                let header: Value = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
+                if header["slot"] == slot {
+                    return header;
+                }
+            }
+        }
+    }
+
+    /// The error that a message is answered with.
+    pub fn refused(&mut self, message: &Value) -> String {
+        self.send(message);
+        self.wait("error")["text"].as_str().unwrap().to_owned()
+    }
+}

@@ -1,0 +1,232 @@
+//! What messages come to, friendly and hostile.
+
+use serde_json::{Value, json};
+
+use crate::client::{Running, no_file, scaled_sheet, sheet};
+
+#[test]
+fn a_page_is_greeted_and_shown_the_case() {
+    let server = Running::start();
+    let id = server.add_sheet();
+    let mut page = server.page();
+    let case = page.wait("case");
+    assert_eq!(case["id"], id);
+    let template = page.numbers("template");
+    assert_eq!((&template["vertices"], &template["triangles"]), (&json!(441), &json!(800)));
+    assert_eq!(page.numbers("scan")["triangles"], 800);
+    assert_eq!(page.numbers("face")["lines"], 840);
+}
+
+#[test]
+fn malformed_messages_are_answered_and_end_nothing() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let deep = "[".repeat(100_000);
+    for text in [
+        "",
+        "{",
+        "null",
+        "[]",
+        "{\"type\":\"fly\"}",
+        "{\"type\":\"edit\"}",
+        &deep,
+        "{\"type\":\"place\",\"name\":null,\"side\":\"scan\",\"point\":[1,2]}",
+    ] {
+        page.text(text);
+        assert!(page.wait("error")["text"].as_str().unwrap().contains("does not understand"), "{text:.40}");
+    }
+    page.bytes(&[0; 64]);
+    page.wait("error");
+    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
+    let hostile = [
+        json!({ "type": "open_case", "id": 4_000_000_000u32 }),
+        json!({ "type": "delete_case", "id": 99 }),
+        json!({ "type": "undo" }),
+        json!({ "type": "redo" }),
+        json!({ "type": "place", "name": null, "side": "scan", "point": [1e300, 0.0, 0.0] }),
+        json!({ "type": "paint_mask", "weights": [0.5, 2.0] }),
+        json!({ "type": "blend", "from": null, "to": 77, "share": 0.5, "difference": true }),
+        json!({ "type": "blend", "from": null, "to": 1, "share": 7.0, "difference": true }),
+        json!({ "type": "analyse", "plans": [1, 2, 3, 4, 5, 6, 7, 8, 9] }),
+        json!({ "type": "export", "what": { "export": "face", "format": "../../x" } }),
+        json!({ "type": "export", "what": { "export": "wrapped", "format": "obj" } }),
+        json!({ "type": "add", "role": "scan", "files": [], "unit": null }),
+        json!({ "type": "add", "role": "scan", "files": [{ "id": "../../etc", "name": "passwd" }], "unit": null }),
+        json!({ "type": "add", "role": "rig", "files": [{ "id": "x", "name": "../../../etc/passwd" }], "unit": null }),
+        json!({ "type": "compare", "models": [] }),
+        edit(json!({ "edit": "use_scan", "index": 9 })),
+        edit(json!({ "edit": "use_plan", "id": 9 })),
+        edit(json!({ "edit": "remove_plan", "id": 1 })),
+        edit(json!({ "edit": "rename_pair", "name": "a", "to": "b" })),
+        edit(json!({ "edit": "set_preset", "preset": "no such", "amount": 1.0, "side": "both" })),
+        edit(json!({ "edit": "move_step", "from": 3, "to": 4_000_000_000u32 })),
+        edit(json!({ "edit": "set_recipe", "recipe": "step = 7" })),
+        edit(
+            json!({ "edit": "set_recipe", "recipe": "[[step]]\n[[step.mask]]\npng = '/etc/passwd'\ndisplacement = [0, 0, 1]" }),
+        ),
+        edit(json!({ "edit": "describe", "name": " ", "date": "", "notes": "" })),
+        edit(json!({ "edit": "describe", "name": "x", "date": "", "notes": "x".repeat(200_000) })),
+    ];
+    for message in hostile {
+        println!("{message:.200}");
+        let text = page.refused(&message);
+        assert!(
+            text.len() > 10 && !text.contains("panicked") && !text.contains("something went wrong inside"),
+            "{message}: {text}"
+        );
+    }
+    // and the window still works, with nothing changed
+    page.send(&json!({ "type": "place", "name": "nose", "side": "template", "point": [51.0, 70.0, 5.0] }));
+    let case = page.wait("case");
+    assert_eq!((&case["revision"], &case["case"]["wrap"]["pairs"][0]["vertex"]), (&json!(2), &json!(220)));
+}
+
+#[test]
+fn a_preview_keeps_nothing() {
+    let server = Running::start();
+    let id = server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let step = json!({
+        "name": "bump", "model": "direct", "soft": 3.0, "displacement": [0.0, 0.0, 2.0], "mirror": false, "through": true,
+        "protect": [], "pins": [],
+        "mask": { "drawn": { "from": { "camera": { "eye": [50.0, 70.0, 500.0], "target": [50.0, 70.0, 0.0], "up": [0.0, 1.0, 0.0], "height": 200.0, "size": [400, 400] } },
+            "drawing": { "circle": { "centre": [200.0, 200.0], "radius": 60.0 } } } },
+    });
+    let edit = json!({ "edit": "add_step", "step": step });
+    page.wait("plan");
+    page.send(&json!({ "type": "preview", "edit": edit }));
+    let plan = page.wait("plan");
+    assert_eq!((&plan["preview"], &plan["error"]), (&json!(true), &Value::Null), "{plan}");
+    assert!(plan["results"][0]["reached"].as_f64().unwrap() > 1.9, "{plan}");
+    assert_eq!(server.hub.vault.case(id).unwrap().revision, 1);
+    page.send(&json!({ "type": "edit", "edit": edit }));
+    let plan = page.wait("plan");
+    assert_eq!(plan["preview"], false);
+    assert!(plan["command"].as_str().unwrap().starts_with("nonrigid morph --mesh "), "{plan}");
+    assert_eq!(server.hub.vault.case(id).unwrap().revision, 2);
+}
+
+#[test]
+fn a_failing_job_ends_alone() {
+    let server = Running::start();
+    server.add_sheet();
+    let [mut one, mut two] = [server.page(), server.page()];
+    one.wait("case");
+    two.wait("case");
+    // blendshapes without a rig
+    let mut settings = serde_json::to_value(studio::case::WrapSettings::default()).unwrap();
+    settings["model"] = "blendshape".into();
+    one.send(&json!({ "type": "edit", "edit": { "edit": "set_wrap", "settings": settings } }));
+    one.wait("case");
+    two.wait("case");
+    let text = one.refused(&json!({ "type": "run", "warm": false }));
+    assert!(text.contains("add a rig"), "{text}");
+    one.wait("idle");
+    two.send(&json!({ "type": "compare", "models": ["rigid", "blendshape", "free"] }));
+    let rows: Vec<Value> = (0..3).map(|_| two.wait("compared")["row"].clone()).collect();
+    assert!(rows[0]["summary"]["within"].as_f64().unwrap() > 0.99, "{rows:?}");
+    assert!(rows[1]["error"].as_str().unwrap().contains("add a rig"), "{rows:?}");
+    assert!(rows[2]["summary"].is_object(), "{rows:?}");
+    two.wait("idle");
+}
+
+#[test]
+fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
+    let server = Running::start();
+    let mut page = server.page();
+    page.send(&json!({ "type": "new_case", "name": "<img src=x onerror=alert(1)>" }));
+    assert_eq!(page.wait("case")["case"]["name"], "<img src=x onerror=alert(1)>");
+    let id = server.upload("face.obj", sheet().as_bytes());
+    page.send(&json!({ "type": "add", "role": "template", "files": [{ "id": id, "name": "face.obj" }], "unit": null }));
+    assert_eq!(page.wait("case")["case"]["template"]["name"], "face.obj");
+    // a size that is no face's in any unit is asked for
+    let id = server.upload("tiny.obj", scaled_sheet(1e-9).as_bytes());
+    page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": null }));
+    let wanted = page.wait("unit_wanted");
+    assert!(wanted["units"].as_array().unwrap().len() >= 2, "{wanted}");
+    page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": "mm" }));
+    assert_eq!(page.wait("case")["case"]["scans"][0]["unit"], "mm");
+    for (name, bytes) in [
+        ("bad.ply", &b"ply\nformat ascii 1.0\nelement vertex -3\n"[..]),
+        ("bad.glb", b"glTF\x02\0\0\0\xff\xff\xff\xff"),
+        ("bad.stl", b"solid"),
+        ("bad.obj.gz", b"\x1f\x8b\x08"),
+        (
+            "outside.gltf",
+            br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"../../../../../../etc/passwd","byteLength":12}]}"#,
+        ),
+    ] {
+        let id = server.upload(name, bytes);
+        let text = page
+            .refused(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": name }], "unit": "mm" }));
+        assert!(text.contains(name) && !text.contains("incoming"), "{name}: {text}");
+    }
+}
+
+#[test]
+fn a_case_whose_file_is_gone_says_so() {
+    let server = Running::start();
+    let mut case = studio::case::Case::default();
+    case.template = Some(studio::case::Source { at: no_file(), name: "gone".to_owned(), unit: studio::case::Unit::Mm });
+    server.hub.vault.add_case(&case).unwrap();
+    let mut page = server.page();
+    page.wait("case");
+    assert!(page.wait("error")["text"].as_str().unwrap().contains("add it again"));
+}
+
+#[test]
+fn a_schedule_of_ones_own_is_checked_kept_and_part_of_the_command() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let mut settings = serde_json::to_value(studio::case::WrapSettings::default()).unwrap();
+    settings["model"] = "arap".into();
+    let set = |settings: &Value| json!({ "type": "edit", "edit": { "edit": "set_wrap", "settings": settings } });
+    page.send(&set(&settings));
+    page.wait("case");
+    let add = |name: &str, bytes: &[u8]| {
+        let id = server.upload(name, bytes);
+        json!({ "type": "add", "role": "schedule", "files": [{ "id": id, "name": name }], "unit": null })
+    };
+    let own = include_str!("../../../src/model/schedules/arap.toml");
+    for (name, text) in [
+        ("empty.toml", ""),
+        ("odd.toml", "levels = 3\n"),
+        ("blendshape.toml", include_str!("../../../src/model/schedules/blendshape.toml")),
+        ("recipe.toml", "[[step]]\nname = 'x'\n"),
+        ("binary.toml", "\u{0}\u{1}"),
+    ] {
+        let text = page.refused(&add(name, text.as_bytes()));
+        assert!(text.starts_with(name) && text.contains("no schedule for the model 'arap'"), "{name}: {text}");
+        assert!(!text.contains("incoming"), "{text}");
+    }
+    page.send(&add("mine.toml", own.as_bytes()));
+    let case = page.wait("case")["case"].clone();
+    let schedule = case["wrap"]["schedule"].clone();
+    assert_eq!(schedule["file"], "mine.toml");
+    page.send(&json!({ "type": "run", "warm": false }));
+    let command = loop {
+        if let Some(command) = page.wait("case")["command"].as_str() {
+            break command.to_owned();
+        }
+    };
+    assert!(command.contains("--config ") && command.contains("/mine.toml"), "{command}");
+    page.wait("idle");
+    // a message names no file of the vault: what is there stays
+    settings["model"] = "rigid".into();
+    settings["schedule"] = json!({ "asset": "../..", "file": "passwd" });
+    settings["mask"] = json!({ "asset": "0".repeat(64), "file": "../../x.npy" });
+    page.send(&set(&settings));
+    let case = page.wait("case")["case"].clone();
+    assert_eq!((&case["wrap"]["schedule"], &case["wrap"]["mask"]), (&schedule, &Value::Null));
+    let text = page.refused(&json!({ "type": "run", "warm": false }));
+    assert!(text.contains("mine.toml is no schedule for the model 'rigid'"), "{text}");
+    page.wait("idle");
+    settings["schedule"] = Value::Null;
+    page.send(&set(&settings));
+    assert_eq!(page.wait("case")["case"]["wrap"]["schedule"], Value::Null);
+}

@@ -1,0 +1,112 @@
+//! Who gets in.
+
+use crate::client::Running;
+
+#[test]
+fn without_the_token_nobody_gets_anything() {
+    let server = Running::start();
+    let cookie = |value: &str| server.cookie().replace(&server.token, value);
+    let wrong = cookie(&"0".repeat(server.token.len()));
+    for path in ["/", "/index.html", "/socket", "/files/a/b", "/?token=", "/?token=0123456789abcdef0123456789abcdef"] {
+        for headers in ["", &wrong, &cookie("")] {
+            let (status, head, body) = server.http("GET", path, headers, b"");
+            assert_eq!(status, 401, "{path} {headers}");
+            assert!(!String::from_utf8_lossy(&body).contains("<script"), "{path}: {head}");
+        }
+    }
+    assert_eq!(server.http("POST", "/upload?name=a.obj", "", b"v 0 0 0").0, 401);
+    assert_eq!(server.socket(&[("Origin", &format!("http://{}", server.host))]).err(), Some(401));
+    assert!(server.host.starts_with("127.0.0.1:"));
+    assert_ne!(server.token, Running::start().token);
+}
+
+#[test]
+fn the_token_becomes_a_cookie_that_scripts_and_other_sites_do_not_have() {
+    let server = Running::start();
+    let (status, head, _) = server.http("GET", &format!("/?token={}", server.token), "", b"");
+    let head = head.to_lowercase();
+    assert_eq!(status, 303);
+    assert!(head.contains("location: /\r\n"), "{head}");
+    let cookie = head.lines().find(|l| l.starts_with("set-cookie")).unwrap();
+    assert!(cookie.contains("httponly") && cookie.contains("samesite=strict"), "{cookie}");
+    let (status, head, body) = server.http("GET", "/", &server.cookie(), b"");
+    assert_eq!(status, 200);
+    assert!(String::from_utf8_lossy(&body).contains("<script type=\"module\""));
+    let head = head.to_lowercase();
+    let policy = head.lines().find(|l| l.starts_with("content-security-policy")).unwrap();
+    assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    assert!(head.contains("nosniff") && head.contains("no-referrer") && head.contains("no-store"));
+    // nothing on the page is from elsewhere or inline
+    let page = String::from_utf8_lossy(&body);
+    assert!(!page.contains("http://") && !page.contains("https://") && !page.contains("<style"), "{page}");
+}
+
+#[test]
+fn another_host_or_origin_is_refused() {
+    let server = Running::start();
+    let port = server.host.rsplit(':').next().unwrap();
+    for host in [
+        "evil.example".to_owned(),
+        format!("evil.example:{port}"),
+        format!("127.0.0.1.evil.example:{port}"),
+        "127.0.0.1".to_owned(),
+    ] {
+        for path in ["/".to_owned(), format!("/?token={}", server.token)] {
+            let (status, head, _) = server.http("GET", &path, &format!("Host: {host}\r\n{}", server.cookie()), b"");
+            assert!((400..500).contains(&status), "{host}: {status}");
+            assert!(!head.to_lowercase().contains("set-cookie"), "{host}");
+        }
+    }
+    assert_eq!(server.http("GET", "/", &format!("Host: localhost:{port}\r\n{}", server.cookie()), b"").0, 200);
+    let cookie = server.cookie();
+    let cookie = cookie.trim().strip_prefix("Cookie: ").unwrap();
+    for origin in [
+        "http://evil.example",
+        "null",
+        "https://127.0.0.1",
+        "file://",
+        &format!("https://{}", server.host),
+        &format!("http://{}.evil.example", server.host),
+    ] {
+        assert_eq!(server.socket(&[("Cookie", cookie), ("Origin", origin)]).err(), Some(403), "{origin}");
+        let headers = format!("{}Origin: {origin}\r\n", server.cookie());
+        assert_eq!(server.http("POST", "/upload?name=a.obj", &headers, b"v 0 0 0").0, 403, "{origin}");
+        assert_eq!(server.http("GET", "/", &headers, b"").0, 403, "{origin}");
+    }
+    // a browser always says where a socket or an upload comes from
+    assert_eq!(server.socket(&[("Cookie", cookie)]).err(), Some(403));
+    assert_eq!(server.http("POST", "/upload?name=a.obj", &server.cookie(), b"v 0 0 0").0, 403);
+}
+
+#[test]
+fn no_path_leads_out_of_the_vault() {
+    let server = Running::start();
+    let secret = server.folder.path().join("secret.txt");
+    std::fs::write(&secret, "nobody reads this").unwrap();
+    let known = server.hub.vault.add_bytes("a.png", b"\x89PNG").unwrap();
+    let (status, head, body) = server.http("GET", &format!("/files/{}/a.png", known.asset), &server.cookie(), b"");
+    assert!(status == 200 && body.windows(4).any(|w| w == b"\x89PNG"), "{head}");
+    let other = server.hub.vault.add_bytes("a.html", b"<script>alert(1)</script>").unwrap();
+    let (_, head, _) = server.http("GET", &format!("/files/{}/a.html", other.asset), &server.cookie(), b"");
+    assert!(head.contains("attachment") && head.contains("octet-stream"), "{head}");
+    for path in [
+        format!("/files/{}/..%2F..%2F..%2Fsecret.txt", known.asset),
+        format!("/files/{}/%2e%2e", known.asset),
+        "/files/..%2F..%2Fassets/secret.txt".to_owned(),
+        "/files/../secret.txt".to_owned(),
+        format!("/files/{}/{}", known.asset, "%2Fetc%2Fpasswd"),
+        format!("/files/{}/a%00.png", known.asset),
+        format!("/files/{}/", "0".repeat(64)),
+        "/../../etc/passwd".to_owned(),
+    ] {
+        let (status, _, body) = server.http("GET", &path, &server.cookie(), b"");
+        assert!((400..500).contains(&status), "{path}: {status}");
+        let body = String::from_utf8_lossy(&body);
+        assert!(!body.contains("nobody reads") && !body.contains("root:x"), "{path}: {body}");
+    }
+    let headers = format!("{}Origin: http://{}\r\n", server.cookie(), server.host);
+    for name in ["..%2Fevil.obj", "..", ".hidden", "%2Ftmp%2Fevil.obj", "a%00b.obj", "", "a%5Cb.obj"] {
+        let (status, ..) = server.http("POST", &format!("/upload?name={name}"), &headers, b"v 0 0 0");
+        assert_eq!(status, 400, "{name}");
+    }
+}

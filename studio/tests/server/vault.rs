@@ -1,0 +1,175 @@
+//! What the vault keeps, and what it lets go.
+
+use std::process::Command;
+
+use studio::case::{Case, Edit, Pair, Photo};
+use studio::error::problem;
+use studio::vault::{Article, Vault};
+
+fn pair(name: String) -> Edit {
+    Edit::SetPair { pair: Pair { name, vertex: Some(1), target: Some([1.0, 2.0, 0.1 + 0.2]), doubt: None } }
+}
+
+#[test]
+fn several_programs_on_one_vault_lose_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let vault = Vault::open(folder.path()).unwrap();
+    let id = vault.add_case(&Case::default()).unwrap();
+    std::thread::scope(|scope| {
+        for program in 0..4 {
+            let path = folder.path();
+            scope.spawn(move || {
+                let vault = Vault::open(path).unwrap();
+                for k in 0..15 {
+                    vault.edit(id, &pair(format!("{program}-{k}"))).unwrap();
+                }
+            });
+        }
+    });
+    let open = vault.case(id).unwrap();
+    assert_eq!((open.case.wrap.pairs.len(), open.revision), (60, 61));
+    assert_eq!(open.case.wrap.pairs[0].target, Some([1.0, 2.0, 0.1 + 0.2]));
+}
+
+#[test]
+fn undo_and_redo_go_through_everything_and_survive_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let id = {
+        let vault = Vault::open(folder.path()).unwrap();
+        let id = vault.add_case(&Case::default()).unwrap();
+        for k in 0..50 {
+            vault.edit(id, &pair(k.to_string())).unwrap();
+        }
+        id
+    };
+    let vault = Vault::open(folder.path()).unwrap();
+    for left in (0..50).rev() {
+        assert_eq!(vault.step(id, false).unwrap().case.wrap.pairs.len(), left);
+    }
+    assert!(vault.step(id, false).is_err());
+    for there in 1..=30 {
+        assert_eq!(vault.step(id, true).unwrap().case.wrap.pairs.len(), there);
+    }
+    let open = vault.case(id).unwrap();
+    assert_eq!((open.undo.as_deref(), open.redo.as_deref()), (Some("landmark 29"), Some("landmark 30")));
+    // a new change ends what could be done again
+    assert_eq!(vault.edit(id, &pair("new".to_owned())).unwrap().redo, None);
+    assert!(vault.step(id, true).is_err());
+    // a change that fails leaves no trace
+    let before = vault.case(id).unwrap();
+    let failed = vault.change(id, "nothing", |case| {
+        case.name = "changed".to_owned();
+        Err(problem("no"))
+    });
+    assert!(failed.is_err() && vault.case(id).unwrap() == before);
+}
+
+/// A child that changes a case until it is killed.
+#[test]
+fn killed_at_any_moment_a_case_stays_whole() {
+    if let Some(folder) = std::env::var_os("STUDIO_TEST_WRITER") {
+        let vault = Vault::open(folder.as_ref()).unwrap();
+        for k in 0.. {
+            vault.edit(1, &pair((k % 1000).to_string())).unwrap();
+            let at = vault.add_bytes("a.png", format!("{k}").as_bytes()).unwrap();
+            vault
+                .change(1, "photo", |case| {
+                    case.photos = vec![Photo { at, name: k.to_string() }];
+                    Ok(())
+                })
+                .unwrap();
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let id = Vault::open(folder.path()).unwrap().add_case(&Case::default()).unwrap();
+    let mut last = 0;
+    for round in 0..6u64 {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["vault::killed_at_any_moment_a_case_stays_whole", "--exact", "--nocapture"])
+            .env("STUDIO_TEST_WRITER", folder.path())
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(150 + 37 * round));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let vault = Vault::open(folder.path()).unwrap();
+        let open = vault.case(id).unwrap();
+        assert!(open.revision >= last);
+        last = open.revision;
+        for photo in &open.case.photos {
+            let text = std::fs::read_to_string(vault.path(&photo.at).unwrap()).unwrap();
+            assert_eq!(text, photo.name);
+        }
+        assert!(vault.step(id, false).is_ok() || open.revision == 1);
+        if open.revision > 1 {
+            vault.step(id, true).unwrap();
+        }
+    }
+    assert!(last > 1, "the child has written nothing");
+}
+
+#[test]
+fn deleted_is_deleted_and_shared_files_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let vault = Vault::open(folder.path()).unwrap();
+    let secret = b"a patient's face, nobody else's";
+    let [own, shared] =
+        [vault.add_bytes("own.png", secret).unwrap(), vault.add_bytes("shared.png", b"shared").unwrap()];
+    let photo = |at: &studio::case::FileRef| Photo { at: at.clone(), name: "p".to_owned() };
+    let name = "Erika Mustermann-Unverwechselbar";
+    let one = Case { name: name.to_owned(), photos: vec![photo(&own), photo(&shared)], ..Case::default() };
+    let two = Case { photos: vec![photo(&shared)], ..Case::default() };
+    let [one, two] = [&one, &two].map(|case| vault.add_case(case).unwrap());
+    // also what only an older revision has
+    vault.edit(one, &Edit::RemovePhoto { index: 0 }).unwrap();
+    vault.delete_case(one).unwrap();
+    assert!(vault.path(&own).is_err() && vault.path(&shared).is_ok());
+    assert!(vault.case(one).is_err() && vault.case(two).is_ok() && vault.delete_case(one).is_err());
+    for file in ["vault.sqlite", "vault.sqlite-wal"] {
+        let bytes = std::fs::read(folder.path().join(file)).unwrap_or_default();
+        assert!(!bytes.windows(name.len()).any(|w| w == name.as_bytes()), "{file} still has the name");
+    }
+}
+
+#[test]
+fn an_older_vault_is_brought_up_and_a_newer_one_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (id, case) = {
+        let vault = Vault::open(folder.path()).unwrap();
+        let id = vault.add_case(&Case { name: "kept".to_owned(), ..Case::default() }).unwrap();
+        (id, vault.case(id).unwrap())
+    };
+    let change =
+        |sql: &str| rusqlite::Connection::open(folder.path().join("vault.sqlite")).unwrap().execute_batch(sql).unwrap();
+    change("DROP TABLE articles; PRAGMA user_version = 1");
+    let vault = Vault::open(folder.path()).unwrap();
+    assert_eq!(vault.case(id).unwrap(), case);
+    assert_eq!(vault.articles("").unwrap().len(), 20);
+    drop(vault);
+    change("PRAGMA user_version = 99");
+    let error = Vault::open(folder.path()).err().unwrap().0;
+    assert!(error.contains("99"), "{error}");
+}
+
+#[test]
+fn articles_are_found_changed_and_deleted() {
+    let folder = tempfile::tempdir().unwrap();
+    let vault = Vault::open(folder.path()).unwrap();
+    assert!(vault.articles("nose").unwrap().len() >= 2);
+    assert!(vault.articles("").unwrap().iter().all(|a| studio::plan::read(&a.recipe).is_ok()));
+    let article = Article {
+        id: 0,
+        title: "Mine".to_owned(),
+        tags: String::new(),
+        body: "# Über Nähte".to_owned(),
+        recipe: String::new(),
+    };
+    let id = vault.save_article(&article).unwrap();
+    assert_eq!(vault.articles("nähte").unwrap()[0].id, id);
+    assert!(vault.save_article(&Article { recipe: "step = 1".to_owned(), ..article.clone() }).is_err());
+    assert!(vault.save_article(&Article { title: " ".to_owned(), ..article.clone() }).is_err());
+    assert!(vault.save_article(&Article { id: 999, ..article }).is_err());
+    vault.delete_article(id).unwrap();
+    assert_eq!(vault.articles("").unwrap().len(), 20);
+}

@@ -1,0 +1,173 @@
+// Tools of the page that the whole way does not touch: files dropped on it, polygon and sector, pins, what is protected, and a client
+// whose history goes through a zip file. `node e2e/tools.mjs STUDIO`.
+
+import { readFileSync, writeFileSync } from "node:fs";
+import { join, resolve } from "node:path";
+import { check, download, idle, journey, mode, shot, until, variance } from "./browser.mjs";
+
+const studio = resolve(process.argv[2]);
+const schedule = readFileSync(new URL("../../../src/model/schedules/hybrid.toml", import.meta.url), "utf8");
+
+/** Reads an error and closes it: it lies over the picture. */
+async function closed(page, part) {
+  const toast = page.locator(".toast.error").filter({ hasText: part });
+  const words = await toast.textContent();
+  await toast.click();
+  await until("it is closed", async () => (await toast.count()) === 0);
+  return words;
+}
+
+/** Drops a file on the page, as from a folder's window. */
+async function drop(page, path, content) {
+  if (content !== undefined) writeFileSync(path, content);
+  const session = await page.context().newCDPSession(page);
+  for (const type of ["dragEnter", "dragOver", "drop"]) {
+    await session.send("Input.dispatchDragEvent", { type, x: 640, y: 400, data: { items: [], files: [path], dragOperationsMask: 1 } });
+  }
+  await session.detach();
+}
+
+/** The step of a preview that is being drawn: the last one. */
+const drawn = (heard) => heard.plan?.preview && !heard.plan.error && heard.plan.results[heard.plan.steps.length - 1];
+
+await journey("tools", studio, async ({ folder, visit }) => {
+  const { page, heard } = await visit();
+  const panel = page.locator(".panel");
+  await until("a case", () => heard.case);
+
+  // a scan, dropped: what it is is asked, the file is read, and the wrap can use it
+  const bump = (x, y) => 40 * Math.cos(x / 40) * Math.cos(y / 60);
+  const lines = [];
+  for (let k = 0; k < 400; k++) lines.push(`v ${2000 + 5 * (k % 20)} ${7 * Math.floor(k / 20)} ${bump(5 * (k % 20) - 50, 7 * Math.floor(k / 20) - 70)}`);
+  for (let r = 0; r < 19; r++) for (let c = 0; c < 19; c++) lines.push(`f ${20 * r + c + 1} ${20 * r + c + 2} ${20 * r + c + 22} ${20 * r + c + 21}`);
+  const scans = heard.case.case.scans.length;
+  await drop(page, join(folder, "bumpy.obj"), `${lines.join("\n")}\n`);
+  await page.getByRole("dialog").getByRole("button", { name: "Add" }).click();
+  await until("the dropped scan", () => heard.case.case.scans.length === scans + 1);
+  await idle(page);
+  check(heard.case.case.scans[scans].name === "bumpy.obj", "a dropped mesh becomes a scan");
+  await until("it is seen, though it lies two metres away", async () => (await variance(page, [0, 0, 0.35, 1])) > 100);
+  await shot(page, "20-dropped");
+  await drop(page, join(folder, "plan.toml"), "[[step]]\nname = 'x'\n[[step.mask]]\nweights = '/etc/passwd'\ndisplacement = [0, 0, 1]\n");
+  const words = await closed(page, "passwd");
+  check(words.includes("passwd") && words.includes("not in the vault"), `a dropped recipe that names a file is refused: ${words}`);
+  await page.keyboard.press("Control+Z");
+  await until("the scan is gone", () => heard.case.case.scans.length === scans);
+  await until("the first scan is seen again", async () => (await variance(page, [0, 0, 0.35, 1])) > 200);
+
+  // a schedule of one's own: a broken one is refused, a good one makes part of the command
+  await drop(page, join(folder, "steps.toml"), "[[level]]\nnodes = 'many'\n");
+  const refused = await closed(page, "steps.toml");
+  check(refused.includes("no schedule for the model 'hybrid'"), `a broken schedule is refused: ${refused}`);
+  await drop(page, join(folder, "quick.toml"), schedule);
+  await until("the schedule is kept", () => heard.case.case.wrap.schedule?.file === "quick.toml");
+  await panel.getByRole("button", { name: "Wrap", exact: true }).click();
+  await until("a result by it", () => heard.case.command?.includes("quick.toml"));
+  check(heard.case.command.includes(" --config "), "a schedule of one's own is in the command");
+  await idle(page);
+  await page.locator("details[data-key=how] summary").click();
+  await shot(page, "20-schedule");
+  await panel.getByRole("button", { name: "remove the schedule" }).click();
+  await until("the model's own again", () => heard.case.case.wrap.schedule === null);
+
+  await mode(page, "Plan");
+  await until("a plan", () => heard.plan && !heard.plan.preview);
+  await page.getByRole("tab", { name: "Fine sculpting" }).click();
+  const steps = heard.plan.steps.length;
+  const slide = async (name, value) => {
+    const number = page.locator(`[data-key="${name}#"]`);
+    await number.fill(String(value));
+    await number.press("Tab");
+  };
+
+  // a polygon: corners clicked, the first one again closes it
+  await panel.getByRole("button", { name: "Polygon", exact: true }).click();
+  for (const [x, y] of [[500, 300], [640, 300], [640, 420], [500, 420], [500, 300]]) {
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.up();
+  }
+  await page.locator(".handle").waitFor();
+  await slide("move-2", 2);
+  const polygon = await until("the polygon moves", () => drawn(heard)?.reached > 1.5 && drawn(heard));
+  check(polygon.moving > 50, `a polygon moves ${polygon.moving} vertices by ${polygon.reached.toFixed(2)} mm`);
+  await shot(page, "21-polygon");
+
+  // a region of it is protected: fewer vertices move
+  await page.locator("details[data-key=protect] summary").click();
+  const chips = panel.locator("details[data-key=protect] .chip");
+  const regions = await chips.allTextContents();
+  let fewer = null;
+  for (let k = 0; k < regions.length && !fewer; k++) {
+    await chips.nth(k).click();
+    fewer = await until("an answer", () => drawn(heard) && heard.plan.steps.at(-1).protects === 1 && drawn(heard));
+    if (fewer.moving >= polygon.moving) {
+      fewer = null;
+      await chips.nth(k).click();
+      await until("nothing protected", () => drawn(heard) && heard.plan.steps.at(-1).protects === 0);
+    } else check(true, `with ${regions[k]} protected ${fewer.moving} vertices move`);
+  }
+  check(fewer, `one of ${regions.join(", ")} lies in the polygon`);
+  await shot(page, "22-protected");
+  await page.keyboard.press("Enter");
+  await until("the polygon is kept", () => !heard.plan.preview && heard.plan.steps.length === steps + 1);
+  check(heard.plan.steps[steps].protects === 1 && heard.plan.steps[steps].name.startsWith("polygon"), "the kept step protects");
+
+  // pins: points that stay, of a model that has an energy
+  await panel.getByRole("button", { name: "Nothing protected" }).click();
+  await panel.getByRole("button", { name: "Circle", exact: true }).click();
+  await page.mouse.move(570, 500);
+  await page.mouse.down();
+  await page.mouse.move(640, 500, { steps: 5 });
+  await page.mouse.up();
+  await page.locator(".handle").waitFor();
+  await panel.locator("select").last().selectOption("arap");
+  await slide("move-2", 3);
+  await until("the disc moves", () => drawn(heard)?.reached > 1 && heard.plan.steps.at(-1).model === "arap");
+  await panel.getByRole("button", { name: "Pin", exact: true }).click();
+  for (const [k, [x, y]] of [[575, 470], [600, 520]].entries()) {
+    await page.mouse.click(x, y);
+    await until(`pin ${k + 1}`, () => drawn(heard) && heard.plan.steps.at(-1).pins === k + 1);
+  }
+  check(true, "two points are pinned");
+  await shot(page, "23-pins");
+  await page.mouse.click(575, 470);
+  await until("one pin", () => drawn(heard) && heard.plan.steps.at(-1).pins === 1);
+  await panel.getByRole("button", { name: "Keep", exact: true }).click();
+  await until("the pinned step is kept", () => !heard.plan.preview && heard.plan.steps.length === steps + 2);
+  const pinned = heard.case.case.plans[0].recipe.match(/vertex = (\d+)/)[1];
+  check(heard.plan.steps[steps + 1].pins === 1, `vertex ${pinned} is pinned in the recipe`);
+  await panel.getByRole("button", { name: "No pins" }).click();
+
+  // a sector, from its tip outwards
+  await panel.getByRole("button", { name: "Sector", exact: true }).click();
+  await page.mouse.move(340, 470);
+  await page.mouse.down();
+  await page.mouse.move(340, 390, { steps: 5 });
+  await page.mouse.up();
+  await page.locator(".handle").waitFor();
+  await slide("move-2", -1);
+  const sector = await until("the sector moves", () => drawn(heard)?.reached > 0.3 && drawn(heard));
+  await shot(page, "24-sector");
+  await page.locator('[data-key="soft#"]').press("Enter");
+  await until("the sector is kept by Enter in a field", () => !heard.plan.preview && heard.plan.steps.length === steps + 3);
+  check(heard.case.case.plans[0].recipe.includes("sector"), `a sector moves ${sector.moving} vertices`);
+
+  // the history goes with the client, into the zip and out of it
+  await mode(page, "Clients");
+  const zip = await download(page, () => page.getByRole("button", { name: "Export as zip" }).click(), folder);
+  const old = heard.case.id;
+  await drop(page, zip);
+  await until("the dropped client", () => heard.cases.cases.length === 2 && heard.case.id !== old);
+  await mode(page, "Plan");
+  await until("its plan", () => heard.plan && !heard.plan.preview && heard.plan.steps.length === steps + 3);
+  for (const left of [2, 1, 0]) {
+    await page.keyboard.press("Control+Z");
+    await until(`undo in the imported client, ${left}`, () => !heard.plan.preview && heard.plan.steps.length === steps + left);
+  }
+  await page.keyboard.press("Control+Shift+Z");
+  await until("redo in the imported client", () => heard.plan.steps.length === steps + 1);
+  check(true, "a client dropped as a zip file has its history");
+  const unexpected = page.failures.filter((text) => !text.includes("400"));
+  check(unexpected.length === 0, `nothing went wrong in the page ${unexpected.join("; ")}`);
+});

@@ -1,0 +1,234 @@
+// What the page knows, and its way to the server. Modes draw from here; nothing else keeps state of the case.
+
+import type { Analysis, Article, CaseSummary, ClientMessage, CompareRow, Edit, Numbers, Role, ServerMessage, Unit, Upload } from "./protocol";
+
+type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { type: T }>;
+
+export interface MeshData {
+  positions: Float32Array;
+  triangles: Uint32Array;
+  lines: Uint32Array;
+  colors: Uint8Array | null;
+  of: number;
+}
+
+export interface ValueData {
+  title: string;
+  values: Float32Array;
+  low: number;
+  high: number;
+}
+
+export const app = {
+  welcome: null as Message<"welcome"> | null,
+  cases: [] as CaseSummary[],
+  open: null as Message<"case"> | null,
+  plan: null as Message<"plan"> | null,
+  analysis: null as Analysis | null,
+  compared: [] as CompareRow[],
+  articles: [] as Article[],
+  progress: null as Message<"progress"> | null,
+  steps: [] as Message<"step">[],
+  connected: false,
+  meshes: new Map<string, MeshData>(),
+  positions: new Map<string, Float32Array>(),
+  values: new Map<string, ValueData>(),
+};
+
+const listeners: ((what: string) => void)[] = [];
+
+/** Called with the type of a message, or `numbers:SLOT`. */
+export function onChange(listener: (what: string) => void) {
+  listeners.push(listener);
+}
+
+export function changed(what: string) {
+  for (const listener of listeners) listener(what);
+}
+
+let socket: WebSocket | null = null;
+
+export function connect() {
+  socket = new WebSocket(`ws://${location.host}/socket`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => {
+    app.connected = true;
+    changed("connection");
+  };
+  socket.onclose = () => {
+    app.connected = false;
+    app.progress = null;
+    changed("connection");
+    setTimeout(connect, 1000);
+  };
+  socket.onmessage = (event) => (typeof event.data === "string" ? message(JSON.parse(event.data)) : numbers(event.data));
+}
+
+export function send(message: ClientMessage) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  else toast("The server does not answer: is the program still running? Nothing was changed.", "error");
+}
+
+export function edit(change: Edit) {
+  send({ type: "edit", edit: change });
+}
+
+export function preview(change: Edit | null) {
+  send({ type: "preview", edit: change });
+}
+
+function message(m: ServerMessage) {
+  switch (m.type) {
+    case "welcome":
+      app.welcome = m;
+      app.progress = null;
+      break;
+    case "cases":
+      app.cases = m.cases;
+      break;
+    case "case":
+      if (app.open?.id !== m.id) {
+        app.analysis = null;
+        app.compared = [];
+        app.steps = [];
+      }
+      app.open = m;
+      break;
+    case "no_case":
+      app.open = null;
+      app.plan = null;
+      break;
+    case "error":
+      app.progress = null;
+      toast(m.text, "error");
+      break;
+    case "note":
+      toast(m.text, "note");
+      break;
+    case "progress":
+      if (app.progress === null) app.steps = [];
+      app.progress = m;
+      break;
+    case "idle":
+      app.progress = null;
+      break;
+    case "step":
+      app.steps.push(m);
+      break;
+    case "plan":
+      app.plan = { ...m, command: m.command || app.plan?.command || "" };
+      break;
+    case "analysis":
+      app.analysis = m.analysis;
+      break;
+    case "compared":
+      app.compared = [...app.compared.filter((row) => row.model !== m.row.model), m.row];
+      break;
+    case "exported":
+      download(`/files/${m.at.asset}/${encodeURIComponent(m.at.file)}`, m.at.file);
+      break;
+    case "articles":
+      app.articles = m.articles;
+      break;
+    case "unit_wanted":
+      break;
+  }
+  if (m.type === "unit_wanted") wanted(m);
+  changed(m.type);
+}
+
+let wanted: (m: Message<"unit_wanted">) => void = () => {};
+
+/** What asks the user for a unit. */
+export function onUnitWanted(ask: (m: Message<"unit_wanted">) => void) {
+  wanted = ask;
+}
+
+function numbers(data: ArrayBuffer) {
+  const length = new DataView(data).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))) as Numbers;
+  let at = 4 + length;
+  const next = (bytes: number) => {
+    const start = Math.ceil(at / 4) * 4;
+    at = start + bytes;
+    return start;
+  };
+  switch (header.numbers) {
+    case "mesh": {
+      const positions = new Float32Array(data, next(12 * header.vertices), 3 * header.vertices);
+      const triangles = new Uint32Array(data, next(12 * header.triangles), 3 * header.triangles);
+      const lines = new Uint32Array(data, next(8 * header.lines), 2 * header.lines);
+      const colors = header.colors ? new Uint8Array(data, next(3 * header.vertices), 3 * header.vertices) : null;
+      app.meshes.set(header.slot, { positions, triangles, lines, colors, of: header.of });
+      app.positions.delete(header.slot);
+      app.values.delete(header.slot);
+      break;
+    }
+    case "positions":
+      app.positions.set(header.slot, new Float32Array(data, next(12 * header.vertices), 3 * header.vertices));
+      if (header.slot === "plan") app.values.delete("plan");
+      break;
+    case "values": {
+      const values = new Float32Array(data, next(4 * header.vertices), header.vertices);
+      app.values.set(header.slot, { title: header.title, values, low: header.low, high: header.high });
+      break;
+    }
+    case "clear":
+      for (const map of [app.meshes, app.positions, app.values]) map.delete(header.slot);
+      break;
+  }
+  changed(`numbers:${header.slot}`);
+}
+
+export function toast(text: string, kind: "error" | "note") {
+  const place = document.getElementById("toasts");
+  if (!place) return;
+  const element = document.createElement("div");
+  element.className = `toast ${kind}`;
+  element.textContent = text;
+  element.setAttribute("role", kind === "error" ? "alert" : "status");
+  element.title = "Click to close";
+  element.onclick = () => element.remove();
+  place.append(element);
+  setTimeout(() => element.remove(), kind === "error" ? 15000 : 6000);
+}
+
+export function download(url: string, name: string) {
+  const link = document.createElement("a");
+  link.href = url;
+  link.download = name;
+  document.body.append(link);
+  link.click();
+  link.remove();
+}
+
+/** Sends files and lets them join the case. */
+export async function addFiles(role: Role, files: File[], unit: Unit | null = null) {
+  const uploads: Upload[] = [];
+  app.progress = { type: "progress", what: "sending files", share: 0 };
+  changed("progress");
+  try {
+    for (const [k, file] of files.entries()) {
+      const answer = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+      const text = await answer.text();
+      if (!answer.ok) throw new Error(text);
+      uploads.push({ id: text, name: file.name });
+      app.progress = { type: "progress", what: "sending files", share: (k + 1) / files.length };
+      changed("progress");
+    }
+    send({ type: "add", role, files: uploads, unit });
+  } catch (error) {
+    toast(error instanceof Error ? error.message : String(error), "error");
+  }
+  app.progress = null;
+  changed("progress");
+}
+
+export async function copy(text: string) {
+  try {
+    await navigator.clipboard.writeText(text);
+    toast("Copied.", "note");
+  } catch {
+    toast("The browser does not let the page copy: select the text and copy it by hand.", "error");
+  }
+}

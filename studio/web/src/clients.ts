@@ -1,0 +1,88 @@
+// Clients: the vault's cases, and what belongs to the one that is open.
+
+import { app, edit, send, toast } from "./app";
+import { ask, button, h, section, sure } from "./dom";
+import { pickFiles } from "./wrap";
+
+let query = "";
+
+export function page(go: (mode: string) => void): HTMLElement {
+  const open = app.open;
+  const search = h("input", { type: "search", placeholder: "Search names, notes, plans", value: query, "data-key": "search-cases", "aria-label": "search clients" });
+  search.oninput = () => {
+    query = search.value;
+    send({ type: "list_cases", query });
+  };
+  const list = h(
+    "div",
+    { class: "cards" },
+    app.cases.map((c) =>
+      h(
+        "div",
+        { class: `card ${c.id === open?.id ? "selected" : ""}`, onclick: () => send({ type: "open_case", id: c.id }), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && send({ type: "open_case", id: c.id }) },
+        h("b", {}, c.name),
+        h("small", {}, [c.date, `${c.scans} scan${c.scans === 1 ? "" : "s"}`, c.wrapped ? "wrapped" : "", `${c.plans} plan${c.plans === 1 ? "" : "s"}`].filter(Boolean).join(" · ")),
+        h("p", { class: "clip" }, c.notes),
+      ),
+    ),
+    app.cases.length === 0 && h("p", { class: "hint" }, query ? "No client has these words." : "No clients yet: make one with New client."),
+  );
+  return h(
+    "main",
+    { class: "page two" },
+    h("aside", {}, h("div", { class: "row" }, search, button("New client", () => void ask("The client's name").then((name) => name && send({ type: "new_case", name })), { class: "main" }), button("Import", () => pickFiles("case", ".zip"), { title: "A client that was exported as a zip file" })), list, h("small", { class: "hint" }, `Kept in ${app.welcome?.vault ?? ""}`)),
+    open ? details(go) : h("div", { class: "empty" }, h("p", {}, "Choose a client on the left, or make a new one.")),
+  );
+}
+
+function details(go: (mode: string) => void): HTMLElement {
+  const { case: c, id } = app.open!;
+  const describe = (part: object) => edit({ edit: "describe", name: c.name, date: c.date, notes: c.notes, ...part });
+  const field = (label: string, value: string, change: (value: string) => void) => {
+    const input = h("input", { value, "data-key": `client-${label}` });
+    input.onchange = () => change(input.value);
+    return h("label", { class: "field" }, h("span", {}, label), input);
+  };
+  const notes = h("textarea", { rows: 8, "data-key": "client-notes" });
+  notes.value = c.notes;
+  notes.onchange = () => describe({ notes: notes.value });
+  return h(
+    "div",
+    { class: "details" },
+    section("Client", field("Name", c.name, (name) => describe({ name })), field("Date", c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes)),
+    section(
+      "Scans",
+      c.scans.map((scan, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, scan.name, k === c.scan && h("small", {}, " in work")), button("Open", () => {
+        edit({ edit: "use_scan", index: k });
+        go("wrap");
+      }), button("×", () => edit({ edit: "remove_scan", index: k }), { title: "Remove; undo brings it back", "aria-label": `remove ${scan.name}` }))),
+      button("Add a scan", () => pickFiles("scan", ".obj,.ply,.stl,.off,.xyz,.gz,.glb,.gltf,.bin")),
+    ),
+    section("Plans", c.plans.map((plan) => h("div", { class: "row" }, h("span", { class: "grow clip" }, plan.name, plan.id === c.plan && h("small", {}, " in work")), button("Open", () => {
+      edit({ edit: "use_plan", id: plan.id });
+      go("plan");
+    })))),
+    section(
+      "Photos",
+      h(
+        "div",
+        { class: "photos" },
+        c.photos.map((photo, k) => h("figure", {}, h("img", { src: `/files/${photo.at.asset}/${encodeURIComponent(photo.at.file)}`, alt: photo.name }), h("figcaption", { class: "row" }, h("span", { class: "grow clip" }, photo.name), button("×", () => edit({ edit: "remove_photo", index: k }), { "aria-label": `remove ${photo.name}` })))),
+      ),
+      button("Add a photo", () => pickFiles("photo", ".png,.jpg,.jpeg,.webp")),
+    ),
+    section(
+      "This client",
+      h(
+        "div",
+        { class: "row wrap" },
+        button("Export as zip", () => send({ type: "export", what: { export: "case" } })),
+        button("Delete", () => void sure(`Delete ${c.name} with all scans, plans and photos? This cannot be undone.`, "Delete for good").then((yes) => {
+          if (!yes) return;
+          send({ type: "delete_case", id });
+          toast(`${c.name} is deleted.`, "note");
+        }), { class: "danger" }),
+      ),
+    ),
+  );
+}
