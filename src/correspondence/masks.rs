@@ -7,7 +7,7 @@ pub struct VertexMasks {
     pub data: Vec<f64>,
     /// Weight of what binds a vertex at all, the scan or the prediction: what is not free.
     pub bound: Vec<f64>,
-    /// Vertices of the rim, which take no correspondence whatever the masks say.
+    /// Vertices of the rim where it is rejected; they take no correspondence whatever the masks say.
     pub rim: Vec<bool>,
 }
 

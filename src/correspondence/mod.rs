@@ -21,8 +21,9 @@ pub struct ScanOptions {
     pub flip: ScanFlip,
     /// Reject correspondences on the scan's open boundary.
     pub reject_boundary: bool,
-    /// This many rings of vertices along the template's own open boundary take no correspondence: lips and lids roll inwards
-    /// there, out of the scanner's sight, and hair or collar lie beyond. Rings of a template of `reference_vertices`; a finer
+    /// This many rings of vertices along the template's own open boundary take no correspondence, neither in the search of a
+    /// start nor at levels that `reject_rim`: lips and lids roll inwards there, out of the scanner's sight, and hair or collar lie
+    /// beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
     pub template_rim: f64,
 }

@@ -200,6 +200,7 @@ impl Run {
         if level.scale == KernelScale::Fixed {
             self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit)?;
         }
+        self.template.reject_rim(level.reject_rim);
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps.min(most_steps) {
             let at = At { level: &name, step: step + 1 };

@@ -14,6 +14,8 @@ pub(super) struct Rest {
     /// Vertices that a triangle uses.
     pub used: Vec<bool>,
     pub masks: VertexMasks,
+    /// Vertices that take no correspondence at levels that reject the rim.
+    rim: Vec<bool>,
     pub centre: Vec3,
     /// Length of one of the schedule's millimetres.
     pub unit: f64,
@@ -35,9 +37,14 @@ impl Rest {
         let unit = size / schedule.reference_size;
         let finer = (count / schedule.reference_vertices).sqrt();
         let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
-        let masks = VertexMasks::new(input.mask, input.free_mask, rim).of_surface(&used);
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).of_surface(&used);
         let density = schedule.reference_vertices / count;
-        Self { mesh, used, masks, centre, unit, density }
+        Self { mesh, used, masks, rim, centre, unit, density }
+    }
+
+    /// Whether correspondences on the rim are rejected from now on.
+    pub fn reject_rim(&mut self, reject: bool) {
+        self.masks.rim.iter_mut().zip(&self.rim).for_each(|(now, on_rim)| *now = reject && *on_rim);
     }
 
     /// Whether the scan faces inwards, by its normals near vertices of the model.

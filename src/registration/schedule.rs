@@ -238,6 +238,10 @@ pub struct Level {
     pub distance_cap: f64,
     /// Largest angle between the normals of a correspondence, degrees.
     pub normal_angle: f64,
+    /// Whether the template's rim (`scan.template_rim`) stays out of the correspondences; true by default. Levels that begin near the
+    /// scan gain by it.
+    #[serde(default = "yes")]
+    pub reject_rim: bool,
     /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
     pub kernel: Kernel,
     /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
@@ -252,6 +256,10 @@ pub struct Level {
     pub terms: BTreeMap<String, Options>,
 }
 
+fn yes() -> bool {
+    true
+}
+
 /// One step of point-to-plane without a kernel, up to 5 mm and 60 degrees, and no regulariser.
 impl Default for Level {
     fn default() -> Self {
@@ -259,6 +267,7 @@ impl Default for Level {
             steps: 1,
             distance_cap: 5.0,
             normal_angle: 60.0,
+            reject_rim: true,
             kernel: Kernel::None,
             scale: KernelScale::Fixed,
             model: Options::new(),
