@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
-from conftest import MARKS, MODULE, Data, Scene, everything, imported, numbers, seen, turned
+from conftest import MARKS, MODULE, Data, Scene, everything, grow, imported, numbers, put, seen, turned
 
 
 def part(name: str) -> Any:
@@ -118,9 +118,7 @@ def test_places_units_and_scales(scene: Scene, data: Data) -> None:
     back = np.array(scan.matrix_world.inverted())
     local = expected @ back[:3, :3].T + back[:3, 3]
     for thing, factor in ((scan, 0.001), (template, 0.002)):
-        thing.data.vertices.foreach_set("co", (numbers(thing.data.vertices) * np.float32(factor)).ravel())
-        for empty in thing.children:
-            empty.location = empty.location * factor
+        grow(thing, factor)
     template.scale = (0.5, 0.5, 0.5)
     template.rotation_euler = (0.3, -1.0, 2.0)
     scan.rotation_euler = (-0.5, 0.2, 0.1)
@@ -140,9 +138,7 @@ def test_template_from_gltf(scene: Scene, data: Data, tmp_path: Path) -> None:
     rig.write(tmp_path / "rig.glb")
     template = imported(bpy.ops.import_scene.gltf, tmp_path / "rig.glb")
     # it is in metres, and so the scan has to be
-    scene.scan.data.vertices.foreach_set("co", (numbers(scene.scan.data.vertices) * np.float32(0.001)).ravel())
-    for empty in scene.scan.children:
-        empty.location = empty.location * 0.001
+    grow(scene.scan, 0.001)
     scene.chosen.template, scene.chosen.unit = template, "M"
     bpy.context.view_layer.update()
     basis = part("scene").basis(template)
@@ -162,7 +158,7 @@ def test_rig_of_a_turned_template(scene: Scene, data: Data) -> None:
     turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=np.float32)
     expected = seen(wrap())
     template = scene.template
-    template.data.vertices.foreach_set("co", (numbers(template.data.vertices) @ turn.T).ravel())
+    put(template, numbers(template.data.vertices) @ turn.T)
     for empty in template.children:
         empty.location = turn @ np.array(empty.location)
     assert np.abs(seen(wrap()) - expected).max() < 0.05
