@@ -6,6 +6,7 @@ import importlib
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -217,6 +218,69 @@ def test_progress_and_the_window(scene: Scene) -> None:
     assert result.name == "scan wrapped"
     assert seen_progress == sorted(seen_progress) and len(set(seen_progress)) > 3 and run.job.progress == 1.0
     assert "Level" in stages
+
+
+class Manager:
+    """Stands for a window manager, which Blender without a window lets no operator wait on."""
+
+    def __init__(self) -> None:
+        self.timers: list[object] = []
+        self.waiting: list[object] = []
+        self.windows: tuple[object, ...] = ()
+
+    def event_timer_add(self, _seconds: float, window: object) -> object:
+        self.timers.append(window)
+        return window
+
+    def event_timer_remove(self, timer: object) -> None:
+        self.timers.remove(timer)
+
+    def modal_handler_add(self, operator: object) -> None:
+        self.waiting.append(operator)
+
+
+class Context:
+    """Blender's, with that manager."""
+
+    def __init__(self) -> None:
+        self.window_manager = Manager()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(bpy.context, name)
+
+
+def waiting_operator() -> Any:
+    """The methods of the operator on an object that notes what it reports."""
+    said: list[tuple[str, str]] = []
+    methods = {name: vars(part("wrapping").NONRIGID_OT_wrap)[name] for name in ("invoke", "modal", "cancel", "_start", "_step")}
+    return type("Waiting", (), {**methods, "said": said, "report": lambda _, kind, text: said.append((*kind, text))})()
+
+
+@pytest.mark.parametrize("end", ["finish", "cancel", "close"])
+def test_in_a_window(scene: Scene, end: str) -> None:
+    """The operator waits on its timer, lets everything else through, and gives the timer back however it ends."""
+    operator, context, before = waiting_operator(), Context(), everything()
+    tick, mouse = SimpleNamespace(type="TIMER"), SimpleNamespace(type="MOUSEMOVE")
+    assert operator.invoke(context, mouse) == {"RUNNING_MODAL"}
+    manager = context.window_manager
+    assert len(manager.timers) == 1 and manager.waiting == [operator]
+    assert operator.modal(context, mouse) == {"PASS_THROUGH"}
+    if end == "close":
+        operator.cancel(context)
+    elif end == "cancel":
+        assert bpy.ops.nonrigid.cancel() == {"FINISHED"}
+        assert operator.modal(context, tick) == {"CANCELLED"}
+        assert operator.said == [("WARNING", "The wrap was cancelled; nothing was made")]
+    else:
+        deadline = time.monotonic() + 60
+        while (outcome := operator.modal(context, tick)) == {"PASS_THROUGH"}:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert outcome == {"FINISHED"} and bpy.context.object.name == "scan wrapped"
+        assert operator.said[-1][0] == "INFO"
+    assert manager.timers == [] and part("wrapping").current is None
+    now = everything()
+    assert {name: now[name] for name in before} == before and len(now) == len(before) + (end == "finish")
 
 
 def test_cancel_makes_nothing(scene: Scene) -> None:
