@@ -26,7 +26,8 @@ def build_wheel() -> Path:
     folder.mkdir(exist_ok=True)
     for old in folder.glob("nonrigid-*.whl"):
         old.unlink()
-    environment = {"CARGO_TARGET_DIR": str(ROOT / "target"), **os.environ}
+    # times of 1980 in the wheel, so that the same sources give the same bytes
+    environment = {"CARGO_TARGET_DIR": str(ROOT / "target"), "SOURCE_DATE_EPOCH": "315532800", **os.environ}
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT / "python")]
     subprocess.run(command, check=True, env=environment)
     (wheel,) = folder.glob("nonrigid-*.whl")

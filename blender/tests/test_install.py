@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,23 @@ def test_the_same_files_give_the_same_zip(archive: Path, wheel: Path, tmp_path: 
 
 
 def test_blender_finds_the_zip_valid(archive: Path) -> None:
+    validate(archive)
+
+
+def test_one_zip_for_all_systems(wheel: Path, tmp_path: Path) -> None:
+    """As a release has it: Blender installs the wheel that fits."""
+    others = [tmp_path / f"nonrigid-0.1.0-cp310-abi3-{system}.whl" for system in ("macosx_11_0_arm64", "win_amd64")]
+    for other in others:
+        other.write_bytes(b"of another system")
+    archive = build.build_zip([wheel, *others], tmp_path)
+    validate(archive)
+    with zipfile.ZipFile(archive) as files:
+        manifest = tomllib.loads(files.read("blender_manifest.toml").decode())
+        assert set(manifest["wheels"]) == {f"./{name}" for name in files.namelist() if name.startswith("wheels/")}
+    assert manifest["platforms"] == ["linux-x64", "macos-arm64", "windows-x64"] and len(manifest["wheels"]) == 3
+
+
+def validate(archive: Path) -> None:
     scripts = Path(bpy.utils.system_resource("SCRIPTS"))
     program = next(scripts.glob("addons_core/bl_pkg/cli/blender_ext.py"))
     done = subprocess.run([sys.executable, str(program), "validate", str(archive)], capture_output=True, text=True, timeout=60)
