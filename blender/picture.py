@@ -1,5 +1,5 @@
-"""The picture of the README: `picture.py OUT.webp`. A generated template and scan, the wrap in the distances' colours, and the wrapped face with
-the expression taken out and a morph. Wants bpy, and the zip that build.py makes."""
+"""The picture of the README: `picture.py OUT.webp`. A generated template and scan, the wrap in the distances' colours, and the wrapped face
+with the expression taken out and morphs. Wants bpy, and the zip that build.py makes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ MARKS = (8, 27, 30, 36, 39, 42, 45, 48, 54)
 def make(folder: Path, vertices: int, triangles: int) -> list[Any]:
     """Template, scan, result, and a copy of the result with its morph, side by side, in an empty file."""
     import bpy
+    from mathutils import Vector
     from nonrigid import data_gen
 
     face = data_gen.Face(vertices=vertices, identity_modes=20)
@@ -29,12 +30,13 @@ def make(folder: Path, vertices: int, triangles: int) -> list[Any]:
     scan.rotation_euler = template.rotation_euler
     chosen = bpy.context.scene.nonrigid
     chosen.template, chosen.scan, chosen.rig_source, chosen.rig_path = template, scan, "FILE", str(folder / "rig")
+    chosen.worst = 1.5
     bpy.ops.nonrigid.landmarks_of_rig()
     for mark in MARKS:
         vertex = int(face.rig.landmarks[mark])
         if vertex in case.landmarks:
             bpy.context.view_layer.update()
-            bpy.context.scene.cursor.location = [sum(row[k] * p for k, p in enumerate(case.landmarks[vertex])) for row in scan.matrix_world.to_3x3()]
+            bpy.context.scene.cursor.location = scan.matrix_world @ Vector(case.landmarks[vertex])
             bpy.ops.nonrigid.landmark_add(on="SCAN", name=str(mark))
     bpy.ops.nonrigid.wrap()
     result = bpy.context.object

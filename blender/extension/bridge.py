@@ -180,7 +180,9 @@ def models() -> list[str]:
 
 
 def read_rig(source: str | dict[str, np.ndarray], template: Surface) -> Any:
-    """A rig whose neutral lies as the template does: a file's may be turned and of another size, as importers turn and scale meshes."""
+    """A rig whose neutral lies as the template does: a file's may be turned and of another size, as importers turn and scale meshes.
+
+    On a template of another shape than the neutral a small turn or growth says only that faces differ: the rig stays as it is then."""
     nonrigid = package()
     if not isinstance(source, str):
         families = {name: "identity" if name.startswith("identity") else "expression" for name in source}
@@ -191,8 +193,10 @@ def read_rig(source: str | dict[str, np.ndarray], template: Surface) -> Any:
             f"The rig has {len(rig.neutral)} vertices and the template {len(template.positions)}: a rig moves the vertices of its own "
             "template, in their order"
         )
-    linear, _ = similarity(rig.neutral, template.positions)
-    if np.abs(linear - np.eye(3)).max() < 1e-4:
+    linear, moved = similarity(rig.neutral, template.positions)
+    off = np.abs(rig.neutral @ linear.T + moved - template.positions).max()
+    same_shape = off < 1e-3 * np.ptp(template.positions, axis=0).max()
+    if np.abs(linear - np.eye(3)).max() < (1e-4 if same_shape else 0.1):
         return rig
     shapes = {name: delta @ linear.T for name, delta in zip(rig.names, rig.deltas.astype(np.float64))}
     families = dict(zip(rig.names, rig.families))
@@ -238,6 +242,9 @@ def wrap(given: Wrap, job: Job[Wrapped]) -> Wrapped:
         wrapped = _wrap(nonrigid, given, job)
     notes = [str(w.message) for w in caught if issubclass(w.category, nonrigid.NonrigidWarning)]
     wrapped.notes.extend(dict.fromkeys(notes))
+    for other in caught:  # of another thread
+        if not issubclass(other.category, nonrigid.NonrigidWarning):
+            warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
     return wrapped
 
 

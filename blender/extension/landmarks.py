@@ -132,8 +132,8 @@ class NONRIGID_OT_landmark_pick(bpy.types.Operator):
 
 
 class NONRIGID_OT_landmarks_of_rig(bpy.types.Operator):
-    """Put the rig's own landmarks, the 68 of Multi-PIE and iBUG, on the template, named 0 to 67. Those that it has already stay, and those that
-    are not on the scan take no part"""
+    """Put the rig's own landmarks, the 68 of Multi-PIE and iBUG, on the template, named 0 to 67. Those that it has already stay; those that
+    the scan has not take no part"""
 
     bl_idname = "nonrigid.landmarks_of_rig"
     bl_label = "Landmarks of the Rig"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import bpy
 from bpy.props import EnumProperty
 
@@ -25,8 +27,9 @@ def _presets(_self: object, _context: bpy.types.Context | None) -> list[tuple[st
 
 def morph_landmarks(context: bpy.types.Context, thing: bpy.types.Object, surface: bridge.Surface, factor: float) -> dict[str, int]:
     """Vertices of a mesh by the names of landmarks: of a result its own, otherwise the empties on it, otherwise the rig's."""
-    if scene.LANDMARKS in thing and len(thing[scene.LANDMARKS]) > 0:
-        return {name: int(vertex) for name, vertex in thing[scene.LANDMARKS].items()}
+    known: dict[str, int] = json.loads(thing.get(scene.LANDMARKS, "{}"))
+    if known:
+        return known
     empties = scene.landmarks(thing)
     if empties:
         at = {name: factor * scene.array(scene.local_point(thing, empty)) for name, empty in empties.items()}

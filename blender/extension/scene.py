@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 
@@ -98,12 +99,11 @@ def own_shape_keys(thing: bpy.types.Object, factor: float) -> dict[str, np.ndarr
     if keys is None or len(keys.key_blocks) < 2:
         raise Problem(f"{thing.name} has no shape keys: choose another source of the rig, or none")
     count = len(thing.data.vertices)
-    rest = _numbers(keys.reference_key.data, "co", count)
     shapes = {}
     for key in keys.key_blocks:
         if key == keys.reference_key or key.name.startswith(MORPH):
             continue
-        delta = _numbers(key.data, "co", count) - rest
+        delta = _numbers(key.data, "co", count) - _numbers(key.relative_key.data, "co", count)
         if np.abs(delta).max() > 0.0:
             shapes[key.name] = delta * factor
     return shapes
@@ -214,7 +214,7 @@ def make_result(context: bpy.types.Context, places: Places, wrapped: Wrapped, wo
     result["nonrigid_report"] = text
     result["nonrigid_error_probability"] = wrapped.error_probability
     result["nonrigid_doubts"] = "\n".join(wrapped.doubts)
-    result[LANDMARKS] = {landmark: vertex for landmark, vertex in wrapped.landmarks.items()}
+    result[LANDMARKS] = json.dumps(wrapped.landmarks)
     result[MILLIMETRES] = places.scan_factor
     mesh.update()
     return result, lost

@@ -165,6 +165,19 @@ def test_rig_of_a_turned_template(scene: Scene, data: Data) -> None:
     assert np.abs(seen(wrap()) - expected).max() < 0.05
 
 
+def test_landmarks_alone_carry_morphs(scene: Scene, data: Data) -> None:
+    """Without a rig the vertices that were picked go with the result, also by a name longer than a custom property's."""
+    bpy.context.scene.cursor.location = (0.0, -80.0, 30.0)
+    for on in ("TEMPLATE", "SCAN"):
+        assert bpy.ops.nonrigid.landmark_add(on=on, name="the place that has a name of almost sixty letters, and more") == {"FINISHED"}
+    scene.chosen.rig_source, scene.chosen.model = "NONE", "graph"
+    result = wrap()
+    assert len(json.loads(result["nonrigid_landmarks"])) == 69
+    scene.chosen.rig_path = ""
+    assert bpy.ops.nonrigid.morph_add(preset="nose-tip") == {"FINISHED"}
+    assert "morph nose-tip" in result.data.shape_keys.key_blocks
+
+
 def test_polygons_of_all_sizes_keep_their_order(scene: Scene, data: Data) -> None:
     """Two quads become a hexagon, one two triangles, in the middle of the list; the template has no rig then."""
     faces = [list(map(int, face)) for face in data.face.rig.mesh.faces]
