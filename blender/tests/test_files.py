@@ -1,0 +1,79 @@
+"""Files of the package come out of Blender's own importers with the same positions, texture coordinates and shape keys.
+
+USD is not here: the package writes none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from conftest import Data, imported, numbers, turned
+
+ROUNDING = 2e-5
+"""Of 32 bits at 100 mm, and of decimals in OBJ."""
+
+
+def polygons(thing: bpy.types.Object) -> list[list[int]]:
+    return [list(polygon.vertices) for polygon in thing.data.polygons]
+
+
+@pytest.fixture(autouse=True)
+def empty(installed: object) -> None:
+    bpy.ops.wm.read_homefile(use_empty=True)
+
+
+def test_obj(data: Data, tmp_path: Path) -> None:
+    mesh = data.face.rig.mesh
+    mesh.write(tmp_path / "face.obj")
+    thing = imported(bpy.ops.wm.obj_import, tmp_path / "face.obj")
+    assert np.abs(numbers(thing.data.vertices) - mesh.vertices).max() < ROUNDING
+    assert polygons(thing) == mesh.faces.tolist()
+    assert np.abs(numbers(thing.data.uv_layers.active.data, "uv", 2) - mesh.uvs).max() < 1e-6
+    materials = {line.split()[1] for line in (tmp_path / "face.obj").read_text().splitlines() if line.startswith("usemtl")}
+    assert len(materials) > 1 and {material.name for material in thing.data.materials} == materials
+
+
+def test_ply(data: Data, tmp_path: Path) -> None:
+    mesh = data.face.rig.mesh
+    painted = mesh.with_vertices(mesh.vertices, colors=np.arange(3 * len(mesh.vertices)).reshape(-1, 3) % 256)
+    painted.write(tmp_path / "face.ply")
+    thing = imported(bpy.ops.wm.ply_import, tmp_path / "face.ply", import_colors="SRGB")
+    assert np.abs(numbers(thing.data.vertices) - mesh.vertices).max() < ROUNDING
+    assert polygons(thing) == mesh.faces.tolist()
+    colours = numbers(thing.data.color_attributes[0].data, "color_srgb", 4)
+    assert np.array_equal(np.rint(255 * colours[:, :3]), painted.colors)
+
+
+def test_gltf(data: Data, tmp_path: Path) -> None:
+    """glTF has triangles, vertices of their own at seams, metres, and Y up, which Blender turns."""
+    rig = data.face.rig
+    rig.write(tmp_path / "rig.glb")
+    thing = imported(bpy.ops.import_scene.gltf, tmp_path / "rig.glb")
+
+    def millimetres(points: np.ndarray) -> np.ndarray:
+        return 1000.0 * np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+
+    bpy.context.view_layer.update()
+    positions = millimetres(turned(thing, numbers(thing.data.vertices)))
+    count = len(rig.neutral)
+    assert np.abs(positions[:count] - rig.neutral).max() < 1e-4
+    # a copy at a seam lies where its vertex does
+    nearest = np.array([np.argmin(((rig.neutral - p) ** 2).sum(axis=1)) for p in positions])
+    assert np.abs(positions - rig.neutral[nearest]).max() < 1e-4
+
+    def at_corners(places: np.ndarray, uvs: np.ndarray, triangles: list[tuple[int, ...]]) -> set[tuple[float, ...]]:
+        return {tuple(np.round([*places[v], *uv], 3)) for v, uv in zip(np.ravel(triangles), uvs)}
+
+    ours = at_corners(rig.mesh.vertices, rig.mesh.uvs, rig.mesh.faces.tolist())
+    shown = numbers(thing.data.uv_layers.active.data, "uv", 2)
+    for place in at_corners(positions, shown, polygons(thing)):
+        assert min(np.abs(np.subtract(place, mine)).max() for mine in ours if abs(mine[0] - place[0]) < 0.01) < 0.003
+
+    keys = thing.data.shape_keys
+    rest = numbers(keys.reference_key.data)
+    found = {key.name: millimetres(numbers(key.data) - rest) for key in keys.key_blocks if key != keys.reference_key}
+    assert list(found) == rig.names
+    for name, delta in zip(rig.names, rig.deltas):
+        assert np.abs(found[name] - delta[nearest]).max() < 1e-3, name

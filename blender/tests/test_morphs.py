@@ -1,0 +1,84 @@
+"""Presets of morphs as shape keys: a slider's millimetres are the preset's."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from conftest import Data, Scene, everything, grow, numbers, seen
+
+from test_wrap import part, wrap
+
+
+def test_sliders_are_millimetres(scene: Scene, data: Data) -> None:
+    """Of a scan in centimetres, so that units tell."""
+    import nonrigid
+
+    scene.chosen.unit = "CM"
+    for thing in (scene.scan, scene.template):
+        grow(thing, 0.1)
+    result = wrap()
+    expressions = list(result.data.shape_keys.key_blocks.keys())
+    for key in result.data.shape_keys.key_blocks[1:]:
+        key.value = 0.0
+    neutral = 10.0 * seen(result)
+    assert bpy.ops.nonrigid.morph_add(preset="ALL") == {"FINISHED"}
+    keys = result.data.shape_keys.key_blocks
+    presets = nonrigid.presets()
+    assert list(keys.keys()) == [*expressions, *(f"morph {name}" for name in presets)]
+    assert np.array_equal(10.0 * seen(result), neutral)
+    landmarks = {str(k): int(v) for k, v in enumerate(data.face.rig.landmarks)}
+    for name, preset in presets.items():
+        key = keys[f"morph {name}"]
+        assert (key.slider_min, key.slider_max) == preset.range
+        for amount in preset.range:
+            key.value = amount
+            expected = nonrigid.morph((neutral, data.face.rig.mesh.faces), {name: amount}, landmarks=landmarks)
+            moved = 10.0 * seen(result) - neutral
+            assert np.abs(moved - (expected.mesh.vertices - neutral)).max() < 1e-3, (name, amount)
+            assert np.abs(moved).max() > 0.3 * abs(amount)
+        key.value = 0.0
+        mask = part("scene").group_weights(result, f"morph {name}")
+        assert np.abs(mask - expected.mask).max() < 1e-3
+
+
+def test_any_mesh_with_landmarks(scene: Scene) -> None:
+    """The template too, by its empties; its vertices stay."""
+    template = scene.template
+    bpy.context.view_layer.objects.active = template
+    before = numbers(template.data.vertices)
+    assert bpy.ops.nonrigid.morph_add(preset="nose-bridge") == {"FINISHED"}
+    assert np.array_equal(numbers(template.data.vertices), before)
+    key = template.data.shape_keys.key_blocks["morph nose-bridge"]
+    moved = np.abs(numbers(key.data) - before).max(axis=1)
+    nose = moved > 0.5
+    assert 0.9 < moved.max() < 1.1 and 3 < nose.sum() < 100
+
+
+def test_what_is_there_stays(scene: Scene) -> None:
+    """A key that was edited by hand is not made again, and no other is lost."""
+    template = scene.template
+    bpy.context.view_layer.objects.active = template
+    bpy.ops.nonrigid.morph_add(preset="chin-forward")
+    key = template.data.shape_keys.key_blocks["morph chin-forward"]
+    key.data[0].co.x += 3.0
+    key.value = 2.0
+    before = everything()
+    with pytest.raises(RuntimeError, match="has the shape key 'morph chin-forward' already"):
+        bpy.ops.nonrigid.morph_add(preset="chin-forward")
+    assert everything() == before
+    edited = numbers(key.data).copy()
+    assert bpy.ops.nonrigid.morph_add(preset="ALL") == {"FINISHED"}
+    key = template.data.shape_keys.key_blocks["morph chin-forward"]
+    assert np.array_equal(numbers(key.data), edited) and key.value == 2.0
+
+
+def test_no_landmarks(scene: Scene) -> None:
+    scene.chosen.rig_path = ""
+    bpy.context.view_layer.objects.active = scene.scan
+    for empty in list(scene.scan.children):
+        bpy.data.objects.remove(empty)
+    before = everything()
+    with pytest.raises(RuntimeError, match="has no landmarks"):
+        bpy.ops.nonrigid.morph_add(preset="nose-bridge")
+    assert everything() == before
