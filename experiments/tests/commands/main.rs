@@ -1,7 +1,5 @@
 //! The program `experiments`: what its commands leave, promise and refuse.
 
-#[path = "../../../tests/support/real_data.rs"]
-mod real_data;
 #[path = "../../../tests/support/refusal.rs"]
 mod refusal;
 #[path = "../../../tests/support/repeats.rs"]
