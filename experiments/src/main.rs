@@ -38,7 +38,7 @@ enum Command {
     ScanBench(scan_bench::command::Arguments),
     /// Register scans with all that can be wrong with them: how often a bad result is silent and a good one doubted
     Silence(silence::Arguments),
-    /// Register three real scans with every model: one picture sheet, one table
+    /// Register the scans of a folder with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
     Unseen(unseen::Arguments),

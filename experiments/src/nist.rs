@@ -35,10 +35,8 @@ const ROSZMAN1_B1: (&str, usize, f64) = ("Roszman1", 1, 1.20196866396);
 
 /// Which files, and how the result is printed.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "The files are those of <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>.\n\n\
-    Examples:\n  experiments dev nist\n  experiments dev nist --json"
-)]
+#[command(after_help = "The files are those of <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>.\n\n\
+    Examples:\n  experiments dev nist\n  experiments dev nist --json")]
 pub struct Arguments {
     /// Folder of the .dat files [default: those that are built in]
     #[arg(long, value_name = "DIR")]

@@ -90,11 +90,14 @@ const ROWS: &[Row] = &[
     ("dev start-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "inf"]),
     ("dev start-bench scan_in_metres/one/scan.ply --rig rig", LOADING, &["scan.ply", "a face in m"]),
     // real-scans
+    ("real-scans --rig rig", ARGUMENTS, &["--scans"]),
+    ("real-scans --scans cases", ARGUMENTS, &["--rig"]),
     ("real-scans --rig rig --scans nowhere", LOADING, &["nowhere", "--scans"]),
-    ("real-scans --rig rig --scans empty", LOADING, &["empty", "none of the scans"]),
-    ("real-scans --rig nowhere --scans empty", LOADING, &["--rig", "nowhere"]),
-    ("real-scans --rig rig --scans empty --models magic", ARGUMENTS, &["magic", "hybrid"]),
-    ("real-scans --rig rig --scans empty --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
+    ("real-scans --rig rig --scans empty", LOADING, &["empty", "no mesh", ".ply"]),
+    ("real-scans --rig rig --scans scan_in_metres", LOADING, &["none of the scans", "a face in m"]),
+    ("real-scans --rig nowhere --scans cases", LOADING, &["--rig", "nowhere"]),
+    ("real-scans --rig rig --scans cases --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("real-scans --rig rig --scans cases --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
     // silence
     ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
     ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),
