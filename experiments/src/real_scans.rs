@@ -476,7 +476,9 @@ mod tests {
             fs::write(folder.join(name), "").unwrap();
         };
         let names = || scans_in(folder, &folder.join("rig")).unwrap().into_iter().map(|f| f.name).collect::<Vec<_>>();
-        ["b/two.GLB", "one.ply.gz", "notes.txt", ".ply", "b/deep/three.ply", "rig/template.obj"].iter().for_each(|name| write(name));
+        ["b/two.GLB", "one.ply.gz", "notes.txt", ".ply", "b/deep/three.ply", "rig/template.obj"]
+            .iter()
+            .for_each(|name| write(name));
         assert_eq!(names(), ["two", "one"]);
         write("a/one.stl");
         assert_eq!(names(), ["a/one", "b/two", "one"]);

@@ -16,7 +16,7 @@ use nonrigid::self_test::Machine;
 use serde_json::json;
 
 pub mod claims;
-mod data;
+pub(crate) mod data;
 pub mod effort;
 mod page;
 mod studies;

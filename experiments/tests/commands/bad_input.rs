@@ -78,6 +78,12 @@ const ROWS: &[Row] = &[
     ("consistency --population empty --rig rig --count 1", ARGUMENTS, &["--count", "1"]),
     ("consistency --population empty --rig rig --within 0", ARGUMENTS, &["--within", "positive"]),
     ("consistency --population empty --rig rig --identity-modes 1000", ARGUMENTS, &["--identity-modes", "the rig has"]),
+    // ceres
+    ("ceres --program nowhere", ARGUMENTS, &["--program nowhere", "experiments ceres --help"]),
+    ("ceres --program empty", ARGUMENTS, &["--program empty", "cannot be started"]),
+    ("ceres --program cargo --nonrigid nowhere", ARGUMENTS, &["--nonrigid nowhere", "cannot be started"]),
+    ("ceres --program cargo --nonrigid cargo --out file", WRITING, &["file"]),
+    ("ceres --seed one", ARGUMENTS, &["--seed", "one"]),
     // start-bench
     ("dev start-bench --rig rig", ARGUMENTS, &["DIR_OR_SCAN"]),
     ("dev start-bench cases", ARGUMENTS, &["--rig"]),

@@ -4,8 +4,11 @@
 mod refusal;
 #[path = "../../../tests/support/repeats.rs"]
 mod repeats;
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
 mod bad_input;
+mod ceres;
 mod consistency;
 mod determinism;
 mod peers;
