@@ -2,6 +2,7 @@
 
 use nonrigid::io::{FaceUnit, LengthUnit, face_extent};
 
+pub mod ceres;
 pub mod compare_rigs;
 pub mod consistency;
 pub mod generated;

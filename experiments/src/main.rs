@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    compare_rigs, consistency, more_garbow_hillstrom, nist, peers, real_scans, report, scaling, scan_bench,
+    ceres, compare_rigs, consistency, more_garbow_hillstrom, nist, peers, real_scans, report, scaling, scan_bench,
     schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
 use nonrigid::console::{Failure, Stage, answer, bounded, tell};
@@ -38,7 +38,7 @@ enum Command {
     ScanBench(scan_bench::command::Arguments),
     /// Register scans with all that can be wrong with them: how often a bad result is silent and a good one doubted
     Silence(silence::Arguments),
-    /// Register three real scans with every model: one picture sheet, one table
+    /// Register the scans of a folder with every model: one picture sheet, one table
     RealScans(real_scans::Arguments),
     /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
     Unseen(unseen::Arguments),
@@ -46,6 +46,8 @@ enum Command {
     Consistency(consistency::Arguments),
     /// Run what one would otherwise take on the same cases: time, memory and error beside ours
     Peers(peers::Arguments),
+    /// Solve the same problems by Ceres Solver: equal costs, and the time of an iteration beside ours
+    Ceres(ceres::Arguments),
     /// Measure how time and memory of an iteration grow with vertices and nodes, and those of a registration with the scan
     Scaling(scaling::Arguments),
     /// Put rigs side by side: edge lengths, curvature, expressions, spectrum of the identity modes
@@ -87,6 +89,7 @@ fn main() -> ExitCode {
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
         Some(Command::Peers(a)) => on_threads(a.threads, || peers::run(a)),
+        Some(Command::Ceres(a)) => ceres::run(a),
         Some(Command::Consistency(a)) => on_threads(a.threads, || consistency::run(a)),
         Some(Command::Dev(Dev::SearchSchedules(a))) => on_threads(a.threads, || schedule_search::run(a)),
         Some(Command::Dev(Dev::SolverCase(a))) => on_threads(a.threads, || solver_case::run(a)),

@@ -8,6 +8,7 @@
 //! the minimum, and which of them a minimiser finds depends on the length of its first accepted step. It is the only run of
 //! Levenberg-Marquardt whose outcome changes with initial dampings between 6e-3 and 2e-2.
 
+use std::borrow::Cow;
 use std::f64::consts::PI;
 use std::fs;
 use std::marker::PhantomData;
@@ -32,14 +33,12 @@ const CERTIFIED_DIGITS: f64 = 11.0;
 /// lost and its last one in front.
 const ROSZMAN1_B1: (&str, usize, f64) = ("Roszman1", 1, 1.20196866396);
 
-/// Where the files are.
+/// Which files, and how the result is printed.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples, the files being those of <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>:\n  \
-    experiments dev nist --data nist\n  experiments dev nist --data nist --json"
-)]
+#[command(after_help = "The files are those of <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>.\n\n\
+    Examples:\n  experiments dev nist\n  experiments dev nist --json")]
 pub struct Arguments {
-    /// Folder of the .dat files [default: nist in $NONRIGID_DATA, or else in ../shared/data]
+    /// Folder of the .dat files [default: those that are built in]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Print JSON instead of the table
@@ -106,11 +105,11 @@ pub fn to_the_last_digit(options: Options) -> Options {
     options.with_max_iterations(10_000).with_energy_tolerance(0.0).with_step_tolerance(0.0).with_gradient_tolerance(0.0)
 }
 
-/// Runs every problem below `folder` from both starts.
+/// Runs every problem of `folder`, or else of the files that are built in, from both starts.
 ///
 /// # Errors
 /// When a file cannot be read, or there is none.
-pub fn nist(folder: &Path) -> Result<Vec<Row>> {
+pub fn nist(folder: Option<&Path>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for dataset in Dataset::read_all(folder).map_err(|e| Failure::loading(format!("{e:#}")))? {
         for start in 0..2 {
@@ -131,8 +130,7 @@ pub fn nist(folder: &Path) -> Result<Vec<Row>> {
 /// # Errors
 /// When the files cannot be read.
 pub fn run(a: &Arguments) -> Result<()> {
-    let folder = a.data.clone().unwrap_or_else(default_folder);
-    let rows = nist(&folder)?;
+    let rows = nist(a.data.as_deref())?;
     let failures = |of: fn(&Row) -> &Outcome| -> Vec<String> {
         rows.iter().filter(|r| !of(r).passed()).map(|r| format!("{} from start {}", r.problem, r.start)).collect()
     };
@@ -163,12 +161,6 @@ pub fn run(a: &Arguments) -> Result<()> {
         say(format_args!("{name}: {} of {total} with {DIGITS_TO_PASS} digits or more{which}", total - failed.len()))?;
     }
     Ok(())
-}
-
-/// `$NONRIGID_DATA/nist`, or else `../shared/data/nist`.
-#[must_use]
-pub fn default_folder() -> PathBuf {
-    std::env::var_os("NONRIGID_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from).join("nist")
 }
 
 /// The expected response of a model with `N` parameters.
@@ -222,8 +214,9 @@ macro_rules! models {
             }
         }
 
-        /// Names and numbers of parameters of the models.
-        const MODELS: &[(&str, usize)] = &[$((stringify!($name), $n)),+];
+        /// Names, numbers of parameters and files of the models.
+        const MODELS: &[(&str, usize, &str)] =
+            &[$((stringify!($name), $n, include_str!(concat!("../nist/", stringify!($name), ".dat")))),+];
     };
 }
 
@@ -279,19 +272,21 @@ fn three_decays<D: Scalar>(b: &[D; 6], x: f64) -> D {
 }
 
 impl Dataset {
-    /// All problems, by name.
+    /// All problems of `folder`, or else of the files that are built in, by name.
     ///
     /// # Errors
     /// When a file is missing or is not laid out as NIST's are.
-    pub fn read_all(folder: &Path) -> Result<Vec<Self>> {
-        MODELS.iter().map(|&(name, parameters)| Self::read(folder, name, parameters)).collect()
-    }
-
-    fn read(folder: &Path, name: &str, parameters: usize) -> Result<Self> {
-        let path = folder.join(format!("{name}.dat"));
-        let text = fs::read_to_string(&path).map_err(anyhow::Error::from);
-        let dataset = text.and_then(|text| Self::parse(name, parameters, &text)).and_then(Self::checked);
-        dataset.with_context(|| format!("{}, a file of NIST's nonlinear regression data", path.display()))
+    pub fn read_all(folder: Option<&Path>) -> Result<Vec<Self>> {
+        let read = |&(name, parameters, built_in): &(&str, usize, &'static str)| {
+            let path = folder.unwrap_or(Path::new("")).join(format!("{name}.dat"));
+            let text = match folder {
+                Some(_) => fs::read_to_string(&path).map(Cow::Owned).map_err(anyhow::Error::from),
+                None => Ok(Cow::Borrowed(built_in)),
+            };
+            let dataset = text.and_then(|text| Self::parse(name, parameters, &text)).and_then(Self::checked);
+            dataset.with_context(|| format!("{}, a file of NIST's nonlinear regression data", path.display()))
+        };
+        MODELS.iter().map(read).collect()
     }
 
     fn parse(name: &str, parameters: usize, text: &str) -> Result<Self> {

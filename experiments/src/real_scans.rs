@@ -1,9 +1,10 @@
-//! `real-scans`: scans of real heads, every model on every one, in one picture and one table.
+//! `real-scans`: a folder of scans, every model on every one, in one picture and one table.
 //!
 //! Varied: the model. Held: the scan, the rig's shapes, the landmarks where a scan has some, each model's default schedule.
 //! Measured, as nobody knows the truth: the share of vertices with an accepted correspondence, distances to the scan,
 //! self-intersections, edge stretch.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -25,14 +26,20 @@ use crate::tables::{csv_text, table, write_csv, write_json};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "A scan that is not there says so in its row.\n\n\
-    Example, on folders of your own:\n  experiments real-scans --scans SCANS --rig rig --out out/real-scans")]
+#[command(
+    after_help = "A scan is a mesh file (.obj, .ply, .stl, .off, .xyz, each also as .gz, .glb, .gltf), in millimetres, and is called as its\n\
+    file is, or, where two files have one name, as its path. Its landmarks are beside it: for NAME.ply in\n\
+    NAME.landmarks.json, or else in landmarks.json. One that cannot be read says so in its rows.\n\n\
+    Examples, on a folder of your own, and on what `data-gen --seed 7 --out out/data` makes:\n  \
+    experiments real-scans --scans SCANS --rig rig --out out/real-scans\n  \
+    experiments real-scans --scans out/data/cases --rig out/data/rig --models hybrid,graph"
+)]
 pub struct Arguments {
-    /// Folder of the scans: menpo3d-james, lps-head, standardcyborg-sven
-    #[arg(long, value_name = "DIR", default_value = "../shared/data/scans")]
+    /// Folder of the scans, which are in it or in its folders
+    #[arg(long, value_name = "DIR")]
     pub scans: PathBuf,
     /// Rig folder; its polygons are the template
-    #[arg(long, value_name = "DIR", default_value = "../shared/data/ict-facekit/narrow")]
+    #[arg(long, value_name = "DIR")]
     pub rig: PathBuf,
     /// Identity modes to use, from the first
     #[arg(long, value_name = "K", default_value_t = 40)]
@@ -48,12 +55,66 @@ pub struct Arguments {
     pub threads: Option<u16>,
 }
 
-/// Name and file of each scan; landmarks are beside it, in `landmarks.json`.
-pub const SCANS: [(&str, &str); 3] = [
-    ("james", "menpo3d-james/james.ply"),
-    ("lps-head", "lps-head/lps_head_neckcut.ply"),
-    ("sven", "standardcyborg-sven/frame_050.ply"),
-];
+/// Extensions of the meshes that are read; `.gz` may follow.
+const EXTENSIONS: [&str; 7] = ["obj", "ply", "stl", "off", "xyz", "glb", "gltf"];
+
+/// A scan that was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScanFile {
+    /// Of its rows and of its folder of results.
+    pub name: String,
+    /// The mesh.
+    pub path: PathBuf,
+}
+
+impl ScanFile {
+    /// The landmarks beside it, if there are any.
+    #[must_use]
+    pub fn landmarks(&self) -> Option<PathBuf> {
+        let of_this = format!("{}.landmarks.json", stem(&self.path)?);
+        [&of_this, "landmarks.json"].map(|name| self.path.with_file_name(name)).into_iter().find(|path| path.exists())
+    }
+}
+
+/// Every mesh in `folder` and in its folders, but for that of the rig, by path.
+///
+/// # Errors
+/// When a folder cannot be read.
+pub fn scans_in(folder: &Path, rig: &Path) -> std::io::Result<Vec<ScanFile>> {
+    let rig = rig.canonicalize().ok();
+    let below = |folder: &Path| fs::read_dir(folder)?.map(|e| e.map(|e| e.path())).collect::<std::io::Result<Vec<_>>>();
+    let mut paths = below(folder)?;
+    let is_rig = |path: &PathBuf| rig.is_some() && path.canonicalize().ok() == rig;
+    let folders: Vec<PathBuf> = paths.iter().filter(|path| path.is_dir() && !is_rig(path)).cloned().collect();
+    for inner in folders {
+        paths.extend(below(&inner)?);
+    }
+    paths.retain(|path| path.is_file() && stem(path).is_some());
+    paths.sort();
+    // The shortest names that tell all of them apart.
+    let relative = |path: &PathBuf| {
+        let parts = path.strip_prefix(folder).unwrap_or(path).components();
+        parts.map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+    };
+    let stem_of = |path: &PathBuf| stem(path).unwrap_or_default();
+    let namings: [&dyn Fn(&PathBuf) -> String; 3] =
+        [&stem_of, &|path: &PathBuf| relative(&path.with_file_name(stem_of(path))), &relative];
+    let different = |names: &Vec<String>| names.iter().collect::<BTreeSet<_>>().len() == names.len();
+    let names = namings.iter().map(|naming| paths.iter().map(naming).collect()).find(different);
+    let names = names.unwrap_or_else(|| paths.iter().map(relative).collect());
+    Ok(names.into_iter().zip(paths).map(|(name, path)| ScanFile { name, path }).collect())
+}
+
+/// A mesh file's name without its extension, nothing for other files.
+fn stem(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy();
+    let (stem, extension) = match name.rsplit_once('.')? {
+        (inner, gz) if gz.eq_ignore_ascii_case("gz") => inner.rsplit_once('.')?,
+        plain => plain,
+    };
+    let known = !stem.is_empty() && EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known));
+    known.then(|| stem.to_owned())
+}
 
 /// One model on one scan.
 #[derive(Debug, Clone, Serialize)]
@@ -110,15 +171,11 @@ struct Target {
 }
 
 impl Target {
-    fn read(path: &Path, template: &PolygonMesh) -> Result<Self> {
-        let scan = io::read_scan(path)?;
-        crate::check_millimetres(path, &scan.mesh.positions)?;
-        let landmarks = path.with_file_name("landmarks.json");
-        let landmarks = if landmarks.exists() {
-            landmark::read_landmarks(&landmarks, None, template, Some(&scan.mesh))?
-        } else {
-            Vec::new()
-        };
+    fn read(file: &ScanFile, template: &PolygonMesh) -> Result<Self> {
+        let scan = io::read_scan(&file.path)?;
+        crate::check_millimetres(&file.path, &scan.mesh.positions)?;
+        let read = |path: PathBuf| landmark::read_landmarks(&path, None, template, Some(&scan.mesh));
+        let landmarks = file.landmarks().map(read).transpose()?.unwrap_or_default();
         Ok(Self { scan, landmarks })
     }
 }
@@ -129,8 +186,15 @@ impl Target {
 /// A [`Failure`] when the rig or every scan cannot be read, when something cannot be written, and when every single
 /// registration failed.
 pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
-    say(format_args!("{} scans x {} models, {} threads", SCANS.len(), a.models.len(), rayon::current_num_threads()))?;
-    let (rows, picture) = register_all(a)?;
+    let scans = scans_in(&a.scans, &a.rig)
+        .map_err(|e| Failure::loading(format!("--scans {}: cannot be read: {e}", a.scans.display())))?;
+    if scans.is_empty() {
+        let read = EXTENSIONS.join(", .");
+        let message = format!("--scans {}: no mesh in it or in its folders; read are .{read}", a.scans.display());
+        return Err(Failure::loading(message).into());
+    }
+    say(format_args!("{} scans x {} models, {} threads", scans.len(), a.models.len(), rayon::current_num_threads()))?;
+    let (rows, picture) = register_all(a, &scans)?;
     write(a, &rows, &picture)?;
     if let Some(reason) = rows.iter().all(|r| r.fit.is_none()).then(|| rows.iter().find_map(|r| r.error.as_ref())) {
         let reason = reason.map_or("no model was asked for", String::as_str);
@@ -143,14 +207,12 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
 ///
 /// # Errors
 /// A [`Failure`] when the rig or every scan cannot be read, or a result cannot be written.
-pub fn register_all(a: &Arguments) -> Result<(Vec<RealScanRow>, RgbImage)> {
+pub fn register_all(a: &Arguments, scans: &[ScanFile]) -> Result<(Vec<RealScanRow>, RgbImage)> {
     let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let template = Template::read(&a.rig, a.identity_modes).map_err(|e| unread(e.context("--rig")))?;
-    let targets = SCANS.map(|(name, file)| (name, Target::read(&a.scans.join(file), &template.mesh)));
-    if targets.iter().all(|(_, target)| target.is_err()) {
-        let looked_for = SCANS.map(|(_, file)| file).join(", ");
-        let message =
-            format!("{}: none of the scans can be read; looked for {looked_for} (--scans)", a.scans.display());
+    let targets: Vec<_> = scans.iter().map(|file| Target::read(file, &template.mesh)).collect();
+    if let (true, Some(Err(first))) = (targets.iter().all(Result::is_err), targets.first()) {
+        let message = format!("--scans {}: none of the scans can be read; {first:#}", a.scans.display());
         return Err(Failure::loading(message).into());
     }
     make_output_folder(&a.out, [("--rig", &a.rig), ("--scans", &a.scans)])?;
@@ -158,14 +220,14 @@ pub fn register_all(a: &Arguments) -> Result<(Vec<RealScanRow>, RgbImage)> {
         Vec::new(),
         Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),
     );
-    for (name, target) in targets {
+    for (ScanFile { name, .. }, target) in scans.iter().zip(targets) {
         let (found, panels) = match target {
             Ok(target) => every_model(a, &template, name, &target)?,
             Err(e) => unreadable(a, name, &format!("{e:#}")),
         };
         rows.extend(found);
         for (i, panels) in panels.chunks(ACROSS).enumerate() {
-            sheet = sheet.row(if i == 0 { name } else { "" }, panels.to_vec());
+            sheet = sheet.row(if i == 0 { name.as_str() } else { "" }, panels.to_vec());
         }
     }
     Ok((rows, sheet.render()))
@@ -329,12 +391,13 @@ fn write(a: &Arguments, rows: &[RealScanRow], picture: &RgbImage) -> Result<()> 
     let header = format!("scan,model,{},error", COLUMNS.join(","));
     let lines = rows.iter().map(|r| {
         let numbers = r.fit.as_ref().map_or_else(|| ",".repeat(9), |fit| numbers(fit, 6).join(","));
-        format!("{},{},{numbers},{}", r.scan, r.model, csv_text(r.error.as_deref().unwrap_or_default()))
+        let error = csv_text(r.error.as_deref().unwrap_or_default());
+        format!("{},{},{numbers},{error}", csv_text(&r.scan), r.model)
     });
     write_csv(&a.out.join("real-scans.csv"), &header, lines)?;
     write_json(&a.out.join("real-scans.json"), &serde_json::json!({ "rows": rows }))?;
     let threads = rayon::current_num_threads();
-    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", r.scan, r.model, r.seconds));
+    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", csv_text(&r.scan), r.model, r.seconds));
     write_csv(&a.out.join("real-scans.timing.csv"), "scan,model,seconds,threads", times)?;
     let path = a.out.join("real-scans.png");
     save_png(picture, &path).map_err(Failure::writing)?;
@@ -403,6 +466,36 @@ pub fn numbers(fit: &Fit, decimals: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_mesh_is_found_one_level_deep_and_named_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        let write = |name: &str| {
+            fs::create_dir_all(folder.join(name).parent().unwrap()).unwrap();
+            fs::write(folder.join(name), "").unwrap();
+        };
+        let names = || scans_in(folder, &folder.join("rig")).unwrap().into_iter().map(|f| f.name).collect::<Vec<_>>();
+        ["b/two.GLB", "one.ply.gz", "notes.txt", ".ply", "b/deep/three.ply", "rig/template.obj"]
+            .iter()
+            .for_each(|name| write(name));
+        assert_eq!(names(), ["two", "one"]);
+        write("a/one.stl");
+        assert_eq!(names(), ["a/one", "b/two", "one"]);
+        write("a/one.obj");
+        assert_eq!(names(), ["a/one.obj", "a/one.stl", "b/two.GLB", "one.ply.gz"]);
+
+        // Landmarks of its own go before those of the folder.
+        let landmarks = |name: &str| {
+            let of = ScanFile { name: String::new(), path: folder.join(name) }.landmarks();
+            of.map(|path| path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned())
+        };
+        ["landmarks.json", "one.landmarks.json"].iter().for_each(|name| write(name));
+        assert_eq!(landmarks("one.ply.gz").as_deref(), Some("one.landmarks.json"));
+        assert_eq!(landmarks("two.ply").as_deref(), Some("landmarks.json"));
+        assert_eq!(landmarks("a/one.obj"), None);
+        assert!(scans_in(&folder.join("nowhere"), folder).is_err());
+    }
 
     #[test]
     fn long_messages_are_wrapped_and_long_words_cut() {

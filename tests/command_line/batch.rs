@@ -180,8 +180,7 @@ fn parts_give_what_the_whole_gives_also_by_the_recipe_for_gnu_parallel() {
     let recipe = recipe.replace("--template face.obj --rig rig", OPTIONS).replace("--out wrapped", "--out by_parallel");
     assert!(recipe.matches(OPTIONS).count() == 2 && recipe.contains("::: 1 2 3 4"), "{recipe}");
     if Command::new("parallel").arg("--version").output().map_or(true, |o| !o.stdout.starts_with(b"GNU parallel")) {
-        println!("skipped: GNU parallel is not installed");
-        return;
+        return crate::skip::skipped("GNU parallel is not installed");
     }
     let program = Path::new(env!("CARGO_BIN_EXE_nonrigid")).parent().unwrap();
     let path = std::env::join_paths(

@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::skip::skipped;
 use crate::support::{Bench, files_in};
 use nonrigid::io::{read_obj, sha256, write_atomically};
 use serde_json::Value;
@@ -217,7 +218,7 @@ fn a_rig_is_whole_or_none_on_a_full_disk_and_after_a_kill() {
         fs::remove_dir_all(bench.path("made")).unwrap_or(());
     }
     let disk = bench.path("disk");
-    let Some(_disk) = SmallDisk::mount(&disk, "size=400k") else { return };
+    let Some(_disk) = SmallDisk::mount(&disk, "size=400k") else { return skipped(NO_DISK) };
     for format in ["npy", "shapes"] {
         let line = format!("rig convert --rig rig --format {format} --out disk/rig");
         unwritten(&bench, &line, &["disk/rig/", "No space left"]);
@@ -315,6 +316,8 @@ fn a_kill_in_mid_write_leaves_the_old_file() {
     assert_eq!(fs::read(&path).unwrap(), b"new");
 }
 
+const NO_DISK: &str = "this process may not mount a disk";
+
 /// A small disk of its own, if this process may have one.
 struct SmallDisk<'a>(&'a Path);
 
@@ -323,7 +326,6 @@ impl<'a> SmallDisk<'a> {
         fs::create_dir_all(folder).unwrap();
         let mount = Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder).output();
         if !mount.is_ok_and(|m| m.status.success()) {
-            println!("skipped: this process may not mount a disk");
             return None;
         }
         Some(Self(folder))
@@ -350,7 +352,7 @@ fn unwritten(bench: &Bench, line: &str, words: &[&str]) {
 fn a_full_disk_is_an_error_of_writing_and_leaves_old_files_whole() {
     let bench = Bench::new();
     let disk = bench.path("disk");
-    let Some(_disk) = SmallDisk::mount(&disk, "size=32k") else { return };
+    let Some(_disk) = SmallDisk::mount(&disk, "size=32k") else { return skipped(NO_DISK) };
     for name in ["r.obj", "r.json", "h.png"] {
         bench.write(&format!("disk/{name}"), "from last week");
     }
@@ -389,8 +391,7 @@ fn a_folder_that_cannot_be_written_is_an_error_of_writing() {
     permissions.set_readonly(true);
     let _ = fs::set_permissions(&folder, permissions); // a read-only disk needs none
     if fs::write(folder.join("probe"), "").is_ok() {
-        println!("skipped: nothing is closed to this process");
-        return;
+        return skipped("nothing is closed to this process");
     }
     unwritten(&bench, &format!("{FIT} --model rigid --out closed/r.obj"), &["closed/r.obj", "cannot be written"]);
     unwritten(&bench, &format!("{FIT} --out r.obj --picture closed/r.png"), &["closed/r.png", "cannot be written"]);

@@ -12,6 +12,8 @@ mod help;
 mod refusal;
 #[path = "../support/repeats.rs"]
 mod repeats;
+#[path = "../support/skip.rs"]
+mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 

@@ -4,6 +4,8 @@
 mod awkward;
 #[path = "../support/real_data.rs"]
 mod real_data;
+#[path = "../support/skip.rs"]
+mod skip;
 
 mod awkward_meshes;
 mod real_meshes;

@@ -1,7 +1,9 @@
 //! Real files, when they lie beside the checkout or where `NONRIGID_DATA` points; skipped otherwise.
 
+use nonrigid::evaluation::TruthErrors;
 use nonrigid::io::{read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan, write_obj};
 use nonrigid::landmark::{TemplatePoint, read_landmarks};
+use nonrigid::mesh::Vec3;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
@@ -116,4 +118,33 @@ fn the_other_scans_and_their_landmarks() {
     assert!(landmarks.iter().all(|l| tree.query_within(&l.target, 1e-6).is_some()));
     // names such as "00" are no vertex indices
     assert!(read_landmarks(&wrap, None, &template, Some(&scan.mesh)).is_err());
+}
+
+/// What numpy makes of the same perturbation of two simulated scans' truth (4 decimals):
+/// `truth + a_i sin((0.7 i, 1.3 i + 1, 0.11 i + 2))`, a_i = 3 mm for every 50th vertex and 0.4 mm for the others.
+#[test]
+fn errors_agree_with_the_reference_scorer() {
+    let reference = [
+        ("same_open", [0.7106, 0.4926, 0.6514, 5.0714, 0.4274, 0.5677, 0.7289], 425),
+        ("new_asym", [0.7066, 0.4922, 0.6508, 5.0714, 0.4171, 0.5703, 0.751], 410),
+    ];
+    for (case, expected, flipped) in reference {
+        let Some(template) = real_data("ict-facekit/narrow/template.obj") else { return };
+        let Some(folder) = real_data(&format!("scanner-bench/{case}")) else { return };
+        let triangles = read_polygon_mesh(&template).unwrap().into_triangles().triangles;
+        let truth = read_npy_points(&folder.join("truth.npy")).unwrap();
+        let observed = read_npy_mask(&folder.join("observed.npy"), None).unwrap();
+        let perturbed = |(i, t): (usize, &Vec3)| {
+            let (amplitude, i) = (if i % 50 == 0 { 3.0 } else { 0.4 }, i as f64);
+            t + Vec3::new((0.7 * i).sin(), (1.3 * i + 1.0).sin(), (0.11 * i + 2.0).sin()) * amplitude
+        };
+        let result: Vec<Vec3> = truth.iter().enumerate().map(perturbed).collect();
+        let (e, _) = TruthErrors::new(&result, &truth, &observed, &triangles).unwrap();
+        for (ours, theirs) in
+            [e.rmse, e.median, e.p95, e.max, e.normal, e.tangential, e.unobserved].iter().zip(expected)
+        {
+            assert!((ours - theirs).abs() < 5.1e-5, "{case}: {e:?}");
+        }
+        assert_eq!(e.flipped, flipped, "{case}");
+    }
 }

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-/// The file or folder of that name, if it is there; says so if it is not.
+use crate::skip::skipped;
+
+/// The file or folder of that name, if it is there; notes that something is skipped if it is not.
 pub fn real_data(name: &str) -> Option<PathBuf> {
     let folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("shared/data"));
     let path = match std::env::var_os("NONRIGID_DATA") {
@@ -10,7 +12,7 @@ pub fn real_data(name: &str) -> Option<PathBuf> {
         None => folders.map(|folder| folder.join(name)).find(|path| path.exists()),
     };
     if path.is_none() {
-        eprintln!("skipped: {name} is absent (set NONRIGID_DATA)");
+        skipped(format!("{name} is absent (set NONRIGID_DATA)"));
     }
     path
 }

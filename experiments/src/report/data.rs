@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::console::Failure;
+use nonrigid::io::files_of_mesh;
 use nonrigid::mesh::{Pose, PoseKind, Vec3, closest_pose};
 use nonrigid::registration::InputFile;
 
 use super::effort::Effort;
 use crate::generated::write_standard_cases;
-use crate::real_scans::SCANS;
+use crate::real_scans::{ScanFile, scans_in};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders};
 
 /// Rig and cases.
@@ -24,8 +25,19 @@ pub struct Data {
     pub rig: BenchRig,
     /// The cases, by the standard order or by name; at least one.
     pub cases: Vec<BenchCase>,
-    /// The user's rig and the folder of real scans, without truth, where there are any.
-    pub real: Option<[PathBuf; 2]>,
+    /// The user's rig and scans without truth, where there are any.
+    pub real: Option<RealScans>,
+}
+
+/// Scans without truth, and the rig that goes with them.
+#[derive(Debug, Clone)]
+pub struct RealScans {
+    /// Rig folder.
+    pub rig: PathBuf,
+    /// Folder of the scans.
+    pub folder: PathBuf,
+    /// The scans; at least one.
+    pub scans: Vec<ScanFile>,
 }
 
 impl Data {
@@ -53,19 +65,18 @@ impl Data {
         Ok(Self { rig_folder, cases_folder, generated: false, rig, cases, real: None })
     }
 
-    /// The user's own: cases with truth, folders with a `case.json`, anywhere below `scans`; and the real scans of
-    /// [`real_scans`](crate::real_scans), in it or in its folder `scans`. Without cases these are generated, as by
-    /// [`generate`](Self::generate).
+    /// The user's own: cases with truth, folders with a `case.json`, anywhere below `scans`; and [`RealScans::find`]. Without cases
+    /// these are generated, as by [`generate`](Self::generate).
     ///
     /// # Errors
     /// When something cannot be read, or there is neither.
     pub fn of_user(rig: &Path, scans: &Path, folder: &Path, effort: &Effort, seed: u64) -> Result<Self> {
-        let real = real_scans_in(scans);
+        let real = RealScans::find(rig, scans);
         let mut data = match (case_folders(scans), &real) {
             (Err(_), Some(_)) => Self::generate(folder, effort, seed)?,
             _ => Self::read(rig, scans)?,
         };
-        data.real = real.map(|scans| [rig.to_owned(), scans]);
+        data.real = real;
         Ok(data)
     }
 
@@ -93,22 +104,36 @@ impl Data {
     /// When one cannot be read.
     pub fn hashes(&self) -> Result<Vec<InputFile>> {
         let mut found = Vec::new();
-        let real = self.real.iter().flat_map(|[rig, scans]| [("rig of real scans", rig), ("real scans", scans)]);
-        for (role, folder) in [("rig", &self.rig_folder), ("cases", &self.cases_folder)].into_iter().chain(real) {
-            for path in files_below(folder)? {
+        let mut hash = |role: &'static str, folder: &Path, files: Vec<PathBuf>| -> Result<()> {
+            for path in files {
                 let mut file = InputFile::hash(role, &path).map_err(|e| unreadable(&path, &e))?;
                 file.name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
                 found.push(file);
             }
+            Ok(())
+        };
+        hash("rig", &self.rig_folder, files_below(&self.rig_folder)?)?;
+        hash("cases", &self.cases_folder, files_below(&self.cases_folder)?)?;
+        if let Some(RealScans { rig, folder, scans }) = &self.real {
+            hash("rig of real scans", rig, files_below(rig)?)?;
+            let files = scans.iter().flat_map(|s| files_of_mesh(&s.path).into_iter().chain(s.landmarks()));
+            hash("real scans", folder, files.collect())?;
         }
         Ok(found)
     }
 }
 
-/// The folder of the real scans: `scans`, or `scans` in it; where it holds one of them.
-#[must_use]
-pub fn real_scans_in(scans: &Path) -> Option<PathBuf> {
-    [scans.to_owned(), scans.join("scans")].into_iter().find(|f| SCANS.iter().any(|s| f.join(s.1).exists()))
+impl RealScans {
+    /// What [`scans_in`] finds in `scans/scans`, or else in `scans`, but for cases with truth, which have a `case.json` beside.
+    #[must_use]
+    pub fn find(rig: &Path, scans: &Path) -> Option<Self> {
+        let in_folder = |folder: PathBuf| {
+            let mut scans = scans_in(&folder, rig).unwrap_or_default();
+            scans.retain(|scan| !scan.path.with_file_name("case.json").exists());
+            (!scans.is_empty()).then(|| Self { rig: rig.to_owned(), folder, scans })
+        };
+        [scans.join("scans"), scans.to_owned()].into_iter().find_map(in_folder)
+    }
 }
 
 fn unreadable(path: &Path, e: &std::io::Error) -> Failure {

@@ -16,7 +16,7 @@ use nonrigid::self_test::Machine;
 use serde_json::json;
 
 pub mod claims;
-mod data;
+pub(crate) mod data;
 pub mod effort;
 mod page;
 mod studies;
@@ -24,7 +24,7 @@ mod study;
 pub mod table;
 
 use claims::{Judged, Measured, Verdict};
-use data::{Data, real_scans_in};
+use data::{Data, RealScans};
 use effort::Effort;
 use page::{Page, State};
 use studies::STUDIES;
@@ -52,8 +52,8 @@ pub struct Options {
     /// A rig of your own instead of the generated one, for studies of cases
     #[arg(long, value_name = "DIR", requires = "scans")]
     pub rig: Option<PathBuf>,
-    /// Its scans: cases with truth as data-gen writes them, anywhere below DIR, and real ones as real-scans reads them, there or
-    /// in DIR/scans
+    /// Its scans: cases with truth as data-gen writes them, anywhere below DIR, and real ones as real-scans finds them, in
+    /// DIR/scans or else in DIR
     #[arg(long, value_name = "DIR", requires = "rig")]
     pub scans: Option<PathBuf>,
     /// Other programs beside ours, run by this Python; `experiments peers --help` says how to install them [default: python3]
@@ -168,9 +168,11 @@ fn choose(options: &Options) -> Result<Vec<&'static Study>> {
         let message = format!("--only {unknown}: no study of that name; there are {known}");
         return Err(Failure::new(Stage::Arguments, message).into());
     }
-    let real = options.scans.as_deref().and_then(real_scans_in).is_some();
+    let own = options.rig.as_deref().zip(options.scans.as_deref());
+    let real = own.is_some_and(|(rig, scans)| RealScans::find(rig, scans).is_some());
     if names.iter().any(|n| n == studies::REAL) && !real {
-        let message = format!("--only {}: needs --rig, and --scans with a real scan", studies::REAL);
+        let message =
+            format!("--only {}: needs --rig, and --scans with a scan that no case.json is beside", studies::REAL);
         return Err(Failure::new(Stage::Arguments, message).into());
     }
     if names.iter().any(|n| n == studies::PEERS) && options.peers.is_none() {

@@ -78,6 +78,12 @@ const ROWS: &[Row] = &[
     ("consistency --population empty --rig rig --count 1", ARGUMENTS, &["--count", "1"]),
     ("consistency --population empty --rig rig --within 0", ARGUMENTS, &["--within", "positive"]),
     ("consistency --population empty --rig rig --identity-modes 1000", ARGUMENTS, &["--identity-modes", "the rig has"]),
+    // ceres
+    ("ceres --program nowhere", ARGUMENTS, &["--program nowhere", "experiments ceres --help"]),
+    ("ceres --program empty", ARGUMENTS, &["--program empty", "cannot be started"]),
+    ("ceres --program cargo --nonrigid nowhere", ARGUMENTS, &["--nonrigid nowhere", "cannot be started"]),
+    ("ceres --program cargo --nonrigid cargo --out file", WRITING, &["file"]),
+    ("ceres --seed one", ARGUMENTS, &["--seed", "one"]),
     // start-bench
     ("dev start-bench --rig rig", ARGUMENTS, &["DIR_OR_SCAN"]),
     ("dev start-bench cases", ARGUMENTS, &["--rig"]),
@@ -90,11 +96,14 @@ const ROWS: &[Row] = &[
     ("dev start-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "inf"]),
     ("dev start-bench scan_in_metres/one/scan.ply --rig rig", LOADING, &["scan.ply", "a face in m"]),
     // real-scans
+    ("real-scans --rig rig", ARGUMENTS, &["--scans"]),
+    ("real-scans --scans cases", ARGUMENTS, &["--rig"]),
     ("real-scans --rig rig --scans nowhere", LOADING, &["nowhere", "--scans"]),
-    ("real-scans --rig rig --scans empty", LOADING, &["empty", "none of the scans"]),
-    ("real-scans --rig nowhere --scans empty", LOADING, &["--rig", "nowhere"]),
-    ("real-scans --rig rig --scans empty --models magic", ARGUMENTS, &["magic", "hybrid"]),
-    ("real-scans --rig rig --scans empty --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
+    ("real-scans --rig rig --scans empty", LOADING, &["empty", "no mesh", ".ply"]),
+    ("real-scans --rig rig --scans scan_in_metres", LOADING, &["none of the scans", "a face in m"]),
+    ("real-scans --rig nowhere --scans cases", LOADING, &["--rig", "nowhere"]),
+    ("real-scans --rig rig --scans cases --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("real-scans --rig rig --scans cases --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
     // silence
     ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
     ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),

@@ -1,13 +1,14 @@
 //! The program `experiments`: what its commands leave, promise and refuse.
 
-#[path = "../../../tests/support/real_data.rs"]
-mod real_data;
 #[path = "../../../tests/support/refusal.rs"]
 mod refusal;
 #[path = "../../../tests/support/repeats.rs"]
 mod repeats;
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
 mod bad_input;
+mod ceres;
 mod consistency;
 mod determinism;
 mod peers;

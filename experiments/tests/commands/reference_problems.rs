@@ -8,16 +8,13 @@ use experiments::more_garbow_hillstrom::{Found, failures, more_garbow_hillstrom}
 use experiments::nist::nist;
 use nonrigid::nlls::StopReason;
 
-use crate::real_data::real_data;
-
 fn command(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_experiments")).args(arguments).output().unwrap()
 }
 
 #[test]
 fn levenberg_marquardt_reaches_all_certified_parameters() {
-    let Some(folder) = real_data("nist") else { return };
-    let rows = nist(&folder).unwrap();
+    let rows = nist(None).unwrap();
     assert_eq!(rows.len(), 54);
     for row in &rows {
         let outcome = &row.levenberg_marquardt;
@@ -33,8 +30,7 @@ fn levenberg_marquardt_reaches_all_certified_parameters() {
 
 #[test]
 fn nist_on_the_command_line() {
-    let Some(folder) = real_data("nist") else { return };
-    let output = command(&["dev", "nist", "--json", "--data", folder.to_str().unwrap()]);
+    let output = command(&["dev", "nist", "--json"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((json["passed"].as_u64(), json["total"].as_u64()), (Some(54), Some(54)));
@@ -51,7 +47,7 @@ fn nist_on_the_command_line() {
         expected.iter().for_each(|e| assert!(error.contains(e), "{error}"));
     };
     said(&["Bennett5.dat"]);
-    copy_all(&folder, copy.path());
+    copy_all(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/nist")), copy.path());
     let misra = copy.path().join("Misra1a.dat");
     let text = fs::read_to_string(&misra).unwrap();
     fs::write(&misra, "nothing").unwrap();
@@ -123,15 +119,14 @@ fn closed_pipe() -> Stdio {
 
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
-    let nist = real_data("nist").map(|folder| folder.to_str().unwrap().to_owned());
-    let mut commands = vec![
+    let commands = [
         vec!["dev", "more-garbow-hillstrom"],
         vec!["dev", "more-garbow-hillstrom", "--json"],
+        vec!["dev", "nist"],
+        vec!["dev", "nist", "--json"],
         vec!["--help"],
         vec!["--version"],
     ];
-    commands.extend(nist.iter().map(|folder| vec!["dev", "nist", "--json", "--data", folder]));
-    commands.extend(nist.iter().map(|folder| vec!["dev", "nist", "--data", folder]));
     for arguments in commands {
         assert_eq!(into(closed_pipe(), &arguments), (Some(0), String::new()), "{arguments:?}");
         // Linux has a file that is always full.

@@ -2,6 +2,8 @@
 
 #[path = "../../../tests/support/real_data.rs"]
 mod real_data;
+#[path = "../../../tests/support/skip.rs"]
+mod skip;
 
 mod real_scans;
 mod scan_bench;

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::generated::Studio;
-use crate::real_scans::{Arguments, SCANS, register_all};
+use crate::real_scans::{Arguments, register_all};
 use crate::report::study::{Block, Section, Setting, Study, labelled, spread};
 use crate::report::table::{Table, number};
 use crate::surgery::Patient;
@@ -101,21 +101,21 @@ fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
         let (name, mesh) = (format!("{vertices} vertices"), studio.template().clone());
         all.push(Patient::new(name, mesh, Some(&studio.landmarks()), ShapeBasis::none())?);
     }
-    let Some([rig_folder, scans]) = setting.data.real.clone() else { return Ok(all) };
+    let Some(real) = &setting.data.real else { return Ok(all) };
     let out = setting.out.join("presets");
-    let models = vec![ModelKind::Hybrid];
-    register_all(&Arguments {
-        scans,
-        rig: rig_folder,
+    let arguments = Arguments {
+        scans: real.folder.clone(),
+        rig: real.rig.clone(),
         identity_modes: IDENTITY_MODES,
-        models,
+        models: vec![ModelKind::Hybrid],
         out: out.clone(),
         threads: None,
-    })?;
-    for (name, _) in SCANS {
-        let path = out.join(name).join("hybrid.obj");
+    };
+    register_all(&arguments, &real.scans)?;
+    for scan in &real.scans {
+        let path = out.join(&scan.name).join("hybrid.obj");
         if path.exists() {
-            all.push(of(name, read_polygon_mesh(&path)?)?);
+            all.push(of(&scan.name, read_polygon_mesh(&path)?)?);
         }
     }
     Ok(all)

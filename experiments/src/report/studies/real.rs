@@ -21,18 +21,18 @@ pub const STUDY: Study = Study {
 const IDENTITY_MODES: usize = 40;
 
 fn run(setting: &Setting<'_>) -> Result<Section> {
-    let Some([rig, scans]) = setting.data.real.clone() else {
-        bail!("--scans holds none of the real scans, in it or in its folder scans");
+    let Some(real) = &setting.data.real else {
+        bail!("--scans holds no scan but cases with truth");
     };
     let arguments = Arguments {
-        scans,
-        rig,
+        scans: real.folder.clone(),
+        rig: real.rig.clone(),
         identity_modes: IDENTITY_MODES,
         models: setting.effort.models.clone(),
         out: setting.out.join("real"),
         threads: None,
     };
-    let (rows, picture) = register_all(&arguments)?;
+    let (rows, picture) = register_all(&arguments, &real.scans)?;
     let mut table = Table::new(&[&["scan", "model"][..], &COLUMNS, &["error"]].concat());
     for row in &rows {
         let mut cells = vec![row.scan.clone(), row.model.clone()];
