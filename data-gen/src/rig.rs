@@ -1,5 +1,6 @@
 //! The rig at one resolution: template, shapes, landmarks and regions per vertex.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -121,13 +122,17 @@ impl FaceRig {
                 _ => expressions.push((shape.name.clone(), deltas)),
             }
         }
-        let landmark = |(k, vertex): (usize, &u32)| Landmark { name: k.to_string(), vertex: *vertex };
+        let numbered = |(k, vertex): (usize, &u32)| Landmark { name: k.to_string(), vertex: *vertex };
+        let landmarks = match rig.landmarks() {
+            Some(all) => all.iter().enumerate().map(numbered).collect(),
+            None => named_landmarks(&path.join("landmarks.json"), rig.neutral().len())?,
+        };
         Ok(Self {
             mesh: mesh.clone(),
             neutral: rig.neutral().to_vec(),
             expressions,
             identities,
-            landmarks: rig.landmarks().unwrap_or_default().iter().enumerate().map(landmark).collect(),
+            landmarks,
             anthropometric: Vec::new(),
             regions: Vec::new(),
             places: Vec::new(),
@@ -141,6 +146,20 @@ impl FaceRig {
         let weights = FaceWeights { expressions: Vec::new(), identity: identity_weights.to_vec() };
         self.model.as_ref().map(|model| model.eyeballs(&weights))
     }
+}
+
+/// The landmarks of a rig that is no face, `{"name": vertex, ...}`, in the order of their names; none where there is no such file.
+fn named_landmarks(path: &Path, vertices: usize) -> anyhow::Result<Vec<Landmark>> {
+    if !path.is_file() {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let named: BTreeMap<String, u32> = serde_json::from_str(&text)
+        .with_context(|| format!("{}: expected {{\"name\": vertex, ...}}", path.display()))?;
+    if let Some((name, vertex)) = named.iter().find(|(_, v)| **v as usize >= vertices) {
+        anyhow::bail!("{}: {name:?} is vertex {vertex}, but there are {vertices}", path.display());
+    }
+    Ok(named.into_iter().map(|(name, vertex)| Landmark { name, vertex }).collect())
 }
 
 /// Quads sorted by region, with a texture coordinate per vertex: its place on the flat face.
@@ -224,6 +243,20 @@ mod tests {
 
     fn rig(vertices: usize) -> FaceRig {
         FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() })
+    }
+
+    #[test]
+    fn landmarks_by_name_are_vertices_that_exist() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("landmarks.json");
+        assert_eq!(named_landmarks(&path, 9).unwrap(), []);
+        std::fs::write(&path, r#"{"toe": 8, "hip": 2}"#).unwrap();
+        let of = |name: &str, vertex| Landmark { name: name.to_owned(), vertex };
+        assert_eq!(named_landmarks(&path, 9).unwrap(), [of("hip", 2), of("toe", 8)]);
+        let message = |vertices| named_landmarks(&path, vertices).unwrap_err().to_string();
+        assert!(message(8).ends_with("\"toe\" is vertex 8, but there are 8"), "{}", message(8));
+        std::fs::write(&path, "[1, 2]").unwrap();
+        assert!(message(9).contains("expected {\"name\": vertex, ...}"), "{}", message(9));
     }
 
     #[test]

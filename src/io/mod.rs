@@ -36,7 +36,7 @@ pub use off::parse_off;
 pub use plan::{FilePlan, PlanError, check_files};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
-pub use unit::{FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
+pub use unit::{BODY_EXTENT, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
 pub use xyz::parse_xyz;
 
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};

@@ -2,7 +2,8 @@
 //!
 //! Most formats state no unit. That of a face, head or bust can be told from its size: metric units are ten times apart or more,
 //! faces are not. Inches are 2.54 cm, so that one number may be a small face in centimetres and a large one in inches: what is
-//! likely in one of them only is taken for that, and said; the rest has to be stated.
+//! likely in one of them only is taken for that, and said; the rest has to be stated. What is as large as a body in millimetres, and no face
+//! in any unit, is in millimetres.
 
 use std::fmt;
 use std::path::Path;
@@ -15,6 +16,8 @@ use crate::mesh::Vec3;
 
 /// From where to where the extent of a face, head or bust lies, millimetres: see [`face_extent`].
 pub const FACE_EXTENT: [f64; 2] = [100.0, 900.0];
+/// From where to where that of a body lies, millimetres: in that unit alone a body is told by its size.
+pub const BODY_EXTENT: [f64; 2] = [900.0, 5000.0];
 /// Where nearly all of them lie: from a child's face without ears to a head with its neck.
 pub const LIKELY_EXTENT: [f64; 2] = [150.0, 450.0];
 
@@ -36,7 +39,7 @@ pub enum LengthUnit {
 /// What the size of a face says of its unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FaceUnit {
-    /// In this unit alone has it the size of a face.
+    /// In this unit alone has it the size of a face, or in millimetres that of a body.
     One(LengthUnit),
     /// In both, but in the second it would be unlikely.
     Likely(LengthUnit, LengthUnit),
@@ -85,6 +88,7 @@ impl FaceUnit {
         let metric = metric.into_iter().find(|unit| within(*unit, FACE_EXTENT));
         let inch = LengthUnit::Inch;
         match metric {
+            None if within(LengthUnit::Millimetre, BODY_EXTENT) => Self::One(LengthUnit::Millimetre),
             None => Self::Unknown,
             Some(unit) if !within(inch, FACE_EXTENT) => Self::One(unit),
             Some(unit) if within(unit, LIKELY_EXTENT) && !within(inch, LIKELY_EXTENT) => Self::Likely(unit, inch),
@@ -221,6 +225,15 @@ mod tests {
             assert_eq!(FaceUnit::of(millimetres / 10.0), of_centimetres, "{millimetres} mm in centimetres");
             assert_eq!(FaceUnit::of(millimetres), FaceUnit::One(LengthUnit::Millimetre));
         }
+    }
+
+    #[test]
+    fn a_body_is_told_in_millimetres() {
+        for extent in [950.0, 1500.0, 4000.0] {
+            assert_eq!(FaceUnit::of(extent), FaceUnit::One(LengthUnit::Millimetre));
+        }
+        // In metres it is as large as nothing that is known.
+        assert_eq!(FaceUnit::of(1.5), FaceUnit::Unknown);
     }
 
     #[test]

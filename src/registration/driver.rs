@@ -48,7 +48,7 @@ pub fn register_with(
     schedule: &Schedule,
     observer: &mut dyn RegistrationObserver,
 ) -> Result<RegistrationResult, RegistrationError> {
-    let schedule = schedule.resolved(model, terms)?;
+    let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     check_input(input, model)?;
     let mut run = Run::new(input, model, terms, &schedule, start::Cancel(observer.cancel()))?;
     run.all_stages(&schedule, input.warm_start.is_some(), observer)?;

@@ -9,10 +9,11 @@ use thiserror::Error;
 use super::StartOptions;
 use crate::correspondence::{Acceptance, ScanOptions};
 use crate::energy::{Options, OptionsError, nearest_key};
-use crate::mesh::PoseKind;
+use crate::mesh::adjacency::EdgeGraph;
+use crate::mesh::{PolygonMesh, PoseKind};
 use crate::model::{ModelFactory, ModelKind};
 use crate::nlls::{Kernel, LinearSolverKind};
-use crate::rig::{Family, Shape};
+use crate::rig::{Family, Shape, ShapeBasis};
 use crate::term::TermFactory;
 use crate::text;
 
@@ -64,6 +65,22 @@ pub struct Schedule {
     /// What comes after the last level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub then: Option<Box<Stage>>,
+    /// What to do instead where the subject is closed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub closed: Option<Box<ClosedSubject>>,
+}
+
+/// Model options and levels for bodies, bones and the like: for templates without any open edge whose shapes are all of identity. A
+/// face has openings and expressions. Everything else is as the schedule says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClosedSubject {
+    /// What the model is told.
+    #[serde(default)]
+    pub model: Options,
+    /// The levels, stiff to soft.
+    #[serde(rename = "level")]
+    pub levels: Vec<Level>,
 }
 
 /// A further stage: another model deforms the shape that the stage before has found, with levels of its own. Everything
@@ -439,6 +456,9 @@ pub enum ScheduleError {
         "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
     )]
     NoSecondStage,
+    /// In [`Schedule::closed`].
+    #[error("closed: {0}")]
+    Closed(Box<ScheduleError>),
 }
 
 fn in_table(place: &str, error: &OptionsError) -> String {
@@ -525,6 +545,9 @@ impl Schedule {
                 "above 0 and at most 180 degrees",
             )?;
         }
+        if let Some(closed) = self.of_closed() {
+            closed.validate().map_err(|e| ScheduleError::Closed(Box::new(e)))?;
+        }
         for (k, stage) in self.later_stages().enumerate() {
             let model = stage.model.name;
             if model.uses_shapes() {
@@ -546,6 +569,11 @@ impl Schedule {
         }
         let place = |error, place: String| ScheduleError::Options { place, error };
         let mut resolved = self.clone();
+        if let (Some(closed), Some(resolved)) = (self.of_closed(), &mut resolved.closed) {
+            let Self { model, levels, .. } =
+                closed.resolved(model, terms).map_err(|e| ScheduleError::Closed(Box::new(e)))?;
+            **resolved = ClosedSubject { model, levels };
+        }
         resolved.model = model.options(&self.model).map_err(|e| place(e, "model".into()))?;
         for term in terms {
             let given = self.terms.get(term.name()).cloned().unwrap_or_default();
@@ -564,6 +592,21 @@ impl Schedule {
             stage = next.then.as_deref_mut();
         }
         Ok(resolved)
+    }
+
+    /// The schedule for closed subjects, if there is one of their own.
+    fn of_closed(&self) -> Option<Self> {
+        let ClosedSubject { model, levels } = self.closed.as_deref()?.clone();
+        Some(Self { model, levels, closed: None, ..self.clone() })
+    }
+
+    /// The schedule for this template and these shapes: [`closed`](Self::closed) has been decided.
+    #[must_use]
+    pub fn of_subject(&self, template: &PolygonMesh, shapes: &ShapeBasis) -> Self {
+        let identities = || !shapes.is_empty() && shapes.shapes().iter().all(|s| s.family == Family::Identity);
+        let open = || EdgeGraph::of(&template.triangulate()).boundary_vertices().contains(&true);
+        let of_closed = self.of_closed().filter(|_| identities() && !open());
+        of_closed.unwrap_or_else(|| Self { closed: None, ..self.clone() })
     }
 
     /// The next stage's model, and the schedule as if that stage were the first.
@@ -643,6 +686,41 @@ fn check(field: String, value: f64, holds: bool, bound: &'static str) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::{TriangleMesh, Vec3};
+    use crate::term::TERMS;
+
+    #[test]
+    fn a_closed_subject_of_identities_alone_has_levels_of_its_own() {
+        let schedule = ModelKind::Hybrid.schedule().unwrap();
+        let corners = vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z()];
+        let faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
+        let mesh = |triangles: &[[u32; 3]]| {
+            PolygonMesh::from(TriangleMesh { positions: corners.clone(), triangles: triangles.to_vec() })
+        };
+        let (closed, open) = (mesh(&faces), mesh(&faces[1..]));
+        let shapes = |families: &[Family]| {
+            let shape = |(k, family): (usize, &Family)| Shape { name: format!("shape {k}"), family: *family };
+            ShapeBasis::new(families.iter().enumerate().map(shape).collect(), vec![0.5; 12 * families.len()])
+        };
+        let identities = shapes(&[Family::Identity; 2]);
+        let own = schedule.of_subject(&closed, &identities);
+        let stated = schedule.closed.clone().unwrap();
+        assert_eq!((&own.model, &own.levels), (&stated.model, &stated.levels));
+        assert!(own.closed.is_none() && own.levels != schedule.levels);
+        let expressive = shapes(&[Family::Identity, Family::Expression]);
+        for (template, shapes) in [(&open, &identities), (&closed, &expressive), (&closed, &ShapeBasis::none())] {
+            let of_faces = schedule.of_subject(template, shapes);
+            assert_eq!(of_faces, Schedule { closed: None, ..schedule.clone() });
+        }
+        // What is wrong in it is found whatever the subject, and said to be there.
+        let text = ModelKind::Hybrid.default_schedule();
+        let wrong = text.replacen("node = \"affine\"", "knode = \"affine\"", 1);
+        let error = Schedule::from_toml(&wrong).unwrap().resolved(&ModelKind::Hybrid, &TERMS).unwrap_err().to_string();
+        assert!(error.starts_with("closed: ") && error.contains("did you mean `node`"), "{error}");
+        let last = text.rfind("steps = 3").unwrap();
+        let error = Schedule::from_toml(&format!("{}steps = 0{}", &text[..last], &text[last + 9..])).unwrap_err();
+        assert!(error.to_string().starts_with("closed: level 6: steps"), "{error}");
+    }
 
     #[test]
     fn an_unknown_key_is_answered_with_the_nearest_and_a_former_one_with_what_stands_for_it() {

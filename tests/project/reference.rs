@@ -215,7 +215,7 @@ fn the_reference_of_schedules_is_that_of_the_code() {
         "start" => f.doc += " Default `\"rigid\"`.",
         "model" => f.doc = "What is true of the model at all levels. See [Models](#models).".into(),
         "terms" => f.doc = "What is true of a data term at all levels. See [Data terms](#data-terms).".into(),
-        "level" | "then" => f.doc += &format!(" See [below](#{}).", f.name),
+        "level" | "then" | "closed" => f.doc += &format!(" See [below](#{}).", f.name),
         name if tables.contains(&name) => f.doc += &format!(" See [below](#{name})."),
         _ => {}
     });
@@ -299,6 +299,8 @@ fn the_reference_of_schedules_is_that_of_the_code() {
     page.truncate(page.trim_end().len());
     page += "\n\n## \\[then\\] {#then}\n\n";
     write!(page, "{}\n\n{}", entries(schedule, "Stage").0, table(&entries(schedule, "Stage").1, None)).unwrap();
+    let (doc, fields) = entries(schedule, "ClosedSubject");
+    write!(page, "\n## \\[closed\\] {{#closed}}\n\n{doc}\n\n{}", table(&fields, None)).unwrap();
     check(repository(), "schedule.md", &page);
 }
 

@@ -155,6 +155,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 levels: next_levels,
                 then: None,
             })),
+            closed: None,
         }
     })
 }

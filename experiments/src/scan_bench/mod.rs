@@ -254,6 +254,7 @@ impl LandmarkUse {
 /// Changes the levels of all stages.
 pub fn each_level(schedule: &mut Schedule, mut change: impl FnMut(&mut Level)) {
     schedule.levels.iter_mut().for_each(&mut change);
+    schedule.closed.iter_mut().flat_map(|closed| &mut closed.levels).for_each(&mut change);
     let mut stage = schedule.then.as_deref_mut();
     while let Some(Stage { levels, then, .. }) = stage {
         levels.iter_mut().for_each(&mut change);
