@@ -97,6 +97,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
             [&[axis("bilaplacian", &[0.0, 1.0], 0), axis("cotangent", &[0.0, 1.0], 0)], &smooth[..]].concat()
         }
         ModelKind::Affine => [&[axis("gamma", &[0.1, 0.3, 1.0, 3.0, 10.0], 2)], &smooth[..]].concat(),
+        ModelKind::MassSpring | ModelKind::Fem | ModelKind::Ffd => smooth.to_vec(),
         ModelKind::Arap => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
     };
     axes.push(axis("landmarks last", LANDMARKS_LAST, 2));

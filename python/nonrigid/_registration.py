@@ -29,6 +29,9 @@ Model = Literal[
     "sumner",
     "arap",
     "affine",
+    "mass_spring",
+    "fem",
+    "ffd",
     "free",
     "rigid",
     "similarity",
@@ -246,7 +249,7 @@ def register(
     (vertices (L,), points (L, 3)). template_landmarks: what names mean, a file or {name: vertex or point}. With fewer than three landmarks the
     start is searched.
 
-    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "graph", "sumner", "arap", "affine", "free", "rigid" or "similarity".
+    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "graph", "sumner", "arap", "affine", "mass_spring", "fem", "ffd", "free", "rigid" or "similarity".
     schedule: a `Schedule`, its keys, or a TOML file; the model's own unless stated.
 
     neutral: the subject's own neutral, (V, 3) or a file. mask: (V,) from 0 to 1, what the scan says counts so much; free_mask: 1 for vertices
@@ -262,7 +265,7 @@ def register(
     Raises ValueError or TypeError for inputs that cannot be used, FileNotFoundError and other OSErrors for files that cannot be read,
     ComputationError if no start is found, nothing overlaps, or the solver fails.
 
-    Source: Klimov 2020 (hybrid); Bhat et al. 2013; Sumner et al. 2007; Sorkine & Alexa 2007; Amberg et al. 2007.
+    Source: Klimov 2020 (hybrid); Bhat et al. 2013; Sumner et al. 2007; Sorkine & Alexa 2007; Amberg et al. 2007; Balaniuk et al. 2006; Mueller & Gross 2004; Sederberg & Parry 1986.
 
     >>> import numpy as np, nonrigid
     >>> x, y = np.meshgrid(np.arange(9.) * 10, np.arange(9.) * 10)

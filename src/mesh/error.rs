@@ -29,6 +29,15 @@ pub enum MeshError {
         /// The offending length.
         length: f64,
     },
+    /// A lattice is too fine for the surface.
+    #[error("the surface goes through too many cells of {spacing}; choose a larger spacing")]
+    TooManyCells {
+        /// Side of a cell.
+        spacing: f64,
+    },
+    /// No triangle has an area.
+    #[error("no triangle has an area: the corners of each lie on a line")]
+    NoArea,
     /// Lengths do not belong to the edges.
     #[error("found {found} edge lengths, expected {expected}")]
     EdgeLengthCount {

@@ -6,17 +6,20 @@ pub mod adjacency;
 pub mod closest_point;
 mod error;
 pub mod geodesic;
+mod inner_layer;
 mod mirror_plane;
 pub mod normals;
 mod oriented_points;
 mod polygon_mesh;
 mod pose;
 pub mod srgb;
+pub mod surface_lattice;
 #[cfg(test)]
 pub(crate) mod testing;
 mod triangle_mesh;
 
 pub use error::MeshError;
+pub use inner_layer::{InnerLayer, determinant};
 pub use mirror_plane::MirrorPlane;
 pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};

@@ -165,7 +165,7 @@ impl Arap {
         Ok(Self {
             lambda_smooth,
             options,
-            assembly: VertexAssembly::new(n.clone(), &edges),
+            assembly: VertexAssembly::new(n.clone(), n.len(), &edges.joined()),
             stars: Stars { starts, spokes },
             fitted: Fit::default(),
             stiffness: Vec::new(),

@@ -102,6 +102,11 @@ impl WeightedEdges {
         Ok(Self { edges, weights, of_mesh, boundary: graph.boundary_vertices() })
     }
 
+    /// The edges of weight other than zero.
+    pub fn joined(&self) -> Vec<[u32; 2]> {
+        self.edges.iter().zip(&self.weights).filter(|(_, w)| **w != 0.0).map(|(e, _)| *e).collect()
+    }
+
     /// The other end and the weight of every edge at each vertex, ties included; edges in order.
     pub fn stars(&self, vertex_count: usize) -> Vec<Vec<(u32, f64)>> {
         let mut stars = vec![Vec::new(); vertex_count];

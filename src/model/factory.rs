@@ -51,6 +51,16 @@ pub struct ModelInput<'a> {
     pub options: &'a Options,
     /// Number of vertices of the template that the schedule's weights are meant for.
     pub reference_vertices: f64,
+    /// Length of one of the schedule's millimetres in the frame of `rest`.
+    pub unit: f64,
+}
+
+impl ModelInput<'_> {
+    /// A length of so many of the schedule's millimetres in the frame of `rest`; positive even if the template is one point.
+    #[must_use]
+    pub fn length(&self, millimetres: f64) -> f64 {
+        (millimetres * self.unit).max(f64::MIN_POSITIVE)
+    }
 }
 
 /// Builds a model for a template. Implement this for your own model to register with it and to see it in `scan_bench`.
@@ -159,7 +169,7 @@ pub enum ModelError {
     Other(String),
 }
 
-/// `[level.model]` of models with one regulariser: free vertices, ARAP, per-vertex affine maps, and [`Autodiff`].
+/// `[level.model]` of models with one regulariser: free vertices, ARAP, per-vertex affine maps, springs, and [`Autodiff`].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SmoothLevel {

@@ -17,12 +17,12 @@
 //! leading directions.
 
 use nalgebra::{Matrix3, SymmetricEigen};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
-use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, parameters, row_position};
+use super::smooth_rows::SmoothRows;
+use super::vertex_assembly::{VertexAssembly, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
@@ -61,94 +61,54 @@ pub struct Free {
     pub lambda_smooth: f64,
     assembly: VertexAssembly,
     rows: SmoothRows,
-    /// Residuals of the rows at the last `x`.
-    residuals: Vec<Vec3>,
-    /// `R'R`, a scalar for every stored block.
-    stiffness: Vec<f64>,
-    /// Per block, the (row, coefficient) in which its vertex takes part.
-    uses: Vec<Vec<(u32, f64)>>,
 }
 
-/// Residuals `r_m = sum_k c_mk d_k`: what is squared and summed.
-struct SmoothRows {
-    starts: Vec<u32>,
-    vertices: Vec<u32>,
-    coefficients: Vec<f64>,
+/// Adds `scale sum_j c_j (d_i - d_j)`.
+fn push_star(rows: &mut SmoothRows, i: u32, scale: f64, star: &[(u32, f64)]) {
+    let own = (i, scale * star.iter().map(|s| s.1).sum::<f64>());
+    let others = star.iter().filter(|s| s.1 != 0.0).map(|&(j, c)| (j, -scale * c));
+    rows.push([own].into_iter().chain(others));
 }
 
-impl SmoothRows {
-    fn new() -> Self {
-        Self { starts: vec![0], vertices: Vec::new(), coefficients: Vec::new() }
+fn laplacian(edges: &WeightedEdges) -> SmoothRows {
+    let mut rows = SmoothRows::new();
+    for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights) {
+        push_star(&mut rows, i, w.sqrt(), &[(j, 1.0)]);
     }
+    rows
+}
 
-    fn len(&self) -> usize {
-        self.starts.len() - 1
-    }
-
-    /// Adds `scale sum_j c_j (d_i - d_j)`.
-    fn push(&mut self, i: u32, scale: f64, star: &[(u32, f64)]) {
-        self.vertices.push(i);
-        self.coefficients.push(scale * star.iter().map(|s| s.1).sum::<f64>());
-        for &(j, c) in star.iter().filter(|s| s.1 != 0.0) {
-            self.vertices.push(j);
-            self.coefficients.push(-scale * c);
+fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> SmoothRows {
+    let count = mesh.positions.len();
+    let of_mesh = WeightedEdges {
+        edges: edges.edges[..edges.of_mesh].to_vec(),
+        weights: edges.weights[..edges.of_mesh].to_vec(),
+        ..edges.clone()
+    };
+    let mut stars = of_mesh.stars(count);
+    let used = stars.iter().filter(|s| !s.is_empty()).count().max(1) as f64;
+    // In units of the mean area, then of the reference vertex': uniform weights know no areas.
+    let areas: Vec<f64> = match options.weights {
+        EdgeWeights::Uniform => vec![options.reference_vertices / used; count],
+        EdgeWeights::Cotangent => {
+            let areas = vertex_areas(&mesh.positions, &mesh.triangles);
+            let mean = areas.iter().sum::<f64>() / used;
+            let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
+            areas.into_iter().map(|a| relative(a) * options.reference_vertices / used).collect()
         }
-        self.starts.push(self.vertices.len() as u32);
-    }
-
-    fn range(&self, row: usize) -> std::ops::Range<usize> {
-        self.starts[row] as usize..self.starts[row + 1] as usize
-    }
-
-    fn vertices(&self, row: usize) -> &[u32] {
-        &self.vertices[self.range(row)]
-    }
-
-    fn of(&self, row: usize) -> impl Iterator<Item = (u32, f64)> + Clone + '_ {
-        let range = self.range(row);
-        self.vertices[range.clone()].iter().copied().zip(self.coefficients[range].iter().copied())
-    }
-
-    fn laplacian(edges: &WeightedEdges) -> Self {
-        let mut rows = Self::new();
-        for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights) {
-            rows.push(i, w.sqrt(), &[(j, 1.0)]);
+    };
+    let mut rows = SmoothRows::new();
+    for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
+        if edges.boundary[i] {
+            take_out_slope(i, star, &mesh.positions);
         }
-        rows
+        push_star(&mut rows, i as u32, (1.0 / areas[i]).sqrt(), star);
     }
-
-    fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> Self {
-        let count = mesh.positions.len();
-        let of_mesh = WeightedEdges {
-            edges: edges.edges[..edges.of_mesh].to_vec(),
-            weights: edges.weights[..edges.of_mesh].to_vec(),
-            ..edges.clone()
-        };
-        let mut stars = of_mesh.stars(count);
-        let used = stars.iter().filter(|s| !s.is_empty()).count().max(1) as f64;
-        // In units of the mean area, then of the reference vertex': uniform weights know no areas.
-        let areas: Vec<f64> = match options.weights {
-            EdgeWeights::Uniform => vec![options.reference_vertices / used; count],
-            EdgeWeights::Cotangent => {
-                let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-                let mean = areas.iter().sum::<f64>() / used;
-                let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
-                areas.into_iter().map(|a| relative(a) * options.reference_vertices / used).collect()
-            }
-        };
-        let mut rows = Self::new();
-        for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
-            if edges.boundary[i] {
-                take_out_slope(i, star, &mesh.positions);
-            }
-            rows.push(i as u32, (1.0 / areas[i]).sqrt(), star);
-        }
-        // Ties have rows of their own: in the anchor's row the tied vertex would take up the bending there.
-        for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
-            rows.push(i, w.sqrt(), &[(j, 1.0)]);
-        }
-        rows
+    // Ties have rows of their own: in the anchor's row the tied vertex would take up the bending there.
+    for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
+        push_star(&mut rows, i, w.sqrt(), &[(j, 1.0)]);
     }
+    rows
 }
 
 /// Replaces the weights `w_ij` of a star by the `c_ij` that vanish on fields linear along the surface.
@@ -190,12 +150,11 @@ impl Free {
         let clamp = options.kind == Smoothness::Laplacian;
         let edges = WeightedEdges::new(mesh, options.weights, clamp)?;
         let rows = match options.kind {
-            Smoothness::Laplacian => SmoothRows::laplacian(&edges),
-            Smoothness::BiLaplacian => SmoothRows::bilaplacian(mesh, &edges, &options),
+            Smoothness::Laplacian => laplacian(&edges),
+            Smoothness::BiLaplacian => bilaplacian(mesh, &edges, &options),
         };
-        let assembly = VertexAssembly::new(mesh.positions.clone(), &edges);
-        let residuals = vec![Vec3::zeros(); rows.len()];
-        Ok(Self { lambda_smooth, assembly, rows, residuals, stiffness: Vec::new(), uses: Vec::new() })
+        let assembly = VertexAssembly::new(mesh.positions.clone(), mesh.positions.len(), &edges.joined());
+        Ok(Self { lambda_smooth, assembly, rows })
     }
 
     /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
@@ -225,15 +184,10 @@ impl Free {
     }
 
     fn place(&mut self, x: &[f64]) {
-        let (rows, assembly) = (&self.rows, &self.assembly);
-        let displacement = |v: u32| match assembly.block(v) {
+        let assembly = &self.assembly;
+        self.rows.place(|v| match assembly.block(v) {
             Some(block) => parameters(x, block),
             None => assembly.fixed[v as usize] - assembly.rest[v as usize],
-        };
-        self.residuals.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, r) in chunk.iter_mut().enumerate() {
-                *r = rows.of(c * CHUNK + k).map(|(v, c)| displacement(v) * c).sum();
-            }
         });
     }
 }
@@ -256,20 +210,8 @@ impl DeformationModel for Free {
     }
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {
-        let (rows, assembly) = (&self.rows, &mut self.assembly);
-        let structure = assembly.analyse(samples, (0..rows.len()).map(|m| rows.vertices(m)));
-        self.stiffness = vec![0.0; structure.slot_count()];
-        self.uses = vec![Vec::new(); structure.block_count()];
-        for m in 0..rows.len() {
-            let free = rows.of(m).filter_map(|(v, c)| assembly.block(v).map(|block| (block, c)));
-            for (a, c_a) in free.clone() {
-                self.uses[a].push((m as u32, c_a));
-                for (b, c_b) in free.clone().filter(|f| f.0 <= a) {
-                    let slot = structure.row_slots(a).start + row_position(&structure, a, b) as usize / 9;
-                    self.stiffness[slot] += c_a * c_b;
-                }
-            }
-        }
+        let structure = self.assembly.analyse(samples, self.rows.cliques());
+        self.rows.analyse(&structure, |v| self.assembly.block(v));
         structure
     }
 
@@ -284,19 +226,12 @@ impl DeformationModel for Free {
 
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
         self.place(x);
-        let sum: f64 = self.residuals.iter().map(Vec3::norm_squared).sum();
-        out.push(("smoothness", self.lambda_smooth * sum));
+        out.push(("smoothness", self.lambda_smooth * self.rows.energy()));
     }
 
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
         self.place(x);
-        let structure = equations.structure().clone();
-        let (stiffness, uses, residuals, lambda) = (&self.stiffness, &self.uses, &self.residuals, self.lambda_smooth);
-        equations.for_each_block_row(&|i, mut row| {
-            add_scalars(&mut row, &stiffness[structure.row_slots(i)], lambda);
-            let gradient: Vec3 = uses[i].iter().map(|&(m, c)| residuals[m as usize] * c).sum();
-            row.gradient.iter_mut().zip(&gradient).for_each(|(g, r)| *g += lambda * r);
-        });
+        self.rows.add_to(equations, self.lambda_smooth);
     }
 
     fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {

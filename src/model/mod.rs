@@ -8,18 +8,23 @@ mod arap;
 mod autodiff;
 mod blendshape;
 mod edge_weights;
+mod elements;
 mod factory;
+mod fem;
+mod ffd;
 mod flame;
 mod free;
 mod graph;
 mod hybrid;
 mod klimov2020;
+mod mass_spring;
 mod node_graph;
 mod node_options;
 mod rigid;
 mod rotation_fit;
 mod sequential;
 mod similarity;
+mod smooth_rows;
 mod sumner;
 mod transform;
 mod vertex_assembly;
@@ -30,9 +35,12 @@ pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
 pub use blendshape::{Blendshape, BlendshapeLevel, blendshape, blendshape_in_place};
 pub use edge_weights::EdgeWeights;
 pub use factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+pub use fem::{Fem, TissueOptions};
+pub use ffd::{Ffd, LatticeOptions};
 pub use free::{Free, FreeOptions, SmoothOptions, Smoothness};
 pub use graph::{Graph, graph, graph_of};
 pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
+pub use mass_spring::{MassSpring, SpringOptions};
 pub use node_graph::NodeGraph;
 pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
 pub use rigid::{Rigid, rigid};
@@ -89,6 +97,12 @@ models! {
     Arap => arap::Factory,
     /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
     Affine => affine::Factory,
+    /// Springs along the edges and through a layer of tissue (Balaniuk, Costa and Melo 2006; Van Gelder 1998).
+    MassSpring => mass_spring::Factory,
+    /// Soft tissue of corotational finite elements under the skin (Mueller and Gross 2004).
+    Fem => fem::Factory,
+    /// A lattice of control points round the surface (Sederberg and Parry 1986; Rueckert et al. 1999).
+    Ffd => ffd::Factory,
     /// Every vertex by itself, its displacement smooth.
     Free => free::Factory,
     /// Rigid motion.

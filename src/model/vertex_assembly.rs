@@ -6,7 +6,6 @@
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::edge_weights::WeightedEdges;
 use crate::energy::{Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::mesh::adjacency::EdgeGraph;
@@ -20,8 +19,10 @@ pub(super) const CHUNK: usize = 512;
 
 /// Vertices, their parameter blocks and how samples act on them.
 pub(super) struct VertexAssembly {
-    /// Rest positions, all vertices.
+    /// Rest positions: those of the template's vertices, then those of a model's own.
     pub rest: Vec<Vec3>,
+    /// How many vertices the template has.
+    of_template: usize,
     /// Positions of held vertices; of the others, those at rest.
     pub fixed: Vec<Vec3>,
     /// Parameter block of every vertex, or [`HELD`].
@@ -50,11 +51,9 @@ pub(super) struct VertexAssembly {
 }
 
 impl VertexAssembly {
-    /// All vertices free. Parts are what `edges` of weight other than zero join.
-    pub fn new(rest: Vec<Vec3>, edges: &WeightedEdges) -> Self {
-        let joined: Vec<[u32; 2]> =
-            edges.edges.iter().zip(&edges.weights).filter(|(_, w)| **w != 0.0).map(|(e, _)| *e).collect();
-        let components = EdgeGraph::from_pairs(rest.len(), &joined).components();
+    /// All vertices free, the first `of_template` of them those of the template. Parts are what `joined` joins.
+    pub fn new(rest: Vec<Vec3>, of_template: usize, joined: &[[u32; 2]]) -> Self {
+        let components = EdgeGraph::from_pairs(rest.len(), joined).components();
         let mut parts = components.labels().to_vec();
         let mut count = components.count() as u32;
         for part in parts.iter_mut().filter(|p| **p == crate::mesh::adjacency::Components::UNREFERENCED) {
@@ -66,6 +65,7 @@ impl VertexAssembly {
             blocks: (0..rest.len() as u32).collect(),
             vertices: (0..rest.len() as u32).collect(),
             rest,
+            of_template,
             single_starts: Vec::new(),
             single: Vec::new(),
             joint: Vec::new(),
@@ -80,16 +80,22 @@ impl VertexAssembly {
         }
     }
 
-    /// Holds the vertices marked in `held` at their `positions`; the others are free.
+    /// Number of the template's vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.of_template
+    }
+
+    /// Holds the template's vertices marked in `held` at their `positions`; the others are free.
     ///
     /// # Panics
     /// If there is not one mark and one position per vertex.
     pub fn hold(&mut self, held: &[bool], positions: &[Vec3]) {
-        assert_eq!(held.len(), self.rest.len(), "one mark per vertex");
-        assert_eq!(positions.len(), self.rest.len(), "one position per vertex");
+        assert_eq!(held.len(), self.of_template, "one mark per vertex");
+        assert_eq!(positions.len(), self.of_template, "one position per vertex");
         self.vertices.clear();
         self.anchored.fill(false);
-        for (v, &held) in held.iter().enumerate() {
+        for v in 0..self.rest.len() {
+            let held = held.get(v).is_some_and(|held| *held);
             self.blocks[v] = if held { HELD } else { self.vertices.len() as u32 };
             self.fixed[v] = if held { positions[v] } else { self.rest[v] };
             if held {
@@ -113,7 +119,7 @@ impl VertexAssembly {
 
     /// The pattern: vertices of a clique meet, and so do the corners of a sample.
     pub fn analyse<'a>(&mut self, samples: &Samples, cliques: impl Iterator<Item = &'a [u32]>) -> BlockStructure {
-        assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        assert_eq!(samples.vertex_count(), self.of_template, "samples were made for another template");
         let mut pairs = Vec::new();
         let mut free = Vec::new();
         for clique in cliques {
@@ -211,7 +217,7 @@ impl VertexAssembly {
         (0..self.anchored.len()).filter(|&part| !self.anchored[part]).map(free).sum()
     }
 
-    /// Writes all positions: `place` says where free vertices are, given their index and parameters.
+    /// Writes all positions, a model's own too: `place` says where free vertices are, given their index and parameters.
     pub fn positions(&self, x: &[f64], out: &mut Vec<Vec3>, place: impl Fn(usize, Vec3) -> Vec3 + Sync) {
         out.resize(self.rest.len(), Vec3::zeros());
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {

@@ -348,7 +348,7 @@ fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec
 
 fn model_input<'a>(template: &'a Rest, shapes: &'a ShapeBasis, schedule: &'a Schedule) -> ModelInput<'a> {
     let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
-    ModelInput { rest: &template.mesh, shapes, options, reference_vertices }
+    ModelInput { rest: &template.mesh, shapes, options, reference_vertices, unit: template.unit }
 }
 
 /// The parameters to start with: of rest, or of a warm start, within bounds.

@@ -7,5 +7,13 @@ mod real_data;
 #[path = "../support/skip.rs"]
 mod skip;
 
+#[path = "../../src/mesh/testing.rs"]
+mod sheets;
+
 mod awkward_meshes;
+mod inner_layer;
 mod real_meshes;
+mod surface_lattice;
+
+// What the sheets are made of.
+use nonrigid::mesh::{TriangleMesh, Vec3};

@@ -18,3 +18,4 @@ mod blendshape_weights;
 mod determinism;
 mod laws;
 mod linearisations;
+mod physical;

@@ -6,8 +6,11 @@ use std::cell::RefCell;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use nonrigid::energy::DeformationModel;
 use nonrigid::mesh::adjacency::EdgeGraph;
-use nonrigid::mesh::{TriangleMesh, Vec3};
-use nonrigid::model::{ArapOptions, ArapSolver, Autodiff, Hybrid, NodeTransform, Point, PositionFunction};
+use nonrigid::mesh::normals::vertex_areas;
+use nonrigid::mesh::{InnerLayer, TriangleMesh, Vec3};
+use nonrigid::model::{
+    ArapOptions, ArapSolver, Autodiff, Hybrid, MassSpring, NodeTransform, Point, PositionFunction, TissueOptions,
+};
 use nonrigid::nlls::{Manifold, PointArray, Scalar, so3};
 use num_dual::Dual64;
 
@@ -140,6 +143,92 @@ impl<F: PositionFunction> Formula for Autodiff<F> {
     }
 }
 
+/// Parameters that are positions, moved by a step.
+fn moved<D: Scalar>(x: &[f64], step: &[D]) -> Vec<[D; 3]> {
+    let node = |(x, d): (&[f64], &[D])| std::array::from_fn(|a| d[a] + x[a]);
+    x.chunks_exact(3).zip(step.chunks_exact(3)).map(node).collect()
+}
+
+/// Each spring's `|x_i - x_j| - l`.
+impl Formula for MassSpring {
+    fn tangent(&self) -> usize {
+        self.parameter_len()
+    }
+
+    fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>) {
+        let mut nodes = moved(x, step);
+        let residual = |([a, b], stiffness, length): ([u32; 2], f64, f64)| {
+            let d: [D; 3] = std::array::from_fn(|k| nodes[a as usize][k] - nodes[b as usize][k]);
+            (self.lambda_smooth * stiffness, (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt() - length)
+        };
+        let residuals = self.springs().map(residual).collect();
+        nodes.truncate(self.vertex_count());
+        (nodes, residuals)
+    }
+}
+
+/// Corotational tetrahedra: entries and trace of `(R'F + F'R) / 2 - 1`, `R` by singular values.
+pub struct Tissue {
+    layer: InnerLayer,
+    areas: Vec<f64>,
+    options: TissueOptions,
+    lambda: f64,
+}
+
+impl Tissue {
+    pub fn new(mesh: &TriangleMesh, options: TissueOptions, lambda: f64) -> Self {
+        let layer = InnerLayer::new(mesh, options.thickness).expect("a sound mesh");
+        Self { layer, areas: vertex_areas(&mesh.positions, &mesh.triangles), options, lambda }
+    }
+}
+
+impl Formula for Tissue {
+    fn tangent(&self) -> usize {
+        3 * self.layer.nodes.len()
+    }
+
+    fn evaluate<D: Scalar>(&self, x: &[f64], step: &[D]) -> (Vec<[D; 3]>, Vec<(f64, D)>) {
+        let Self { layer, areas, options, lambda } = self;
+        let mut nodes = moved(x, step);
+        let sides =
+            |t: &[u32; 4], p: &dyn Fn(u32) -> Vec3| Matrix3::from_columns(&[1, 2, 3].map(|k| p(t[k]) - p(t[0])));
+        let at_rest = |t: &[u32; 4]| sides(t, &|k| layer.nodes[k as usize]);
+        let volume = |t: &[u32; 4]| at_rest(t).determinant() / 6.0;
+        let tie = 1e-3 * layer.tetrahedra.iter().map(volume).sum::<f64>() / layer.tetrahedra.len() as f64;
+        let own = layer.tetrahedra.iter().map(|t| (t, volume(t)));
+        let nu = options.poisson;
+        let (mu, kappa) = (0.5 / (1.0 + nu), nu / (1.0 + nu) / (1.0 - 2.0 * nu));
+        let mut residuals = Vec::new();
+        for (t, volume) in own.chain(layer.ties.iter().map(|t| (t, volume(t).min(tie)))) {
+            let inverse = at_rest(t).try_inverse().expect("a volume");
+            let f = sides(t, &|k| Vec3::from_column_slice(&x[3 * k as usize..3 * k as usize + 3])) * inverse;
+            let r = closest_by_singular_values(f);
+            let side = |a: usize, k: usize| nodes[t[k + 1] as usize][a] - nodes[t[0] as usize][a];
+            let f = |a: usize, b: usize| (0..3).fold(D::from(0.0), |sum, k| sum + side(a, k) * inverse[(k, b)]);
+            let turned = |a: usize, b: usize| (0..3).fold(D::from(0.0), |sum, k| sum + f(k, b) * r[(k, a)]);
+            let weight = lambda * volume / options.thickness;
+            for (a, b) in (0..9).map(|k| (k / 3, k % 3)) {
+                let one = f64::from(u8::from(a == b));
+                residuals.push((weight * mu, (turned(a, b) + turned(b, a)) * 0.5 - one));
+            }
+            residuals.push((weight * kappa / 2.0, turned(0, 0) + turned(1, 1) + turned(2, 2) - 3.0));
+        }
+        for (below, area) in layer.below.iter().zip(areas).filter_map(|(b, a)| Some(((*b)? as usize, a))) {
+            let weight = lambda * options.anchor * area / options.thickness.powi(2);
+            residuals.extend((0..3).map(|a| (weight, nodes[below][a] - layer.nodes[below][a])));
+        }
+        nodes.truncate(areas.len());
+        (nodes, residuals)
+    }
+}
+
+/// The rotation closest to a matrix (Kabsch 1976).
+fn closest_by_singular_values(a: Matrix3<f64>) -> Matrix3<f64> {
+    let svd = a.svd(true, true);
+    let (u, v) = (svd.u.expect("asked for"), svd.v_t.expect("asked for"));
+    u * Matrix3::from_diagonal(&Vec3::new(1.0, 1.0, (u * v).determinant().signum())) * v
+}
+
 /// For models whose positions are affine and whose regulariser is quadratic in parameters to which steps add. Differences of any
 /// step are then exact but for rounding:
 ///
@@ -263,18 +352,12 @@ impl Rigidity {
             .collect()
     }
 
-    /// Kabsch 1976.
     fn rotations(&self, v: &[[f64; 3]]) -> Vec<Matrix3<f64>> {
         let mut a = vec![Matrix3::zeros(); v.len()];
         for &(i, j, w) in &self.spokes {
             a[i] += (Vec3::from(v[i]) - Vec3::from(v[j])) * (self.rest[i] - self.rest[j]).transpose() * w;
         }
-        let closest = |a: Matrix3<f64>| {
-            let svd = a.svd(true, true);
-            let (u, v) = (svd.u.expect("asked for"), svd.v_t.expect("asked for"));
-            u * Matrix3::from_diagonal(&Vec3::new(1.0, 1.0, (u * v).determinant().signum())) * v
-        };
-        a.into_iter().map(closest).collect()
+        a.into_iter().map(closest_by_singular_values).collect()
     }
 
     fn reference(&self, x: &[f64]) -> Reference {

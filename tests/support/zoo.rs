@@ -4,8 +4,9 @@
 use nonrigid::energy::{DataTerm, DeformationModel, Pointwise, SampleResidual, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Free, FreeOptions, Hybrid,
-    Linearisation, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion, Smoothness, Stiffness,
+    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Fem, Ffd, Free, FreeOptions, Hybrid,
+    LatticeOptions, Linearisation, MassSpring, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion,
+    Smoothness, SpringOptions, Stiffness, TissueOptions,
 };
 use nonrigid::model::{AffineMotion, blendshape, blendshape_in_place, graph, rigid, similarity, sumner};
 use nonrigid::nlls::{Euclidean, Kernel, RobustKernel, Scalar};
@@ -130,6 +131,14 @@ impl Zoo {
                 all.push(Specimen::new(name, model, stated));
             }
         }
+        let skin = &self.skin();
+        let springs = || MassSpring::new(skin, SpringOptions { thickness: 4.0 }, 0.7).expect("a sound mesh");
+        all.push(Specimen::new("springs", springs(), reference::formula(springs())));
+        let tissue = TissueOptions { thickness: 4.0, poisson: 0.4, anchor: 0.1 };
+        let stated = reference::formula(reference::Tissue::new(skin, tissue, 0.7));
+        all.push(Specimen::new("tissue", Fem::new(skin, tissue, 0.7).expect("a sound mesh"), stated));
+        let lattice = || Ffd::new(mesh, LatticeOptions { spacing: 60.0 }, 100.0, 0.7).expect("a sound mesh");
+        all.push(Specimen::new("lattice", lattice(), reference::quadratic(lattice())));
         let stated = || stated_graph(rest, &self.nodes, 0.7);
         all.push(Specimen::new("stated graph", stated(), reference::formula(stated())));
         let swirl = || Autodiff::new(Swirl { rest: rest.clone() }).expect("a sound formula");
@@ -166,6 +175,18 @@ impl Zoo {
             Specimen::assembled("blendshape in place", || blendshape_in_place(rest.clone(), basis.clone(), 0.3)),
             Specimen::assembled("sumner, one node", || sumner(rest.clone(), single.clone(), 0.7, 0.4)),
         ]
+    }
+
+    /// A body has an inside. The small template, triangles anywhere in a cube, has none: a wavy sheet instead.
+    fn skin(&self) -> TriangleMesh {
+        let joined = self.vertex_count() - LOOSE;
+        let mut skin = self.mesh.clone();
+        if joined < 100 {
+            for (i, p) in skin.positions.iter_mut().enumerate().take(joined) {
+                *p = *p * 0.04 + Vec3::new((i % 9) as f64, (i / 9) as f64, 0.0) * 10.0;
+            }
+        }
+        skin
     }
 
     /// On the small template triangles join vertices at random, so that vertices have neighbours near and far.
@@ -229,6 +250,9 @@ impl<T: NodeTransform<W>, const W: usize> TestModel for Hybrid<T, W> {
 impl TestModel for Free {}
 impl TestModel for Affine {}
 impl TestModel for Arap {}
+impl TestModel for MassSpring {}
+impl TestModel for Fem {}
+impl TestModel for Ffd {}
 impl<F: PositionFunction> TestModel for Autodiff<F> {}
 
 pub const KERNELS: [Kernel; 9] = [

@@ -1,0 +1,340 @@
+//! Soft tissue of finite elements: linear tetrahedra between the skin and an inner surface, corotational linear elasticity.
+//!
+//! ```text
+//!     F = sum_k x_k g_k'                  deformation gradient, g_k the gradient of the k-th shape function at rest
+//!     F = R S                             R the rotation closest to F (polar decomposition)
+//!     eps = (R'F + F'R) / 2 - 1           corotational strain
+//!     E = lambda sum_e (V_e / T) ( mu |eps|^2 + (kappa / 2) tr(eps)^2 ) + anchor
+//!     mu = 1 / (2 (1 + nu))               kappa = nu / ((1 + nu) (1 - 2 nu))
+//! ```
+//!
+//! (M. Mueller, M. Gross, "Interactive virtual materials", 2004, section 4.) `lambda` is Young's modulus, `nu` Poisson's ratio, `mu`
+//! and `kappa` Lame's constants for a modulus of one, `V_e` the volume of a tetrahedron. Division by the layer's thickness `T` makes
+//! `E` square millimetres of the skin, in any unit and however the skin is triangulated. With a layer one tetrahedron thick,
+//! bending is stiffer than that of the tissue it stands for.
+//!
+//! `R` follows `F`: `R'F` is symmetric there, so `eps = S - 1`, a rotation of an element costs nothing, and the gradient at fixed `R` is
+//! the energy's own. Gauss-Newton on `eps` at fixed `R` is the paper's `R K R'`; it has no curvature in the directions of
+//! rotations either.
+
+use nalgebra::{Matrix3, UnitQuaternion};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::elements::Elements;
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::rotation_fit::closest_rotation;
+use super::vertex_assembly::{CHUNK, VertexAssembly};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use crate::mesh::normals::vertex_areas;
+use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3, determinant};
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// `[model]` of finite elements.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TissueOptions {
+    /// Depth of the tissue below the skin, millimetres; less where it would fold.
+    pub thickness: f64,
+    /// Poisson's ratio, from 0 (no sideways strain) to below 0.5 (no change of volume).
+    pub poisson: f64,
+    /// How firmly the inner side is held where it rests, as on bone: 1 as if by one more layer of the same modulus, 0 not at all.
+    /// Rotations then cost too.
+    pub anchor: f64,
+}
+
+impl Default for TissueOptions {
+    fn default() -> Self {
+        Self { thickness: 5.0, poisson: 0.3, anchor: 0.0 }
+    }
+}
+
+impl OptionTable for TissueOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::positive("thickness", self.thickness)?;
+        OptionsError::not_negative("anchor", self.anchor)?;
+        let (key, value, bound) = ("poisson".to_owned(), self.poisson, "at least 0 and below 0.5");
+        if (0.0..0.5).contains(&value) { Ok(()) } else { Err(OptionsError::OutOfBounds { key, value, bound }) }
+    }
+}
+
+/// Volume of a tie of a vertex without tissue, as a part of the mean element's at most.
+const TIE: f64 = 1e-3;
+
+/// Soft tissue under a skin.
+pub struct Fem {
+    /// `lambda`, Young's modulus.
+    pub lambda_smooth: f64,
+    options: TissueOptions,
+    layer: InnerLayer,
+    assembly: VertexAssembly,
+    elements: Elements<4>,
+    at_rest: Vec<AtRest>,
+    anchors: Elements<1>,
+    /// `A_i / T^2` of each anchor.
+    anchor_weights: Vec<f64>,
+    now: Now,
+}
+
+/// What is known of an element before it moves.
+#[derive(Debug, Clone, Copy)]
+struct AtRest {
+    /// `g_k`.
+    gradients: [Vec3; 4],
+    /// `V_e / T`.
+    weight: f64,
+}
+
+/// Everything that follows from `x` alone, kept until `x` changes.
+#[derive(Default)]
+struct Now {
+    x: Vec<f64>,
+    nodes: Vec<Vec3>,
+    states: Vec<State>,
+}
+
+#[derive(Clone, Copy)]
+struct State {
+    turn: UnitQuaternion<f64>,
+    rotation: Matrix3<f64>,
+    strain: Matrix3<f64>,
+}
+
+impl Fem {
+    /// The tissue at rest under `mesh`; `options` has lengths in the mesh's unit.
+    ///
+    /// Vertices without tissue (in no triangle, or in such without area) hang on the nearest that has some, turning with it.
+    /// Parts without data stay where they are if the solver damps (`Options::with_damping_floor`); without damping the normal
+    /// equations are singular, which is an error there.
+    ///
+    /// # Errors
+    /// When a position is not finite, a triangle indexes past the vertices, or no triangle has an area.
+    ///
+    /// # Panics
+    /// If `options` are out of bounds.
+    pub fn new(mesh: &TriangleMesh, options: TissueOptions, lambda_smooth: f64) -> Result<Self, MeshError> {
+        options.check().expect("options within bounds");
+        let layer = InnerLayer::new(mesh, options.thickness)?;
+        let volume = |t: &[u32; 4]| determinant(&layer.nodes, *t) / 6.0;
+        let tie = TIE * layer.tetrahedra.iter().map(volume).sum::<f64>() / layer.tetrahedra.len() as f64;
+        let volumes = layer.tetrahedra.iter().map(volume).chain(layer.ties.iter().map(|t| volume(t).min(tie)));
+        let corners = [&layer.tetrahedra[..], &layer.ties].concat();
+        let at_rest = corners.iter().zip(volumes).map(|(t, volume)| AtRest {
+            gradients: shape_gradients(t.map(|k| layer.nodes[k as usize])),
+            weight: volume / options.thickness,
+        });
+        let at_rest: Vec<AtRest> = at_rest.collect();
+        let (mut anchors, mut anchor_weights) = (Vec::new(), Vec::new());
+        if options.anchor > 0.0 {
+            let areas = vertex_areas(&mesh.positions, &mesh.triangles);
+            for (inner, area) in layer.below.iter().zip(areas).filter_map(|(b, a)| Some(((*b)?, a))) {
+                anchors.push([inner]);
+                anchor_weights.push(options.anchor * area / options.thickness.powi(2));
+            }
+        }
+        let joined: Vec<[u32; 2]> = corners.iter().flat_map(|t| [1, 2, 3].map(|k| [t[0], t[k]])).collect();
+        let assembly = VertexAssembly::new(layer.nodes.clone(), mesh.positions.len(), &joined);
+        Ok(Self {
+            lambda_smooth,
+            options,
+            layer,
+            assembly,
+            elements: Elements::new(corners),
+            at_rest,
+            anchors: Elements::new(anchors),
+            anchor_weights,
+            now: Now::default(),
+        })
+    }
+
+    /// The layer of tissue at rest.
+    #[must_use]
+    pub fn layer(&self) -> &InnerLayer {
+        &self.layer
+    }
+
+    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    #[must_use]
+    pub fn with_held(self, held: &[bool]) -> Self {
+        let rest = self.layer.nodes[..self.vertex_count()].to_vec();
+        self.with_held_at(held, &rest)
+    }
+
+    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored. The nodes below
+    /// them stay free.
+    ///
+    /// # Panics
+    /// If there is not one mark and one position per vertex.
+    #[must_use]
+    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
+        self.assembly.hold(held, positions);
+        self.now = Now::default();
+        self
+    }
+
+    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
+    #[must_use]
+    pub fn unobserved_shifts(&self) -> usize {
+        self.assembly.unobserved_shifts()
+    }
+
+    /// Rotations and strains at `x`.
+    fn strain(&mut self, x: &[f64]) {
+        let Now { x: last, nodes, states } = &mut self.now;
+        if last == x && !nodes.is_empty() {
+            return;
+        }
+        last.clear();
+        last.extend_from_slice(x);
+        self.assembly.positions(x, nodes, |_, v| v);
+        let still = State { turn: UnitQuaternion::identity(), rotation: Matrix3::identity(), strain: Matrix3::zeros() };
+        states.resize(self.at_rest.len(), still);
+        let (nodes, corners, at_rest) = (&*nodes, &self.elements.nodes, &self.at_rest);
+        states.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, state) in chunk.iter_mut().enumerate() {
+                let (corners, gradients) = (corners[c * CHUNK + k], at_rest[c * CHUNK + k].gradients);
+                let f: Matrix3<f64> =
+                    corners.iter().zip(&gradients).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
+                state.turn = closest_rotation(&f, &state.turn);
+                state.rotation = state.turn.to_rotation_matrix().into_inner();
+                let turned_back = state.rotation.tr_mul(&f);
+                state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
+            }
+        });
+    }
+
+    /// `mu` and `kappa`.
+    fn lame(&self) -> [f64; 2] {
+        let nu = self.options.poisson;
+        [0.5 / (1.0 + nu), nu / ((1.0 + nu) * (1.0 - 2.0 * nu))]
+    }
+}
+
+/// Gradients of the four linear shape functions of a tetrahedron.
+fn shape_gradients([a, b, c, d]: [Vec3; 4]) -> [Vec3; 4] {
+    let (p, q, r) = (b - a, c - a, d - a);
+    let determinant = p.cross(&q).dot(&r);
+    let [b, c, d] = [q.cross(&r), r.cross(&p), p.cross(&q)].map(|g| g / determinant);
+    [-(b + c + d), b, c, d]
+}
+
+impl DeformationModel for Fem {
+    fn name(&self) -> &'static str {
+        "fem"
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.assembly.vertex_count()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.assembly.parameter_len()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        self.assembly.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.assembly.rest[v as usize])).collect()
+    }
+
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+        let structure = self.assembly.analyse(samples, self.elements.cliques());
+        self.elements.analyse(&self.assembly, &structure, 6);
+        self.anchors.analyse(&self.assembly, &structure, 3);
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        self.assembly.positions(x, out, |_, v| v);
+        out.truncate(self.assembly.vertex_count());
+    }
+
+    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        self.assembly.pull_back(field, equations);
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.strain(x);
+        let [mu, kappa] = self.lame();
+        let of = |(rest, state): (&AtRest, &State)| {
+            rest.weight * (mu * state.strain.norm_squared() + kappa / 2.0 * state.strain.trace().powi(2))
+        };
+        let elastic: f64 = self.at_rest.iter().zip(&self.now.states).map(of).sum();
+        out.push(("elasticity", self.lambda_smooth * elastic));
+        if self.options.anchor > 0.0 {
+            let (nodes, rest) = (&self.now.nodes, &self.layer.nodes);
+            let moved = |[k]: &[u32; 1]| (nodes[*k as usize] - rest[*k as usize]).norm_squared();
+            let sum: f64 = self.anchors.nodes.iter().zip(&self.anchor_weights).map(|(k, w)| w * moved(k)).sum();
+            out.push(("anchor", self.lambda_smooth * sum));
+        }
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.strain(x);
+        let [mu, kappa] = self.lame();
+        let (at_rest, states, lambda) = (&self.at_rest, &self.now.states, self.lambda_smooth);
+        // mu |eps|^2 + (kappa / 2) tr(eps)^2 = mu |eps + third tr(eps) 1|^2
+        let third = ((1.0 + 1.5 * kappa / mu).sqrt() - 1.0) / 3.0;
+        self.elements.add(equations, |e, _| {
+            let (AtRest { gradients, weight }, State { rotation, strain, .. }) = (&at_rest[e], &states[e]);
+            let root = (lambda * mu * weight).sqrt();
+            let (mut rows, mut residuals) = ([[Vec3::zeros(); 4]; 6], [0.0; 6]);
+            let shear = root * 2f64.sqrt();
+            for a in 0..3 {
+                let b = (a + 1) % 3;
+                residuals[a] = root * (strain[(a, a)] + third * strain.trace());
+                residuals[3 + a] = shear * strain[(a, b)];
+                for (k, g) in gradients.iter().enumerate() {
+                    let dilation = rotation * g;
+                    rows[a][k] = (rotation.column(a) * g[a] + dilation * third) * root;
+                    rows[3 + a][k] = (rotation.column(a) * g[b] + rotation.column(b) * g[a]) * (0.5 * shear);
+                }
+            }
+            (rows, residuals)
+        });
+        let (nodes, rest, weights) = (&self.now.nodes, &self.layer.nodes, &self.anchor_weights);
+        self.anchors.add(equations, |i, [k]| {
+            let root = (lambda * weights[i]).sqrt();
+            let moved = (nodes[k as usize] - rest[k as usize]) * root;
+            ([[Vec3::x() * root], [Vec3::y() * root], [Vec3::z() * root]], moved.into())
+        });
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        VertexAssembly::retract(x, step, out);
+    }
+}
+
+impl RegistrationModel for Fem {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+
+    fn unobserved_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "fem"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/fem.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<TissueOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let options: TissueOptions = input.options.read()?;
+        let options = TissueOptions { thickness: input.length(options.thickness), ..options };
+        Ok(Box::new(Fem::new(input.rest, options, 1.0)?))
+    }
+}

@@ -1,0 +1,267 @@
+//! Free-form deformation: a lattice of control points round the surface moves what lies in it.
+//!
+//! ```text
+//!     v_i = n_i + sum_abc B_a(u) B_b(v) B_c(w) d_abc
+//!     E_smooth = lambda (A / N) / (3 h^2) sum ( |D_xx d|^2 + |D_yy d|^2 + |D_zz d|^2 + 2 |D_xy d|^2 + 2 |D_xz d|^2 + 2 |D_yz d|^2 )
+//! ```
+//!
+//! (T. Sederberg, S. Parry, "Free-form deformation of solid geometric models", 1986, eq. (2), with uniform quadratic B-splines for
+//! Bernstein polynomials, so that a vertex feels 3 x 3 x 3 control points and the surface stays smooth.) `d` are displacements
+//! of control points, `D` second differences: the thin plate's energy of the lattice (D. Rueckert et al., "Nonrigid registration
+//! using free-form deformations", 1999, eq. (3)). No affine map costs anything. `h` is the lattice's spacing, `A / N` the surface's
+//! area over the number of vertices that `lambda` is meant for, and three control points lie across the surface: `E_smooth` is in
+//! square millimetres and hardly depends on spacing, triangulation and unit.
+//!
+//! Only cells that the surface goes through have control points, and a place of the lattice has one for each connected part of the
+//! surface near it: upper and lower lip touch without being joined.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::smooth_rows::SmoothRows;
+use super::vertex_assembly::{CHUNK, VertexAssembly, parameters};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use crate::mesh::normals::face_areas;
+use crate::mesh::surface_lattice::{ACROSS, SurfaceLattice, place, places};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::nlls::{Assembly, BlockStructure, NormalEquations};
+
+/// `[model]` of the lattice.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LatticeOptions {
+    /// Side of a cell, millimetres.
+    pub spacing: f64,
+}
+
+impl Default for LatticeOptions {
+    fn default() -> Self {
+        Self { spacing: 12.0 }
+    }
+}
+
+impl OptionTable for LatticeOptions {
+    fn check(&self) -> Result<(), OptionsError> {
+        OptionsError::positive("spacing", self.spacing)
+    }
+}
+
+/// Samples of an item.
+const ITEM: usize = 16;
+
+/// A lattice round a surface.
+pub struct Ffd {
+    /// `lambda` of the regulariser.
+    pub lambda_smooth: f64,
+    rest: Vec<Vec3>,
+    lattice: SurfaceLattice,
+    rows: SmoothRows,
+    items: Vec<Item>,
+    assembly: Assembly,
+}
+
+/// Samples that the same control points move.
+#[derive(Default)]
+struct Item {
+    samples: Vec<u32>,
+    /// Weights of the item's control points in each of them, one sample after the other.
+    weights: Vec<f64>,
+}
+
+/// The second differences of a lattice, each once, times `scale`.
+fn second_differences(lattice: &SurfaceLattice, scale: f64) -> SmoothRows {
+    let mut along: Vec<([u32; 4], bool)> = Vec::new();
+    let step = |k: [usize; 3], axes: &[usize]| {
+        let mut k = k;
+        axes.iter().for_each(|&a| k[a] += 1);
+        k.iter().all(|&i| i < ACROSS).then(|| place(k))
+    };
+    for patch in lattice.patches() {
+        let points = |at: [usize; 4]| at.map(|n| patch[n]);
+        for (k, a, b) in places().flat_map(|k| (0..9).map(move |ab| (k, ab / 3, ab % 3))).filter(|c| c.1 <= c.2) {
+            if let (Some(far), Some(p), Some(q)) = (step(k, &[a, b]), step(k, &[a]), step(k, &[b])) {
+                along.push((points([far, p, q, place(k)]), a == b));
+            }
+        }
+    }
+    along.sort_unstable();
+    along.dedup();
+    let mut rows = SmoothRows::new();
+    for ([far, p, q, near], straight) in along {
+        if straight {
+            rows.push([(far, scale), (p, -2.0 * scale), (near, scale)]);
+        } else {
+            let scale = scale * 2f64.sqrt();
+            rows.push([(far, scale), (p, -scale), (q, -scale), (near, scale)]);
+        }
+    }
+    rows
+}
+
+impl Ffd {
+    /// The lattice at rest round `mesh`; `options` has lengths in the mesh's unit, and `reference_vertices` is the number of vertices
+    /// of the surface that `lambda_smooth` is meant for.
+    ///
+    /// Vertices that no triangle refers to move as the nearest that has triangles. Parts without data stay where they are if the
+    /// solver damps (`Options::with_damping_floor`); without damping the normal equations are singular, which is an error there.
+    ///
+    /// # Errors
+    /// When a position is not finite, a triangle indexes past the vertices, there are no triangles, or the spacing is so small that
+    /// the surface would go through tens of millions of cells.
+    ///
+    /// # Panics
+    /// If the spacing or `reference_vertices` is not positive.
+    pub fn new(
+        mesh: &TriangleMesh,
+        options: LatticeOptions,
+        reference_vertices: f64,
+        lambda_smooth: f64,
+    ) -> Result<Self, MeshError> {
+        assert!(options.spacing > 0.0 && reference_vertices > 0.0, "spacing and reference_vertices must be positive");
+        let lattice = SurfaceLattice::new(mesh, options.spacing)?;
+        let area: f64 = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
+        let scale = (area / reference_vertices / ACROSS as f64).sqrt() / options.spacing;
+        let rows = second_differences(&lattice, scale);
+        let (rest, items, assembly) = (mesh.positions.clone(), Vec::new(), Assembly::default());
+        Ok(Self { lambda_smooth, rest, lattice, rows, items, assembly })
+    }
+
+    /// Number of control points.
+    #[must_use]
+    pub fn control_points(&self) -> usize {
+        self.lattice.control_points()
+    }
+
+    fn place(&mut self, x: &[f64]) {
+        self.rows.place(|k| parameters(x, k as usize));
+    }
+}
+
+impl DeformationModel for Ffd {
+    fn name(&self) -> &'static str {
+        "ffd"
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        3 * self.lattice.control_points()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        vec![0.0; self.parameter_len()]
+    }
+
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+        assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        let mut alike: BTreeMap<Vec<u32>, Item> = BTreeMap::new();
+        for s in 0..samples.len() {
+            let mut moved_by: BTreeMap<u32, f64> = BTreeMap::new();
+            for &(v, share) in samples.corners(s) {
+                self.lattice.of(v).for_each(|(k, w)| *moved_by.entry(k).or_default() += share * w);
+            }
+            let item = alike.entry(moved_by.keys().copied().collect()).or_default();
+            item.samples.push(s as u32);
+            item.weights.extend(moved_by.values());
+        }
+        let mut blocks: Vec<Vec<u32>> = Vec::new();
+        self.items.clear();
+        for (points, Item { samples, weights }) in alike {
+            for (samples, weights) in samples.chunks(ITEM).zip(weights.chunks(ITEM * points.len())) {
+                blocks.push(points.clone());
+                self.items.push(Item { samples: samples.to_vec(), weights: weights.to_vec() });
+            }
+        }
+        let cliques = self.rows.cliques().chain(blocks.iter().map(Vec::as_slice));
+        let structure = BlockStructure::new(&vec![3; self.lattice.control_points()], Assembly::pairs(cliques), 0)
+            .expect("proven: all pairs are control points");
+        self.rows.analyse(&structure, |k| Some(k as usize));
+        self.assembly =
+            Assembly::new(blocks.iter().map(Vec::as_slice), &structure, |item| 3 * self.items[item].samples.len());
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        out.resize(self.rest.len(), Vec3::zeros());
+        let (rest, lattice) = (&self.rest, &self.lattice);
+        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, p) in chunk.iter_mut().enumerate() {
+                let v = c * CHUNK + k;
+                *p = rest[v] + lattice.of(v as u32).map(|(k, w)| parameters(x, k as usize) * w).sum::<Vec3>();
+            }
+        });
+    }
+
+    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        let (items, quadrics) = (&self.items, field.quadrics());
+        self.assembly.linearize(
+            0,
+            |item| items[item].samples.iter().map(|&s| quadrics[s as usize].rows().len()).sum(),
+            |item, out| {
+                let Item { samples, weights } = &items[item];
+                let points = weights.len() / samples.len();
+                let (mut residuals, mut r) = ([0.0; 3 * ITEM], 0);
+                for (&s, weights) in samples.iter().zip(weights.chunks_exact(points)) {
+                    let quadric = &quadrics[s as usize];
+                    for (row, e) in quadric.rows().iter().zip(quadric.residuals()) {
+                        for (slot, w) in weights.iter().enumerate() {
+                            out.of_block(slot, r).iter_mut().zip(row).for_each(|(y, a)| *y = w * a);
+                        }
+                        residuals[r] = *e;
+                        r += 1;
+                    }
+                }
+                out.set_residuals(&residuals);
+            },
+        );
+        self.assembly.add_to(equations);
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.place(x);
+        out.push(("lattice bending", self.lambda_smooth * self.rows.energy()));
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.place(x);
+        self.rows.add_to(equations, self.lambda_smooth);
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        VertexAssembly::retract(x, step, out);
+    }
+}
+
+impl RegistrationModel for Ffd {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "ffd"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/ffd.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<LatticeOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        let LatticeOptions { spacing } = input.options.read()?;
+        let options = LatticeOptions { spacing: input.length(spacing) };
+        Ok(Box::new(Ffd::new(input.rest, options, input.reference_vertices, 1.0)?))
+    }
+}
