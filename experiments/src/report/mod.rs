@@ -137,8 +137,13 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
     write_machine(out, &times, clock.elapsed().as_secs_f64())?;
 
     let count = |v: Verdict| verdicts.iter().filter(|j| j.verdict == v).count();
-    let [holds, fails, open] = [Verdict::Holds, Verdict::Fails, Verdict::NotMeasured].map(count);
-    say(log, format!("\nclaims: {holds} hold, {fails} do not, {open} not measured\n"))?;
+    let [holds, fails, undecided, open] = Verdict::ALL.map(count);
+    say(
+        log,
+        format!(
+            "\nclaims: {holds} hold, {fails} do not, {undecided} undecided with so few scans, {open} not measured\n"
+        ),
+    )?;
     say(log, format!("page    {}\n", out.join("index.html").display()))?;
     say(log, format!("data    {}, {}\n", data.rig_folder.display(), data.cases_folder.display()))?;
     say(log, format!("took {}\n\n{}\n", spoken(clock.elapsed().as_secs_f64()), next_commands(&data, out)))?;
@@ -225,7 +230,7 @@ fn about(options: &Options, effort: &Effort, data: &Data) -> String {
     let of = if data.generated {
         format!("generated from seed {}", options.seed)
     } else {
-        "your own rig and scans; sweeps, resolution and Fig. 4 on generated faces".to_owned()
+        "your own rig and scans; sweeps, resolution and the solver's growth on generated faces".to_owned()
     };
     format!(
         "{} cases on a template of {} vertices, {of}. Effort: {}.",

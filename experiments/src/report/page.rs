@@ -10,6 +10,7 @@ use nonrigid::page::{self, escaped};
 
 use super::claims::{Judged, PAPERS, Verdict};
 use super::study::{Block, Section, Study};
+use super::table::shown_cell;
 
 /// Where a study stands.
 pub enum State {
@@ -51,7 +52,7 @@ pub fn write(folder: &Path, page: &Page<'_>) -> Result<()> {
 fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     let mut out = String::new();
     let count = |v: Verdict| page.verdicts.iter().filter(|j| j.verdict == v).count();
-    let [holds, fails, open] = [Verdict::Holds, Verdict::Fails, Verdict::NotMeasured].map(count);
+    let [holds, fails, undecided, open] = Verdict::ALL.map(count);
     let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
     write!(
         out,
@@ -59,7 +60,8 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
          <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020, and \
          J. Li et al., <i>Mesh morphing process for facial plastic surgery simulation</i>, 2018: their figures and their claims, on data \
          whose truth is known. {}</p>\n\
-         <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, {open} are not \
+         <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, <span \
+         class=\"waiting\">{undecided} are undecided</span>: a bound lies within what another choice of scans would do; {open} are not \
          measured{}.</p>\n<nav>",
         escaped(page.about),
         page.verdicts.len(),
@@ -111,7 +113,7 @@ fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
         Block::Table { table, caption, file } => {
             let caption = format!("{} All digits: <code>{}</code>.", escaped(caption), escaped(file));
             let header: Vec<String> = table.header.iter().map(|name| name.replace('_', " ")).collect();
-            let rows = table.rows.iter().map(|row| row.iter().map(|cell| short(cell)).collect());
+            let rows = table.rows.iter().map(|row| row.iter().map(|cell| shown_cell(cell)).collect());
             out.push_str(&page::table(&caption, &header, rows));
         }
     }
@@ -121,14 +123,15 @@ fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
 fn write_claims(out: &mut String, verdicts: &[&Judged]) -> Result<()> {
     out.push_str(
         "<div class=\"wide\"><table class=\"text\"><caption>One row for each sentence that claims something. A claim holds when \
-         every number of its rule does. The same in <code>claims.csv</code>.</caption>\
+         every number of its rule does. In brackets: the 95 % interval over the n scans, people or repetitions (jackknife); a \
+         bound within it decides nothing. The same in <code>claims.csv</code>.</caption>\
          <tr><th>claim</th><th>section</th><th>verdict</th><th>rule</th><th>number, bound</th><th>rows</th><th>remark</th></tr>\n",
     );
     for j in verdicts {
         let class = match j.verdict {
             Verdict::Holds => "holds",
             Verdict::Fails => "fails",
-            Verdict::NotMeasured => "waiting",
+            Verdict::Undecided | Verdict::NotMeasured => "waiting",
         };
         write!(out, "<tr><td>{}</td><td>{}</td>", escaped(j.claim.quote), escaped(j.claim.section))?;
         write!(out, "<td class=\"{class}\">{}</td><td>{}</td>", j.verdict.name(), escaped(j.claim.rule))?;
@@ -139,27 +142,4 @@ fn write_claims(out: &mut String, verdicts: &[&Judged]) -> Result<()> {
     }
     out.push_str("</table></div>\n");
     Ok(())
-}
-
-/// A cell as people read it: three significant digits where there are more.
-fn short(cell: &str) -> String {
-    match cell.parse::<f64>() {
-        Ok(v) if v.is_finite() && cell.contains('.') => match v.abs() {
-            0.0 => "0".to_owned(),
-            a if a < 1e-3 => format!("{v:.1e}"),
-            a => format!("{v:.*}", (2 - a.log10().floor() as i32).clamp(0, 5) as usize),
-        },
-        _ => cell.to_owned(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cells_are_short() {
-        let cells = ["1.234567", "0.012345", "1234.500000", "400", "a < b", "1.2345e-5"].map(short);
-        assert_eq!(cells, ["1.23", "0.0123", "1234", "400", "a < b", "1.2e-5"]);
-    }
 }

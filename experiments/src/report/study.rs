@@ -1,8 +1,11 @@
 //! What a study is: a name, what it is about, how long it takes, and a function that fills its section of the page.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result, bail};
+use cpu_time::ThreadTime;
 use indicatif::ProgressBar;
 use nonrigid::console::Failure;
 use nonrigid::registration::{RegistrationResult, TERMS};
@@ -110,6 +113,62 @@ impl Setting<'_> {
         // One job a task: they take unequally long.
         jobs.par_iter().with_max_len(1).map(one).collect()
     }
+
+    /// Runs every job on one thread, as many jobs at a time as there are threads: what [`cpu_seconds`] measures in a job is then all of
+    /// its work, whatever else the machine does meanwhile.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub fn run_each_on_one_thread<J: Sync, R: Send>(&self, jobs: &[J], run: impl Fn(&J) -> R + Sync) -> Result<Vec<R>> {
+        self.progress.set_length(jobs.len() as u64);
+        let next = AtomicUsize::new(0);
+        let lane = || -> Result<Vec<(usize, R)>> {
+            let mut done = Vec::new();
+            one_thread()?.install(|| {
+                while let Some((k, job)) =
+                    Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|k| Some((k, jobs.get(k)?)))
+                {
+                    done.push((k, run(job)));
+                    self.progress.inc(1);
+                }
+            });
+            Ok(done)
+        };
+        let mut done = thread::scope(|scope| -> Result<Vec<(usize, R)>> {
+            let lanes: Vec<_> = (0..rayon::current_num_threads()).map(|_| scope.spawn(lane)).collect();
+            let mut done = Vec::new();
+            for lane in lanes {
+                match lane.join() {
+                    Ok(of_lane) => done.extend(of_lane?),
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+            Ok(done)
+        })?;
+        done.sort_by_key(|(k, _)| *k);
+        Ok(done.into_iter().map(|(_, result)| result).collect())
+    }
+}
+
+/// A pool of one thread.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn one_thread() -> Result<rayon::ThreadPool> {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().context("a pool of one thread")
+}
+
+/// What some work on this thread alone returns, and the seconds of processor time that it took.
+///
+/// # Errors
+/// When the system does not say, or the work is not on one thread.
+pub fn cpu_seconds<R>(work: impl FnOnce() -> R) -> Result<(R, f64)> {
+    if rayon::current_num_threads() != 1 {
+        bail!("processor time is measured on one thread, not on {}", rayon::current_num_threads());
+    }
+    let begin = ThreadTime::try_now().context("processor time")?;
+    let result = work();
+    Ok((result, begin.try_elapsed().context("processor time")?.as_secs_f64()))
 }
 
 /// Registers a case with a variant: score, result, seconds.

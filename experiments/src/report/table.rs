@@ -29,6 +29,34 @@ pub fn number(value: f64) -> String {
     }
 }
 
+/// A number as people read it, the same wherever it stands: the three leading digits of what a table holds.
+#[must_use]
+pub fn shown(value: f64) -> String {
+    if value.is_infinite() {
+        return if value > 0.0 { "infinite" } else { "-infinite" }.to_owned();
+    }
+    shown_cell(&number(value))
+}
+
+/// A cell as people read it: a number with a decimal point as [`shown`], all else as it is.
+#[must_use]
+pub fn shown_cell(cell: &str) -> String {
+    match cell.parse::<f64>() {
+        Ok(v) if v.is_finite() && cell.contains('.') => match v.abs() {
+            0.0 => "0".to_owned(),
+            a if a < 1e-3 => format!("{v:.1e}"),
+            a => format!("{v:.*}", (2 - a.log10().floor() as i32).clamp(0, 5) as usize),
+        },
+        _ => cell.to_owned(),
+    }
+}
+
+/// So many of something: `1 case`, `2 cases`.
+#[must_use]
+pub fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 impl Table {
     /// A table without rows.
     #[must_use]
@@ -132,6 +160,17 @@ mod tests {
         assert!(read.numbers(&[("name", "c")], "rmse").unwrap()[0].is_nan());
         assert_eq!(read.find(&[("name", "c")]).unwrap()[0].0, 3);
         assert!(read.find(&[("nothing", "c")]).is_err());
+    }
+
+    #[test]
+    fn a_number_is_rounded_once_for_all() {
+        let cells = ["1.234567", "0.012345", "1234.500000", "400", "a < b", "1.2345e-5"].map(shown_cell);
+        assert_eq!(cells, ["1.23", "0.0123", "1234", "400", "a < b", "1.2e-5"]);
+        for value in [0.6925, 0.692_499_9, 1.5, 12.345_678, -0.25, 7.0, 0.0] {
+            assert_eq!(shown(value), shown_cell(&number(value)));
+        }
+        assert_eq!([1.5, 0.7, f64::INFINITY].map(shown), ["1.50", "0.700", "infinite"]);
+        assert_eq!([counted(1, "case"), counted(2, "case")], ["1 case", "2 cases"]);
     }
 
     #[test]

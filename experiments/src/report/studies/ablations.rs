@@ -8,7 +8,7 @@ use crate::report::effort::Effort;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, register_variant, spread,
 };
-use crate::report::table::{Table, number};
+use crate::report::table::{Table, counted, number};
 use crate::scan_bench::{LandmarkUse, Variant};
 
 pub const STUDY: Study = Study {
@@ -63,15 +63,16 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let mut cells = vec![variant.group.clone(), variant.name.clone()];
         for column in columns {
             let (mean, _) = mean(column)?;
-            cells.push(if mean.is_finite() { format!("{mean:.2}") } else { "failed".to_owned() });
+            cells.push(if mean.is_finite() { number(mean) } else { "failed".to_owned() });
         }
         shown.push(cells);
         let (mean, range) = mean("rmse")?;
         bars.push((variant.group.clone(), Bar { name: variant.name.clone(), value: mean, spread: Some(range) }));
     }
-    let caption = format!("Error of the hybrid with one part changed; mean and range over {} cases.", cases.len());
+    let count = counted(cases.len(), "case");
+    let caption = format!("Error of the hybrid with one part changed; mean and range over {count}.");
     let figure = setting.plot("ablations", &GroupedBars::new("", "rmse / mm", bars).top(TOP).svg()?, caption)?;
-    let caption = format!("Means over {} cases, millimetres.", cases.len());
+    let caption = format!("Means over {count}, millimetres.");
     Ok(Section { blocks: vec![figure, Block::Table { table: shown, caption, file: "ablations.csv".into() }] })
 }
 

@@ -5,7 +5,7 @@ use nonrigid::registration::ModelKind;
 
 use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, Section, Setting, Study, spread, write_runs};
-use crate::report::table::{Table, number};
+use crate::report::table::{Table, counted, number};
 use crate::scan_bench::{CaseSource, Variant, measure, summarize};
 
 pub const STUDY: Study = Study {
@@ -75,11 +75,11 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         cells.push(s.failed.to_string());
         shown.push(cells);
     }
-    let cases = data.cases.len();
-    let caption = format!("Mean and range of the rmse over {cases} cases.");
+    let cases = counted(data.cases.len(), "case");
+    let caption = format!("Mean and range of the rmse over {cases}.");
     let figure = setting.plot("comparison", &GroupedBars::new("", "rmse / mm", bars).svg()?, caption)?;
     let caption = format!(
-        "Over {cases} cases, millimetres: means of rmse, normal and tangential error, p95, steps and seconds; the worst rmse; the most flips and \
+        "Over {cases}, millimetres: means of rmse, normal and tangential error, p95, steps and seconds; the worst rmse; the most flips and \
          self-intersections of a case; the greatest memory, data included. {threads} threads."
     );
     let shown = Block::Table { table: shown, caption, file: "comparison.csv and comparison.timing.csv".into() };

@@ -14,7 +14,7 @@ use crate::report::data::upright;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, register_variant,
 };
-use crate::report::table::{Table, number};
+use crate::report::table::{Table, number, shown};
 use crate::scan_bench::{BenchCase, Score, Variant};
 
 pub const STUDY: Study = Study {
@@ -74,8 +74,10 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     table.write(setting.out, "extreme")?;
     let caption = format!(
-        "Template, true shape and scan of {}; then for every model its result, the polygons at the mouth, and the errors off the \
-         true surface and along it. Grey: the scan does not show it. The results are in the folder extreme, as OBJ.",
+        "Fig. 5: {}, one scan (n = 1). First row: the template and the scan, each with its mouth. Then a row for each model, with its \
+         rmse: the result, its polygons at the mouth, and by colour each vertex's error off the true surface (normal) and along it \
+         (tangential), in millimetres on the scale at the right. Grey: vertices that the scan does not show. The results are in the \
+         folder extreme, as OBJ.",
         case.name
     );
     let picture = setting.picture("extreme", &draw(setting, case, &results), caption)?;
@@ -144,7 +146,10 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, Polygo
             )
         };
         let panels = vec![
-            labelled(panel(&clay(&mesh.triangulate()), &face, angle), &format!("{model} {:.2} mm", row.errors.rmse)),
+            labelled(
+                panel(&clay(&mesh.triangulate()), &face, angle),
+                &format!("{model} {} mm", shown(row.errors.rmse)),
+            ),
             labelled(panel(&wired(&mesh), &open, View::Front), "mouth"),
             labelled(heat(&errors.normal), "normal"),
             labelled(heat(&errors.tangential), "tangential"),

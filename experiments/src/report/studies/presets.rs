@@ -196,11 +196,11 @@ fn by_preset(table: &Table, patients: &[Patient]) -> Result<Table> {
         let all = |column: &str| table.numbers(&[("preset", name)], column).map(|values| spread(&values).1);
         let mut cells = vec![name.to_owned(), number(of("asked", faces[0])?[0])];
         for face in &faces {
-            cells.push(format!("{:.2}", of("reached_over_asked", face)?[0]));
+            cells.push(number(of("reached_over_asked", face)?[0]));
         }
         cells.push(number(all("folded")?[1]));
-        cells.push(format!("{:.2}", all("stretch_min")?[0]));
-        cells.push(format!("{:.2}", all("stretch_max")?[1]));
+        cells.push(number(all("stretch_min")?[0]));
+        cells.push(number(all("stretch_max")?[1]));
         shown.push(cells);
     }
     Ok(shown)

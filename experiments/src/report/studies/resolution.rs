@@ -7,7 +7,7 @@ use crate::plots::{Axis, Grid, Plot, Series};
 use crate::report::study::{
     ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
 };
-use crate::report::table::Table;
+use crate::report::table::{Table, counted};
 use crate::scan_bench::{LandmarkUse, Variant};
 use nonrigid::registration::ModelKind;
 
@@ -93,8 +93,10 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         plot("template", &effort.resolutions, &models, "Finer templates", "vertices of the template")?,
         plot("scan", &SCAN_TRIANGLES, &distances, "Coarser scans, hybrid", "triangles of the scan")?,
     ];
-    let caption =
-        format!("Mean and range of the error over {} cases; landmarks give the start alone.", effort.resolution_cases);
+    let caption = format!(
+        "Mean and range of the error over {}; landmarks give the start alone.",
+        counted(effort.resolution_cases, "case")
+    );
     Ok(Section { blocks: vec![setting.plot("resolution", &Grid { columns: 2, plots }.svg()?, caption)?] })
 }
 

@@ -16,7 +16,7 @@ use crate::scan_bench::{BenchCase, LandmarkUse, Score, Variant};
 pub const STUDY: Study = Study {
     name: "sweeps",
     title: "Where each model breaks",
-    about: "Varied, one at a time: how far the mouth is open, how wrong the start is turned, noise, the size of holes, outliers, and \
+    about: "Varied, one at a time: how far the mouth is open, how far the eyes are closed, how wrong the start is turned, noise, the size of holes, outliers, and \
             how many of the shown expressions the rig lacks; for every model. Held: everything else, at moderate values. \
             Landmarks give the start alone, as the paper uses none. (Per-vertex affine maps take part only with --full: ten seconds a \
             registration.) Measured: errors over the observed vertices; mean and range \
@@ -48,8 +48,14 @@ struct Trial {
     start_turned: f64,
 }
 
-const SWEEPS: [Sweep; 6] = [
-    Sweep { name: "jaw", axis: "jaw opening / %", range: [0.0, 100.0], set: |t, v| t.open_jaw_alone(v / 100.0) },
+const SWEEPS: [Sweep; 7] = [
+    Sweep { name: "jaw", axis: "jaw opening / %", range: [0.0, 100.0], set: |t, v| t.show_alone("jawOpen", v / 100.0) },
+    Sweep {
+        name: "eyes",
+        axis: "eyes closed / %",
+        range: [0.0, 100.0],
+        set: |t, v| t.show_alone("eyeBlink", v / 100.0),
+    },
     Sweep { name: "start", axis: "start turned by / degrees", range: [0.0, 60.0], set: |t, v| t.start_turned = v },
     Sweep { name: "noise", axis: "noise / mm", range: [0.0, 2.0], set: |t, v| t.shot.scan.noise = v },
     Sweep {
@@ -85,8 +91,8 @@ impl Trial {
         Self { shot: Shot { name: String::new(), scan, known: true, withheld: Vec::new(), seed }, start_turned: 0.0 }
     }
 
-    fn open_jaw_alone(&mut self, weight: f64) {
-        self.shot.scan.expressions = Some(vec![("jawOpen".to_owned(), weight)]);
+    fn show_alone(&mut self, expression: &str, weight: f64) {
+        self.shot.scan.expressions = Some(vec![(expression.to_owned(), weight)]);
     }
 
     /// Withholds a share of the shown expressions, from the first.
@@ -169,9 +175,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     broken.into_iter().for_each(|row| breaks.push(row));
     breaks.write(setting.out, "breaks")?;
     let caption = format!(
-        "Error against one difficulty at a time; mean and range over {} people. Above {TOP} mm: off the plot. Landmarks give \
+        "Error against one difficulty at a time; mean and range over {}. Above {TOP} mm: off the plot. Landmarks give \
          the start alone.",
-        effort.sweep_scans
+        people(effort.sweep_scans)
     );
     let figure = setting.plot("sweeps", &Grid { columns: 2, plots }.svg()?, caption)?;
     let caption = format!(
@@ -180,6 +186,10 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         2.0 * WHOLE
     );
     Ok(Section { blocks: vec![figure, Block::Table { table: breaks, caption, file: "breaks.csv".into() }] })
+}
+
+fn people(count: usize) -> String {
+    if count == 1 { "one person".to_owned() } else { format!("n = {count} people") }
 }
 
 fn breaks_at(points: &[Point]) -> String {
