@@ -96,7 +96,7 @@ impl Effort {
         }
     }
 
-    /// At most ten minutes on two cores.
+    /// At most thirteen minutes on two cores.
     #[must_use]
     pub fn usual() -> Self {
         Self {
@@ -106,7 +106,7 @@ impl Effort {
             cases: vec!["same_open", "same_blink", "new_open", "new_asym"],
             models: ModelKind::ALL.to_vec(),
             kernels_and_terms: true,
-            components: vec![5, 10, 25, 50, 75, 100, 125, 150],
+            components: vec![5, 25, 50, 75, 100, 150],
             components_of_paper: vec![5, 25, 50, 100, 150],
             population: 250,
             scans: 3,

@@ -10,7 +10,8 @@ use nonrigid::page::{self, escaped};
 
 use super::claims::{Judged, PAPERS, Verdict};
 use super::study::{Block, Section, Study};
-use super::table::shown_cell;
+use super::table::{Table, shown_cell};
+use super::view3d;
 
 /// Where a study stands.
 pub enum State {
@@ -34,19 +35,36 @@ pub struct Page<'a> {
     pub studies: &'a [(&'static Study, State)],
 }
 
-const STYLE: &str = "\
-table.text td{min-width:90px}table.text td:first-child{min-width:260px}\
-.holds{color:#006a4e;font-weight:600}.fails{color:#a8321e;font-weight:600}\
-.waiting{color:#777}.failed{color:#a8321e;white-space:pre-wrap}nav a{margin-right:14px}";
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
 
-/// Writes `index.html` into a folder, with the pictures that lie there inside.
+/// Writes `index.html` into a folder, with the pictures that lie there inside, and every table of the page as LaTeX; the page's bytes.
 ///
 /// # Errors
-/// When a picture cannot be read or the page not be written.
-pub fn write(folder: &Path, page: &Page<'_>) -> Result<()> {
+/// When a picture cannot be read or a file not be written.
+pub fn write(folder: &Path, page: &Page<'_>) -> Result<usize> {
     let html = html(folder, page)?;
-    let path = folder.join("index.html");
-    Ok(write_atomically(&path, |file| std::io::Write::write_all(file, html.as_bytes())).map_err(Failure::writing)?)
+    let text = |name: &str, text: &str| {
+        write_atomically(&folder.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
+            .map_err(Failure::writing)
+    };
+    for (study, state) in page.studies {
+        let State::Done(section) = state else { continue };
+        for (name, table) in tables_of(study.name, section) {
+            text(&name, &table.latex())?;
+        }
+    }
+    text("index.html", &html)?;
+    Ok(html.len())
+}
+
+/// The tables of a section, each with the name of its LaTeX file.
+fn tables_of<'a>(study: &str, section: &'a Section) -> Vec<(String, &'a Table)> {
+    let tables = section
+        .blocks
+        .iter()
+        .filter_map(|block| if let Block::Table { table, .. } = block { Some(table) } else { None });
+    tables.enumerate().map(|(k, table)| (format!("{study}-table{}.tex", k + 1), table)).collect()
 }
 
 fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
@@ -54,6 +72,11 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     let count = |v: Verdict| page.verdicts.iter().filter(|j| j.verdict == v).count();
     let [holds, fails, undecided, open] = Verdict::ALL.map(count);
     let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
+    write!(out, "<nav id=\"contents\"><details open><summary>Contents</summary><ol>")?;
+    for (study, _) in page.studies {
+        write!(out, "<li><a href=\"#{}\">{}</a></li>", study.name, escaped(study.title))?;
+    }
+    out.push_str("<li><a href=\"#claims\">What the papers claim</a></li></ol></details></nav>\n<main>\n");
     write!(
         out,
         "<h1>Two papers, measured</h1>\n\
@@ -62,60 +85,86 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
          whose truth is known. {}</p>\n\
          <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, <span \
          class=\"waiting\">{undecided} are undecided</span>: a bound lies within what another choice of scans would do; {open} are not \
-         measured{}.</p>\n<nav>",
+         measured{}.</p>\n",
         escaped(page.about),
         page.verdicts.len(),
         if unfinished { " yet" } else { "" },
     )?;
-    for (study, _) in page.studies {
-        write!(out, "<a href=\"#{0}\">{0}</a>", study.name)?;
-    }
-    out.push_str("<a href=\"#claims\">claims</a></nav>\n");
     for (study, state) in page.studies {
         let [title, about] = [study.title, study.about].map(escaped);
-        write!(out, "<h2 id=\"{}\">{title}</h2>\n<p class=\"about\">{about}</p>\n", study.name)?;
+        writeln!(out, "<details class=\"study\" open><summary><h2 id=\"{}\">{title}</h2></summary>", study.name)?;
+        if let State::Done(section) = state {
+            writeln!(out, "<p class=\"finding\">{}</p>", escaped(&section.finding))?;
+        }
+        writeln!(out, "<p class=\"about\">{about}</p>")?;
         match state {
             State::Waiting => out.push_str("<p class=\"waiting\">Not yet run.</p>\n"),
             State::Running => out.push_str("<p class=\"waiting\">Running; reload this page.</p>\n"),
             State::Failed(message) => writeln!(out, "<p class=\"failed\">failed: {}</p>", escaped(message))?,
             State::Done(section) => {
+                let mut tables = tables_of(study.name, section).into_iter().map(|t| t.0);
                 for block in &section.blocks {
-                    write_block(&mut out, folder, block)?;
+                    write_block(&mut out, folder, block, &mut tables)?;
                 }
             }
         }
+        out.push_str("</details>\n");
     }
-    out.push_str("<h2 id=\"claims\">What the papers claim</h2>\n");
+    out.push_str("<details class=\"study\" open><summary><h2 id=\"claims\">What the papers claim</h2></summary>\n");
     for paper in PAPERS {
         let of_paper: Vec<&Judged> = page.verdicts.iter().filter(|j| j.paper == paper.name).collect();
         writeln!(out, "<h3>{}</h3>", paper.name)?;
         write_claims(&mut out, &of_paper)?;
     }
     out.push_str(
-        "<p class=\"about\">Every number is in a CSV and a JSON file beside this page; <code>manifest.json</code> has version, \
-         command, configuration, seed and hashes of the inputs, <code>machine.json</code> processor, threads and times.</p>\n",
+        "</details>\n<p class=\"about\">Every number is in a CSV and a JSON file beside this page, every plot in an SVG file; \
+         <code>manifest.json</code> has version, command, configuration, seed and hashes of the inputs, <code>machine.json</code> \
+         processor, threads and times.</p>\n</main>\n",
     );
+    write!(out, "<script>{SCRIPT}</script>")?;
+    if page
+        .studies
+        .iter()
+        .any(|(_, state)| matches!(state, State::Done(s) if s.blocks.iter().any(|b| matches!(b, Block::View(_)))))
+    {
+        write!(out, "<script>{}</script>", view3d::SCRIPT)?;
+    }
     Ok(page::document("nonrigid: two papers, measured", STYLE, &out))
 }
 
-fn write_block(out: &mut String, folder: &Path, block: &Block) -> Result<()> {
+fn write_block(
+    out: &mut String,
+    folder: &Path,
+    block: &Block,
+    tables: &mut impl Iterator<Item = String>,
+) -> Result<()> {
     match block {
         Block::Figure { file, caption } => {
             let path = folder.join(file);
             let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
             if file.ends_with(".svg") {
                 let drawing = String::from_utf8_lossy(&bytes);
-                writeln!(out, "<figure>{drawing}<figcaption>{}</figcaption></figure>", escaped(caption))?;
+                writeln!(
+                    out,
+                    "<figure><div class=\"drawing\">{drawing}</div><figcaption>{}</figcaption></figure>",
+                    escaped(caption)
+                )?;
             } else {
                 out.push_str(&page::picture(&bytes, caption));
             }
         }
         Block::Table { table, caption, file } => {
-            let caption = format!("{} All digits: <code>{}</code>.", escaped(caption), escaped(file));
+            let latex = tables.next().unwrap_or_default();
+            let caption = format!(
+                "{} All digits: <code>{}</code>; for LaTeX: <code>{latex}</code>.",
+                escaped(caption),
+                escaped(file)
+            );
             let header: Vec<String> = table.header.iter().map(|name| name.replace('_', " ")).collect();
             let rows = table.rows.iter().map(|row| row.iter().map(|cell| shown_cell(cell)).collect());
             out.push_str(&page::table(&caption, &header, rows));
         }
+        Block::View(view) => out.push_str(&view.html()?),
     }
     Ok(())
 }

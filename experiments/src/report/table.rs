@@ -73,6 +73,32 @@ impl Table {
         self.rows.push(row);
     }
 
+    /// The table as people read it, as LaTeX of the package booktabs.
+    #[must_use]
+    pub fn latex(&self) -> String {
+        let escape = |text: &str| {
+            text.chars().fold(String::new(), |mut out, c| {
+                match c {
+                    '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
+                    '\\' => out.push_str("\\textbackslash{}"),
+                    '~' => out.push_str("\\textasciitilde{}"),
+                    '^' => out.push_str("\\textasciicircum{}"),
+                    _ => out.push(c),
+                }
+                out
+            })
+        };
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            cells.map(|c| escape(&c)).collect::<Vec<_>>().join(" & ") + " \\\\\n"
+        };
+        // A column without letters is one of numbers, to the right.
+        let number = |k: usize| self.rows.iter().all(|row| row[k].is_empty() || row[k].parse::<f64>().is_ok());
+        let columns: String = (0..self.header.len()).map(|k| if number(k) { 'r' } else { 'l' }).collect();
+        let head = line(&mut self.header.iter().map(|name| name.replace('_', " ")));
+        let rows: String = self.rows.iter().map(|row| line(&mut row.iter().map(|cell| shown_cell(cell)))).collect();
+        format!("\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n")
+    }
+
     /// Writes `name`.csv and `name`.json into a folder.
     ///
     /// # Errors
@@ -160,6 +186,16 @@ mod tests {
         assert!(read.numbers(&[("name", "c")], "rmse").unwrap()[0].is_nan());
         assert_eq!(read.find(&[("name", "c")]).unwrap()[0].0, 3);
         assert!(read.find(&[("nothing", "c")]).is_err());
+    }
+
+    #[test]
+    fn latex_is_aligned_and_escaped() {
+        let mut table = Table::new(&["name", "self_intersections"]);
+        table.push(vec!["50 % of a_b".into(), number(1.2345)]);
+        assert_eq!(
+            table.latex(),
+            "\\begin{tabular}{lr}\n\\toprule\nname & self intersections \\\\\n\\midrule\n50 \\% of a\\_b & 1.23 \\\\\n\\bottomrule\n\\end{tabular}\n"
+        );
     }
 
     #[test]

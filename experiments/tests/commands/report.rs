@@ -9,7 +9,9 @@ use experiments::report::claims::{self, Bound, Claim, Judged, Measured, PAPERS, 
 use experiments::report::effort::Effort;
 use experiments::report::table::{Table, number};
 use experiments::report::{Options, run};
-use nonrigid::registration::ModelKind;
+use nonrigid::energy::OptionsError;
+use nonrigid::model::ModelError;
+use nonrigid::registration::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 
 /// Everything, as small as it gets.
 fn tiny() -> Effort {
@@ -49,6 +51,27 @@ fn tiny() -> Effort {
     }
 }
 
+/// A model of one's own: it is another's under its own name.
+struct Mine;
+
+impl ModelFactory for Mine {
+    fn name(&self) -> &str {
+        "mine"
+    }
+
+    fn default_schedule(&self) -> &str {
+        ModelKind::Rigid.default_schedule()
+    }
+
+    fn options(&self, given: &nonrigid::energy::Options) -> Result<nonrigid::energy::Options, OptionsError> {
+        ModelKind::Rigid.options(given)
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        ModelKind::Rigid.build(input)
+    }
+}
+
 fn claims_of_all() -> impl Iterator<Item = &'static Claim> {
     PAPERS.iter().flat_map(|paper| paper.claims)
 }
@@ -66,10 +89,9 @@ fn report_of(own: Option<[PathBuf; 2]>, out: &Path, threads: usize, only: &[&str
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let only = only.iter().map(ToString::to_string).collect();
     let (rig, scans) = own.map(|[rig, scans]| (rig, scans)).unzip();
-    let (peers, out) = (None, out.to_owned());
-    let options = Options { quick: false, full: false, list: false, only, rig, scans, peers, seed: 7, out };
+    let options = Options { only, rig, scans, out: out.to_owned(), ..Options::default() };
     let mut log = Vec::new();
-    let verdicts = pool.install(|| run(&options, &tiny(), program(), &mut log)).unwrap();
+    let verdicts = pool.install(|| run(&options, &tiny(), program(), &[&Mine], &mut log)).unwrap();
     (verdicts, String::from_utf8(log).unwrap())
 }
 
@@ -111,6 +133,7 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
         "mask-models",
     ] {
         assert!(page.contains(&format!("<h2 id=\"{study}\">")), "{study}");
+        assert!(page.contains(&format!("<a href=\"#{study}\">")), "{study}");
     }
     // One page with everything in it.
     assert!(!page.contains("Not yet run") && !page.contains("Running; reload"));
@@ -118,10 +141,20 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
     assert!(failures.is_empty(), "{failures:?}");
     let words = page.split("base64,").map(|part| part.split_once('"').map_or(part, |p| p.1)).collect::<String>();
     assert!(!words.contains("NaN"));
+    assert_eq!(page.matches("<p class=\"finding\">").count(), 13);
+    assert!(page.matches("<figure class=\"view3d\">").count() >= 2 && page.len() < 15_000_000, "{} bytes", page.len());
     let sources: Vec<&str> = page.split(" src=\"").skip(1).collect();
     assert!(sources.len() >= 4 && sources.iter().all(|s| s.starts_with("data:image/png;base64,")));
     assert!(!page.contains("href=\"http") && page.matches("<svg").count() >= 8);
     assert!(log.contains("plan, about") && log.contains("YOUR_SCAN/scan.ply"), "{log}");
+
+    // A model of one's own has its rows.
+    for (table, column) in [("extreme", "model"), ("comparison", "name"), ("sweeps", "model")] {
+        let table = Table::read(&folder.path().join(format!("{table}.csv"))).unwrap();
+        let rmse = |name| table.numbers(&[(column, name)], "rmse").unwrap();
+        assert!(!rmse("mine").is_empty() && rmse("mine") == rmse("rigid"), "{:?}", rmse("mine"));
+    }
+    assert!(fs::read_to_string(folder.path().join("extreme-table1.tex")).unwrap().contains("mine & "));
 
     // Only the kernels and terms are left out of so small a run.
     let open: Vec<&str> =

@@ -11,7 +11,9 @@ use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
 use crate::generated::face;
 use crate::plots::{Axis, Plot, Point, Series};
-use crate::report::study::{Block, Section, Setting, Study, cpu_seconds, mean_point, one_thread};
+use crate::report::study::{
+    Block, Section, Setting, Study, cpu_seconds, least_and_most, mean_point, one_thread, ranked,
+};
 use crate::report::table::{Table, number};
 use crate::surgery::Patient;
 
@@ -38,7 +40,10 @@ const RUNS: usize = 5;
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut blocks = models(setting)?;
     blocks.extend(one_thread()?.install(|| speed(setting))?);
-    Ok(Section { blocks })
+    let reached = Table::read(&setting.out.join("mask-models.csv"))?;
+    let reached = ranked(&reached, &[], "model", "reached_over_asked")?;
+    let finding = least_and_most("displacement reached, of 1 asked,", &reached, "");
+    Ok(Section { finding, blocks })
 }
 
 fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {

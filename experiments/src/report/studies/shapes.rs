@@ -12,9 +12,9 @@ use rand_distr::{Distribution as _, StandardNormal};
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::plots::{Axis, Grid, LinearFit, Plot, Point, Series};
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, cpu_seconds, error_cells, mean_point, register_variant,
+    Block, ERROR_COLUMNS, Section, Setting, Study, cpu_seconds, error_cells, mean_point, register_variant, spread,
 };
-use crate::report::table::{Table, counted, number};
+use crate::report::table::{Table, counted, number, shown};
 use crate::scan_bench::{BenchCase, LandmarkUse, Variant};
 
 pub const STUDY: Study = Study {
@@ -129,8 +129,18 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let figure = setting.plot("shapes", &Grid { columns: 2, plots: vec![whole, each, error] }.svg()?, caption)?;
     let caption = "A straight line through the times of each scan: slope and its error, share of the variance explained, the largest \
                    departure from the line against what it rises by, and what the last number of shapes takes over the first.";
+    let mean = |of: &str, column: &str| -> Result<f64> {
+        Ok(spread(&fits.numbers(&[("differentiation", of), ("quantity", "registration")], column)?).0)
+    };
+    let finding = format!(
+        "A further shape costs {} ms of one core as in the paper and {} ms by our differentiation; the paper's times lie within {} % \
+         of a straight line's rise.",
+        shown(1e3 * mean("paper", "seconds_per_shape")?),
+        shown(1e3 * mean("ours", "seconds_per_shape")?),
+        shown(100.0 * mean("paper", "departure")?)
+    );
     let fitted = Block::Table { table: fits, caption: caption.into(), file: "shapes-fit.timing.csv".into() };
-    Ok(Section { blocks: vec![figure, fitted] })
+    Ok(Section { finding, blocks: vec![figure, fitted] })
 }
 
 /// Random people with random expressions: of the user's rig, whose cases are the scans, or else of generated ones.
