@@ -31,6 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::rotation_fit::closest_rotation;
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
@@ -468,6 +469,22 @@ impl ModelFactory for Factory {
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
         Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        // Each edge counts twice.
+        let arap = Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?;
+        Ok(Box::new(arap.with_held_at(input.held, input.places)))
     }
 }
 

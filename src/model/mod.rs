@@ -16,6 +16,7 @@ mod hybrid;
 mod klimov2020;
 mod node_graph;
 mod node_options;
+mod on_patch;
 mod rigid;
 mod rotation_fit;
 mod sequential;
@@ -35,6 +36,7 @@ pub use graph::{Graph, graph, graph_of};
 pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
 pub use node_graph::NodeGraph;
 pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
+pub use on_patch::{PatchFactory, PatchInput};
 pub use rigid::{Rigid, rigid};
 pub use similarity::{Similarity, similarity};
 pub use sumner::{Sumner, SumnerOptions, sumner};
@@ -97,6 +99,14 @@ models! {
     Similarity => similarity::Factory,
 }
 
+impl ModelKind {
+    /// The names of all of them, in one line.
+    #[must_use]
+    pub fn names() -> String {
+        Self::ALL.map(|m| m.to_string()).join(", ")
+    }
+}
+
 impl std::fmt::Display for ModelKind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())
@@ -107,10 +117,8 @@ impl std::str::FromStr for ModelKind {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|m| m.name() == name).ok_or_else(|| {
-            let known: Vec<_> = Self::ALL.iter().map(|m| m.name().to_owned()).collect();
-            format!("unknown model '{name}'; known models: {}", known.join(", "))
-        })
+        let found = Self::ALL.into_iter().find(|m| m.name() == name);
+        found.ok_or_else(|| format!("unknown model '{name}'; known models: {}", Self::names()))
     }
 }
 
@@ -145,6 +153,10 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         self.factory().build(input)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        self.factory().on_patch()
     }
 }
 

@@ -101,7 +101,7 @@ fn sentence(lines: &[&str]) -> String {
 }
 
 /// Types of fields that are a choice between names, and where they are.
-const CHOICES: [(&str, &str); 13] = [
+const CHOICES: [(&str, &str); 12] = [
     ("PoseKind", "mesh/pose.rs"),
     ("ScanFlip", "correspondence/mod.rs"),
     ("StepAlgorithm", "registration/schedule.rs"),
@@ -114,7 +114,6 @@ const CHOICES: [(&str, &str); 13] = [
     ("Smoothness", "model/free.rs"),
     ("EdgeWeights", "model/edge_weights.rs"),
     ("ArapSolver", "model/arap.rs"),
-    ("MorphModel", "morph/energy/mod.rs"),
 ];
 
 /// Text for a cell of a table. Names of Rust become what a file says.
