@@ -510,7 +510,8 @@ mod tests {
     #[test]
     fn a_look_can_be_set() {
         let svg = plot(vec![Series::line("a", points(&[1.0], 0.0)).with_look(2)]).svg().unwrap();
-        assert_eq!((count(&svg, "<circle"), count(&svg, "#009E73")), (0, 3));
+        // Marker and error bar, line and marker of the legend.
+        assert_eq!((count(&svg, "<circle"), count(&svg, "#009E73")), (0, 4));
     }
 
     #[test]
