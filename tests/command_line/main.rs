@@ -18,6 +18,7 @@ mod skip;
 mod support;
 
 mod bad_input;
+mod animate;
 mod batch;
 mod determinism;
 mod doctor;
