@@ -61,7 +61,8 @@ pub struct Arguments {
     /// Whether the scan is inside out, its normals facing inwards, and has to be turned over [default: the schedule's, or auto]
     #[arg(long, value_enum, value_name = "WHEN")]
     flip: Option<FlipArgument>,
-    /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), free, rigid or similarity
+    /// Deformation model: hybrid, sequential, blendshape, gpmm, gpmm_rig, graph, sumner, arap, poisson, laplacian, affine (N-ICP), free,
+    /// rigid or similarity
     #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
     model: ModelKind,
     /// Schedule (.toml) [default: the model's own]
