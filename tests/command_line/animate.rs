@@ -39,7 +39,8 @@ fn a_point_cache_has_every_frame() {
     assert_eq!(&bytes[..12], b"POINTCACHE2\0");
     let word = |k: usize| i32::from_le_bytes(bytes[12 + 4 * k..16 + 4 * k].try_into().unwrap());
     assert_eq!((word(0), word(1) as usize, word(4)), (1, frames[0].len(), 3));
-    let values: Vec<f64> = bytes[32..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect();
+    let values: Vec<f64> =
+        bytes[32..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect();
     let points: Vec<Vec3> = values.chunks_exact(3).map(Vec3::from_column_slice).collect();
     for (k, frame) in frames.iter().enumerate() {
         assert!(farthest(&points[k * frame.len()..(k + 1) * frame.len()], frame) < 1e-4);
@@ -52,7 +53,14 @@ fn a_stage_has_every_frame_and_what_the_mesh_has() {
     let frames = frames(&bench);
     bench.done("animate --meshes frames --fps 25 --out face.usda");
     let text = String::from_utf8(bench.read("face.usda")).unwrap();
-    for part in ["endTimeCode = 2", "timeCodesPerSecond = 25", "metersPerUnit = 0.001", "upAxis = \"Y\"", "primvars:st:indices", "GeomSubset"] {
+    for part in [
+        "endTimeCode = 2",
+        "timeCodesPerSecond = 25",
+        "metersPerUnit = 0.001",
+        "upAxis = \"Y\"",
+        "primvars:st:indices",
+        "GeomSubset",
+    ] {
         assert!(text.contains(part), "{part}");
     }
     let points = &text[text.find("points.timeSamples").unwrap()..];
@@ -71,7 +79,8 @@ fn a_stage_has_every_frame_and_what_the_mesh_has() {
 fn floats(document: &Value, binary: &[u8], accessor: &Value) -> Vec<f64> {
     let accessor = &document["accessors"][accessor.as_u64().unwrap() as usize];
     let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
-    let (start, length) = (view["byteOffset"].as_u64().unwrap() as usize, view["byteLength"].as_u64().unwrap() as usize);
+    let (start, length) =
+        (view["byteOffset"].as_u64().unwrap() as usize, view["byteLength"].as_u64().unwrap() as usize);
     binary[start..start + length].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect()
 }
 
@@ -88,7 +97,8 @@ fn shapes_a_pose_and_what_is_left_give_every_frame() {
         let binary = &bytes[28 + length..];
         let animation = &document["animations"][0];
         let track = |path: &str| {
-            let channel = animation["channels"].as_array().unwrap().iter().find(|c| c["target"]["path"] == path).unwrap();
+            let channel =
+                animation["channels"].as_array().unwrap().iter().find(|c| c["target"]["path"] == path).unwrap();
             let sampler = &animation["samplers"][channel["sampler"].as_u64().unwrap() as usize];
             (floats(&document, binary, &sampler["input"]), floats(&document, binary, &sampler["output"]))
         };
@@ -97,7 +107,11 @@ fn shapes_a_pose_and_what_is_left_give_every_frame() {
         let (translations, turns) = (track("translation").1, track("rotation").1);
         let targets = weights.len() / 3;
         if !rig.is_empty() {
-            assert!((weights[targets] - 0.5).abs() < 0.02, "the first shape explains the second frame: {}", weights[targets]);
+            assert!(
+                (weights[targets] - 0.5).abs() < 0.02,
+                "the first shape explains the second frame: {}",
+                weights[targets]
+            );
         }
         for (k, frame) in frames.iter().enumerate() {
             let q = nalgebra::Quaternion::from_vector(nalgebra::Vector4::from_column_slice(&turns[4 * k..4 * k + 4]));

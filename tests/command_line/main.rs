@@ -17,8 +17,8 @@ mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 
-mod bad_input;
 mod animate;
+mod bad_input;
 mod batch;
 mod determinism;
 mod doctor;
