@@ -25,9 +25,13 @@ Model = Literal[
     "sequential",
     "blendshape",
     "flame",
+    "gpmm",
+    "gpmm_rig",
     "graph",
     "sumner",
     "arap",
+    "poisson",
+    "laplacian",
     "affine",
     "free",
     "rigid",
@@ -250,7 +254,7 @@ def register(
     (vertices (L,), points (L, 3)). template_landmarks: what names mean, a file or {name: vertex or point}. With fewer than three landmarks the
     start is searched.
 
-    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "graph", "sumner", "arap", "affine", "free", "rigid" or "similarity".
+    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "gpmm", "gpmm_rig", "graph", "sumner", "arap", "poisson", "laplacian", "affine", "free", "rigid" or "similarity".
     schedule: a `Schedule`, its keys, or a TOML file; the model's own unless stated.
 
     neutral: the subject's own neutral, (V, 3) or a file. mask: (V,) from 0 to 1, what the scan says counts so much; free_mask: 1 for vertices

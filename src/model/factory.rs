@@ -28,7 +28,8 @@ pub trait RegistrationModel: DeformationModel {
         out.extend_from_slice(rest);
     }
 
-    /// Names and values of the blendshape weights in `x`, if the model has any; in the order of the border's coordinates.
+    /// Names and values of the blendshape weights in `x`, if the model has any: those of the first of the border's coordinates, in
+    /// their order.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
         Vec::new()
     }
@@ -51,6 +52,8 @@ pub struct ModelInput<'a> {
     pub options: &'a Options,
     /// Number of vertices of the template that the schedule's weights are meant for.
     pub reference_vertices: f64,
+    /// The template's length of one of the schedule's millimetres.
+    pub unit: f64,
 }
 
 /// Builds a model for a template. Implement this for your own model to register with it and to see it in `scan_bench`.

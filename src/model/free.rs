@@ -25,7 +25,6 @@ use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, Sm
 use super::on_patch::{PatchFactory, PatchInput};
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, parameters, row_position};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
-use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -52,9 +51,6 @@ pub struct FreeOptions {
     /// this.
     pub reference_vertices: f64,
 }
-
-/// Vertex areas below this part of the mean count as that.
-const SMALLEST_AREA: f64 = 1e-3;
 
 /// Free vertices under a Laplacian.
 pub struct Free {
@@ -119,24 +115,8 @@ impl SmoothRows {
     }
 
     fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> Self {
-        let count = mesh.positions.len();
-        let of_mesh = WeightedEdges {
-            edges: edges.edges[..edges.of_mesh].to_vec(),
-            weights: edges.weights[..edges.of_mesh].to_vec(),
-            ..edges.clone()
-        };
-        let mut stars = of_mesh.stars(count);
-        let used = stars.iter().filter(|s| !s.is_empty()).count().max(1) as f64;
-        // In units of the mean area, then of the reference vertex': uniform weights know no areas.
-        let areas: Vec<f64> = match options.weights {
-            EdgeWeights::Uniform => vec![options.reference_vertices / used; count],
-            EdgeWeights::Cotangent => {
-                let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-                let mean = areas.iter().sum::<f64>() / used;
-                let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
-                areas.into_iter().map(|a| relative(a) * options.reference_vertices / used).collect()
-            }
-        };
+        let mut stars = edges.without_ties().stars(mesh.positions.len());
+        let areas = edges.areas(mesh, options.weights, options.reference_vertices);
         let mut rows = Self::new();
         for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
             if edges.boundary[i] {
@@ -153,7 +133,7 @@ impl SmoothRows {
 }
 
 /// Replaces the weights `w_ij` of a star by the `c_ij` that vanish on fields linear along the surface.
-fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec3]) {
+pub(super) fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec3]) {
     let edge = |j: u32| positions[j as usize] - positions[i];
     let (mut g, mut sum) = (Matrix3::zeros(), Vec3::zeros());
     for &(j, w) in star.iter() {

@@ -211,6 +211,7 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
     }
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
-        self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
+        let named = self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied());
+        named.take(self.reported_shapes).collect()
     }
 }

@@ -348,7 +348,7 @@ fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec
 
 fn model_input<'a>(template: &'a Rest, shapes: &'a ShapeBasis, schedule: &'a Schedule) -> ModelInput<'a> {
     let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
-    ModelInput { rest: &template.mesh, shapes, options, reference_vertices }
+    ModelInput { rest: &template.mesh, shapes, options, reference_vertices, unit: template.unit }
 }
 
 /// The parameters to start with: of rest, or of a warm start, within bounds.
@@ -474,8 +474,8 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
     }
     let variance = problem.residual_variance(x);
     let covariance = workspace.border_covariance(problem, x, DAMPING_FLOOR).ok();
-    let covariance = covariance.filter(|c| c.nrows() == named.len()).zip(variance);
-    let bounds = problem.border_bounds().filter(|b| b.lower.len() == named.len());
+    let covariance = covariance.filter(|c| c.nrows() >= named.len()).zip(variance);
+    let bounds = problem.border_bounds().filter(|b| b.lower.len() >= named.len());
     let weight = |(k, (name, value))| {
         let at_bound = bounds.is_some_and(|b| b.at_bound(x, k));
         let std_dev = covariance.as_ref().filter(|_| !at_bound).map(|(c, variance)| (variance * c[(k, k)]).sqrt());

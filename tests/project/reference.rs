@@ -194,6 +194,9 @@ fn tables_of(model: ModelKind) -> [Option<(&'static str, &'static str)>; 2] {
         "rigid" | "similarity" => [one_node, None],
         "free" => [Some(("model/free.rs", "SmoothOptions")), smooth],
         "arap" => [Some(("model/arap.rs", "RigidityOptions")), smooth],
+        "laplacian" => [Some(("model/laplacian.rs", "LaplacianOptions")), smooth],
+        "gpmm" | "gpmm_rig" => [Some(("model/gpmm.rs", "GpmmOptions")), blendshape],
+        "poisson" => [Some(("model/poisson.rs", "PoissonOptions")), smooth],
         "affine" => [Some(("model/affine.rs", "AffineOptions")), smooth],
         other => panic!("the reference does not know the model {other}"),
     }

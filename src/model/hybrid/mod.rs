@@ -94,6 +94,8 @@ pub struct Hybrid<T = RigidMotion, const W: usize = 6> {
     rest: Vec<Vec3>,
     graph: NodeGraph,
     pub(super) shapes: ShapeBasis,
+    /// How many of the shapes, the first ones, are a rig's and have weights to report.
+    pub(super) reported_shapes: usize,
     /// Regulariser weights.
     pub stiffness: Stiffness,
     /// How [`pull_back`](DeformationModel::pull_back) differentiates.
@@ -162,6 +164,7 @@ impl<T: NodeTransform<W>, const W: usize> Hybrid<T, W> {
             regulariser: GraphRegulariser::new(&graph, &rest),
             rest,
             graph,
+            reported_shapes: shapes.len(),
             shapes,
             stiffness,
             linearisation: Linearisation::default(),
