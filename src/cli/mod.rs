@@ -15,6 +15,7 @@ mod rig;
 mod rig_convert;
 mod rig_fit;
 mod rig_pca;
+mod rig_subdivide;
 mod rig_transfer;
 mod units;
 

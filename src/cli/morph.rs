@@ -66,8 +66,8 @@ pub struct Arguments {
     /// Only the first N steps of the recipe
     #[arg(long, value_name = "N", conflicts_with = "preset")]
     until: Option<usize>,
-    /// In place of every step's model: direct, free, arap, graph, blendshape or hybrid
-    #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>)]
+    #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>,
+        help = format!("In place of every step's model: {}", MorphModel::names()))]
     model: Option<MorphModel>,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]

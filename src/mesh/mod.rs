@@ -12,6 +12,7 @@ mod oriented_points;
 mod polygon_mesh;
 mod pose;
 pub mod srgb;
+mod subdivide;
 #[cfg(test)]
 pub(crate) mod testing;
 mod triangle_mesh;
@@ -22,6 +23,7 @@ pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
+pub use subdivide::Subdivision;
 pub use triangle_mesh::TriangleMesh;
 
 /// A point or vector in space, millimetres.

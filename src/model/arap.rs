@@ -13,8 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
-use crate::energy::{OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh};
 
 /// How as-rigid-as-possible surfaces are solved.
@@ -92,6 +93,22 @@ impl ModelFactory for Factory {
         let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
         Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
     }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        // Each edge counts twice.
+        let arap = Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?;
+        Ok(Box::new(arap.with_held_at(input.held, input.places)))
+    }
 }
 
 #[cfg(test)]
@@ -101,7 +118,7 @@ mod tests {
     use nalgebra::Rotation3;
 
     use super::*;
-    use crate::energy::{DataTerm, Deformation, DeformationModel, Samples};
+    use crate::energy::{DataTerm, Deformation, Samples};
     use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 #[cfg(doc)]
 use super::Autodiff;
-use super::AutodiffError;
+use super::{AutodiffError, PatchFactory};
 use crate::energy::{DeformationModel, NoOptions, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::rig::ShapeBasis;
@@ -100,6 +100,11 @@ pub trait ModelFactory: Send + Sync {
     /// # Errors
     /// When the template's geometry does not do, or an option.
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError>;
+
+    /// How morphs make the model, if they can.
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        None
+    }
 }
 
 /// A model of the table under another name, with a schedule of its own.

@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, parameters, row_position};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
@@ -326,6 +327,26 @@ impl ModelFactory for Factory {
         let SmoothOptions { kind, weights } = input.options.read()?;
         let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
         Ok(Box::new(Free::new(input.rest, options, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (kind, weights) = (input.smoothness, EdgeWeights::Cotangent);
+        let options = FreeOptions { kind, weights, reference_vertices: input.mesh.positions.len() as f64 };
+        let lambda = match kind {
+            Smoothness::Laplacian => input.gradient_weight(),
+            Smoothness::BiLaplacian => input.gradient_weight().powi(2),
+        };
+        Ok(Box::new(Free::new(input.mesh, options, lambda)?.with_held_at(input.held, input.places)))
     }
 }
 

@@ -18,6 +18,7 @@ mod klimov2020;
 mod laplacian;
 mod node_graph;
 mod node_options;
+mod on_patch;
 mod poisson;
 mod rigid;
 mod rigid_cells;
@@ -42,6 +43,7 @@ pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
 pub use laplacian::{Laplacian, LaplacianOptions};
 pub use node_graph::NodeGraph;
 pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
+pub use on_patch::{PatchFactory, PatchInput};
 pub use poisson::{Guidance, Patches, Poisson, PoissonOptions};
 pub use rigid::{Rigid, rigid};
 pub use rigid_cells::{ArapSolver, CellKind, RigidCells};
@@ -115,6 +117,14 @@ models! {
     Similarity => similarity::Factory,
 }
 
+impl ModelKind {
+    /// The names of all of them, in one line.
+    #[must_use]
+    pub fn names() -> String {
+        Self::ALL.map(|m| m.to_string()).join(", ")
+    }
+}
+
 impl std::fmt::Display for ModelKind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())
@@ -125,10 +135,8 @@ impl std::str::FromStr for ModelKind {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|m| m.name() == name).ok_or_else(|| {
-            let known: Vec<_> = Self::ALL.iter().map(|m| m.name().to_owned()).collect();
-            format!("unknown model '{name}'; known models: {}", known.join(", "))
-        })
+        let found = Self::ALL.into_iter().find(|m| m.name() == name);
+        found.ok_or_else(|| format!("unknown model '{name}'; known models: {}", Self::names()))
     }
 }
 
@@ -163,6 +171,10 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         self.factory().build(input)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        self.factory().on_patch()
     }
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform,
+    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform, PatchInput,
     QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
 };
 use crate::energy::{OptionTable, Options, OptionsError};
@@ -167,6 +167,16 @@ pub(super) fn build(
         (NodeKind::Rigid, RotationKind::Quaternion) => with::<QuaternionMotion, 6>(name, input, shapes, &options),
         (NodeKind::Rigid, RotationKind::AngleAxis) => with::<AngleAxisMotion, 6>(name, input, shapes, &options),
     }
+}
+
+/// The graph of a patch, and its `lambda_graph`.
+pub(super) fn on_patch(input: &PatchInput<'_>) -> Result<(NodeGraph, f64), ModelError> {
+    let nodes = NodeGraph::on_region(input.mesh, input.held, input.nodes.min(input.moving.div_ceil(2)))?;
+    let edge = |e: &(u32, u32)| (nodes.nodes()[e.0 as usize] - nodes.nodes()[e.1 as usize]).norm_squared();
+    // A residual of (7) sees the change along its edge: half of the gradient's square, times the edge's.
+    let squares: f64 = 0.5 * nodes.edges().iter().map(edge).sum::<f64>();
+    let (weight, area) = (input.gradient_weight(), input.vertex_area * input.moving as f64);
+    Ok((nodes, if squares > 0.0 { weight * area / squares } else { weight }))
 }
 
 /// A model of one node, with the linearisation that `[model]` names.

@@ -101,7 +101,7 @@ fn sentence(lines: &[&str]) -> String {
 }
 
 /// Types of fields that are a choice between names, and where they are.
-const CHOICES: [(&str, &str); 13] = [
+const CHOICES: [(&str, &str); 12] = [
     ("PoseKind", "mesh/pose.rs"),
     ("ScanFlip", "correspondence/mod.rs"),
     ("StepAlgorithm", "registration/schedule.rs"),
@@ -113,8 +113,9 @@ const CHOICES: [(&str, &str); 13] = [
     ("Linearisation", "model/hybrid/mod.rs"),
     ("Smoothness", "model/free.rs"),
     ("EdgeWeights", "model/edge_weights.rs"),
-    ("ArapSolver", "model/arap.rs"),
-    ("MorphModel", "morph/energy/mod.rs"),
+    ("ArapSolver", "model/rigid_cells.rs"),
+    ("Guidance", "model/poisson.rs"),
+    ("Frames", "model/star_similarity.rs"),
 ];
 
 /// Text for a cell of a table. Names of Rust become what a file says.

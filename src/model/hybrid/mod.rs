@@ -46,7 +46,10 @@ use self::reference::Strided;
 use self::regulariser::GraphRegulariser;
 use self::samples::{Blended, NodeSamples, Structured};
 use super::transform::{AffineMap, NodeTransform, RigidMotion};
-use super::{GraphOptions, ModelError, ModelFactory, ModelInput, NodeGraph, RegistrationModel, node_options};
+use super::{
+    GraphOptions, ModelError, ModelFactory, ModelInput, NodeGraph, PatchFactory, PatchInput, RegistrationModel,
+    node_options,
+};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{Tile, padded, sum_of_products, sweep, vectorized};
@@ -535,5 +538,17 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         node_options::build("hybrid", input, input.shapes)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (nodes, graph) = node_options::on_patch(input)?;
+        let stiffness = Stiffness { graph, blend: input.shape_weight(), ..Stiffness::default() };
+        Ok(Box::new(Hybrid::new(input.mesh.positions.clone(), nodes, input.shapes.clone(), stiffness)))
     }
 }

@@ -8,6 +8,7 @@ use nonrigid::morph::{
     Blur, Constraints, Coordinates, EnergyOptions, MaskedDisplacement, MorphEnergy, MorphModel, MorphStep, Projector,
     Region, ReplayOptions, Sampling, Shape, Texture, Visibility, preset,
 };
+use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourMap, ColourScale, Frame, Scene, Sheet, Style, View, render};
 use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
@@ -48,8 +49,9 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
     let modes = rig.shapes().iter().filter(|s| s.family == nonrigid::rig::Family::Identity).count();
     let shapes = rig.select(ShapeSelection { names: Some(&[]), identity_modes: modes.min(IDENTITY_MODES) })?;
     let patient = Patient::new("template", setting.data.rig.template().clone(), rig.landmarks(), shapes)?;
+    let all = MorphModel::all();
     let jobs: Vec<(&str, f64, MorphModel)> =
-        MASKS.iter().flat_map(|(name, amount)| MorphModel::ALL.map(|model| (*name, *amount, model))).collect();
+        MASKS.iter().flat_map(|(name, amount)| all.iter().map(|model| (*name, *amount, *model))).collect();
     let outcomes = setting.run_all(&jobs, |(name, amount, model)| {
         let recipe = preset(name).with_context(|| format!("no preset {name}"))??;
         let options = ReplayOptions { amount: Some(*amount), model: Some(*model), until: None };
@@ -58,7 +60,7 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
 
     let columns = ["moving", "reached_over_asked", "largest_jump", "folded", "stretch_min", "stretch_max", "steps"];
     let mut table = Table::new(&[&["mask", "model"][..], &columns].concat());
-    let headings = MorphModel::ALL.map(MorphModel::name);
+    let headings: Vec<_> = all.iter().map(MorphModel::name).collect();
     let mut sheet = Sheet::new("").columns(&headings);
     let (mut shaded, mut coloured) = (Vec::new(), Vec::new());
     let scale = ColourScale::new(ColourMap::Viridis, 0.0, 1.0, "displacement", "of asked");
@@ -91,7 +93,7 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
         coloured.push(picture(moved));
     }
     table.write(setting.out, "mask-models")?;
-    let count = MorphModel::ALL.len();
+    let count = all.len();
     for (m, (name, amount)) in MASKS.iter().enumerate() {
         let row = m * count..(m + 1) * count;
         sheet = sheet.row(&format!("{name} {amount} mm"), shaded[row.clone()].to_vec()).row("", coloured[row].to_vec());
@@ -143,8 +145,10 @@ fn speed(setting: &Setting<'_>) -> Result<Vec<Block>> {
             ("weights, visible", visible),
             ("direct morph", morph),
         ];
-        for (name, model) in [("dragged handle, arap", MorphModel::Arap), ("dragged handle, graph", MorphModel::Graph)]
-        {
+        for (name, model) in [
+            ("dragged handle, arap", MorphModel::Energy(ModelKind::Arap)),
+            ("dragged handle, graph", MorphModel::Energy(ModelKind::Graph)),
+        ] {
             let options = EnergyOptions { tolerance: 1e-4, ..EnergyOptions::default() };
             let (none, shapes) = (Constraints::default(), ShapeBasis::none());
             let mut energy = MorphEnergy::new(&mesh, &step, &none, model, &shapes, &options)?;
