@@ -1,5 +1,6 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
+mod animate;
 mod bake;
 pub mod batch;
 mod completions;
@@ -59,6 +60,8 @@ enum Command {
     Register(Box<register::Arguments>),
     /// Wrap a template onto many scans, listed in a table.
     Batch(Box<batch::Arguments>),
+    /// Make one animated file of the frames of a sequence.
+    Animate(animate::Arguments),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
     /// Change a face by masks: presets in millimetres, or a recipe.
@@ -109,6 +112,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>, program: &Program) -> 
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
         Command::Batch(arguments) => batch::run(&arguments, program),
+        Command::Animate(arguments) => animate::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),

@@ -113,7 +113,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (Some(mesh), Some(out)) = (&a.mesh, &a.out) else {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
-    check_output(out, &["obj", "ply", "glb"])?;
+    check_output(out, &["obj", "ply", "glb", "usda"])?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
     let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;

@@ -81,7 +81,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj, .ply or .glb), with the scan's colours at its vertices if the scan has any
+    /// Result (.obj, .ply, .glb or .usda), with the scan's colours at its vertices if the scan has any
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
     /// Divide the result N times by Catmull and Clark's rules, each polygon of k corners into k quads, and let its vertices go on to
@@ -378,7 +378,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
 
 /// Outputs that could not be written, or would overwrite what is read, are refused before the work is done.
 fn check_outputs(a: &Arguments) -> Result<(), Failure> {
-    check_output(&a.out, &["obj", "ply", "glb"])?;
+    check_output(&a.out, &["obj", "ply", "glb", "usda"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;

@@ -21,11 +21,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Blendshape, BlendshapeLevel, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, RegistrationModel, Stiffness,
+    Blendshape, BlendshapeLevel, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, PatchFactory, PatchInput,
+    RegistrationModel, Stiffness, blendshape_in_place,
 };
-use crate::energy::{OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::normals::vertex_areas;
-use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::rig::{Family, Shape, ShapeBasis};
 
 /// A Gaussian kernel, `sigma^2 exp(-|x - y|^2 / length^2)`.
@@ -231,6 +232,22 @@ impl ModelFactory for Factory {
         let none = ShapeBasis::none();
         let rig = if self.with_rig { input.shapes } else { &none };
         Ok(Box::new(gpmm(input.rest, &input.options.read()?, input.unit, rig, 0.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        (!self.with_rig).then_some(self as &dyn PatchFactory)
+    }
+}
+
+impl PatchFactory for Factory {
+    /// Smooth shapes within the mask, of kernels half and a quarter as long as the patch.
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let options = GpmmOptions::default();
+        let longest = options.kernels.iter().map(|k| k.length).fold(f64::MIN_POSITIVE, f64::max);
+        let unit = 0.5 * bounding_box_diagonal(&input.mesh.positions) / longest;
+        let all: Vec<u32> = (0..input.mask.len() as u32).collect();
+        let smooth = options.basis(input.mesh, unit)?.masked(&all, |v| input.mask[v as usize]);
+        Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), smooth, input.shape_weight())))
     }
 }
 

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
 use super::free::take_out_slope;
+use super::on_patch::{PatchFactory, PatchInput};
 use super::star_similarity::{Frames, Star, StarFit};
 use super::vertex_assembly::{CHUNK, VertexAssembly};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
@@ -311,6 +312,22 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         Ok(Box::new(Laplacian::new(input.rest, input.options.read()?, input.reference_vertices, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (options, lambda) = (LaplacianOptions::default(), input.gradient_weight().powi(2));
+        let surface = Laplacian::new(input.mesh, options, input.mesh.positions.len() as f64, lambda)?;
+        Ok(Box::new(surface.with_held_at(input.held, input.places)))
     }
 }
 

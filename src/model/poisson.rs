@@ -28,8 +28,9 @@ use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, LARGEST_COTANGENT, WeightedEdges, cotangents};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
-use crate::energy::{OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::adjacency::{EdgeGraph, vertex_triangles};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
@@ -155,6 +156,21 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         Ok(Box::new(Poisson::new(input.rest, input.options.read()?, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let surface = Poisson::new(input.mesh, PoissonOptions::default(), input.gradient_weight())?;
+        Ok(Box::new(surface.with_held_at(input.held, input.places)))
     }
 }
 

@@ -15,7 +15,10 @@ const ARAP: MorphModel = MorphModel::Energy(ModelKind::Arap);
 const GRAPH: MorphModel = MorphModel::Energy(ModelKind::Graph);
 const BLENDSHAPE: MorphModel = MorphModel::Energy(ModelKind::Blendshape);
 const HYBRID: MorphModel = MorphModel::Energy(ModelKind::Hybrid);
-const ENERGIES: [MorphModel; 5] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID];
+const POISSON: MorphModel = MorphModel::Energy(ModelKind::Poisson);
+const LAPLACIAN: MorphModel = MorphModel::Energy(ModelKind::Laplacian);
+const GPMM: MorphModel = MorphModel::Energy(ModelKind::Gpmm);
+const ENERGIES: [MorphModel; 8] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM];
 
 /// A generated face, its first identity modes, and a soft round mask on the tip of its nose.
 struct Face {
@@ -141,7 +144,7 @@ fn pins_hold_exactly_and_goals_draw() {
     let tip = TemplatePoint::Vertex(face.tip);
     let (far, near) = (Vec3::new(0.7, -0.2, 4.0), Vec3::new(0.0, 0.3, 1.0));
     let bound = PIN_TOLERANCE * bounding_box_diagonal(&face.mesh.positions);
-    for model in [FREE, ARAP, GRAPH, HYBRID] {
+    for model in [FREE, ARAP, GRAPH, HYBRID, POISSON, LAPLACIAN] {
         let pins = vec![placed("tip", tip, at(&tip) + far)];
         let constraints = Constraints { pins, ..Constraints::default() };
         let (moved, _) = face.energy(&step, &constraints, model).solve().unwrap();
