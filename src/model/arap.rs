@@ -118,7 +118,7 @@ mod tests {
     use nalgebra::Rotation3;
 
     use super::*;
-    use crate::energy::{DataTerm, Deformation, DeformationModel, Samples};
+    use crate::energy::{DataTerm, Deformation, Samples};
     use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;

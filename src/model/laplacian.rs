@@ -391,8 +391,8 @@ mod tests {
             let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
             for x in [&mesh.positions, &moved] {
                 let energy = problem.linearize(&flat(x), &mut equations);
-                assert!(energy < 1e-20, "{options:?}: {energy}");
-                assert!(equations.gradient.iter().all(|g| g.abs() < 1e-9), "{options:?}");
+                assert!(energy < 1e-17, "{options:?}: {energy}");
+                assert!(equations.gradient.iter().all(|g| g.abs() < 1e-7), "{options:?}");
             }
         }
     }

@@ -64,6 +64,8 @@ pub struct Patches;
 impl CellKind for Patches {
     const NAME: &'static str = "poisson";
     const ENERGY: &'static str = "gradients";
+    // A triangle by itself follows its corners out of its plane wherever they go: H would know nothing of them.
+    const FEWEST_TURNING: usize = 4;
 }
 
 /// A surface whose gradients follow a guidance field. Cell `t` is the patch round triangle `t`.

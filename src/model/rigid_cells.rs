@@ -55,6 +55,8 @@ pub trait CellKind: Send + Sync + 'static {
     const NAME: &'static str;
     /// Name of its energy.
     const ENERGY: &'static str;
+    /// Cells of fewer members stay as they are turned while a joint step is found.
+    const FEWEST_TURNING: usize = 0;
 }
 
 /// A surface whose cells should move rigidly: [`Arap`](super::Arap) or [`Poisson`](super::Poisson).
@@ -175,7 +177,7 @@ struct Target {
     start: u32,
 }
 
-impl<K> RigidCells<K> {
+impl<K: CellKind> RigidCells<K> {
     /// The surface at rest. `edges` say which vertices hang together.
     pub(super) fn of(
         rest: &[Vec3],
@@ -309,9 +311,8 @@ impl<K> RigidCells<K> {
                 coupling[edge.ends[0] as usize][0] -= cross;
                 coupling[edge.ends[1] as usize][0] += cross;
             }
-            // Where D is not positive definite (negative weights) the rotation stays, as in local/global. So does that of a triangle
-            // by itself: it follows its corners out of its plane wherever they go, and H would know nothing of them.
-            let alone = [coupling.len(), cells.edges(c).len()] == [3, 3];
+            // Where D is not positive definite (negative weights) the rotation stays, as in local/global.
+            let alone = coupling.len() < K::FEWEST_TURNING;
             let floor = TURN_FLOOR * d.trace();
             let factor = (d + Matrix3::from_diagonal_element(floor)).cholesky().filter(|_| !alone);
             for [c, y] in coupling {

@@ -113,7 +113,9 @@ const CHOICES: [(&str, &str); 12] = [
     ("Linearisation", "model/hybrid/mod.rs"),
     ("Smoothness", "model/free.rs"),
     ("EdgeWeights", "model/edge_weights.rs"),
-    ("ArapSolver", "model/arap.rs"),
+    ("ArapSolver", "model/rigid_cells.rs"),
+    ("Guidance", "model/poisson.rs"),
+    ("Frames", "model/star_similarity.rs"),
 ];
 
 /// Text for a cell of a table. Names of Rust become what a file says.
