@@ -9,6 +9,7 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::morph::*;
+use nonrigid::registration::ModelKind;
 use nonrigid::render::Projection;
 use nonrigid::rig::ShapeBasis;
 
@@ -108,7 +109,9 @@ fn dragged(c: &mut Criterion) {
     let pairs = vec![MaskedDisplacement { weights, displacement: Vec3::new(0.0, 1.0, 3.0) }];
     let step = MorphStep { pairs, ..MorphStep::default() };
     let mut group = c.benchmark_group("dragged handle");
-    for model in [MorphModel::Free, MorphModel::Arap, MorphModel::Graph] {
+    for model in
+        [MorphModel::Energy(ModelKind::Free), MorphModel::Energy(ModelKind::Arap), MorphModel::Energy(ModelKind::Graph)]
+    {
         let (none, options) = (Constraints::default(), EnergyOptions { tolerance: 1e-4, ..EnergyOptions::default() });
         let shapes = ShapeBasis::none();
         let mut energy = MorphEnergy::new(&mesh, &step, &none, model, &shapes, &options).unwrap();

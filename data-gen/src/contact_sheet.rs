@@ -1,7 +1,7 @@
 //! One picture of everything: the template, expressions, people, scans.
 
 use nonrigid::mesh::{PolygonMesh, Vec3};
-use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render};
+use nonrigid::render::{Camera, Frame, Panel, Scene, Sheet, Style, View, render};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -11,7 +11,6 @@ use crate::{FaceRig, ScanCase};
 /// Pixels of a panel.
 const SIZE: [u32; 2] = [400, 460];
 const ACROSS: usize = 6;
-const INK: [u8; 3] = [32, 36, 44];
 const EYE_WHITE: [u8; 3] = [236, 236, 240];
 
 /// What is shown of the expressions; those with `_L` and `_R` on both sides.
@@ -48,15 +47,15 @@ pub fn contact_sheet(rig: &FaceRig, scans: &[(String, ScanCase)], seed: u64) -> 
     ];
     let panels = template.map(|(name, frame, view, wires)| {
         let scene = face(rig, &rig.neutral, &[]);
-        Panel { scene: if wires { scene.wireframe(&rig.mesh) } else { scene }, frame: *frame, view }.draw(name)
+        Shot { scene: if wires { scene.wireframe(&rig.mesh) } else { scene }, frame: *frame, view }.draw(name)
     });
-    sheet = sheet.row("", panels.into());
+    sheet = sheet.row("", panels);
 
     let shown = EXPRESSIONS.map(|name| {
         let is_it = |n: &str| n == name || n.strip_prefix(name).is_some_and(|rest| rest == "_L" || rest == "_R");
         let weights: Vec<f64> = rig.expressions.iter().map(|e| f64::from(u8::from(is_it(&e.0)))).collect();
         let scene = face(rig, &rig.pose(&weights, &[]), &[]);
-        Panel { scene, frame, view: View::Angles { yaw: 12.0, pitch: 0.0 } }.draw(name)
+        Shot { scene, frame, view: View::Angles { yaw: 12.0, pitch: 0.0 } }.draw(name)
     });
     for row in shown.chunks(ACROSS) {
         sheet = sheet.row("", row.to_vec());
@@ -66,9 +65,9 @@ pub fn contact_sheet(rig: &FaceRig, scans: &[(String, ScanCase)], seed: u64) -> 
     let people = (0..ACROSS).map(|k| {
         let identity: Vec<f64> = rig.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
         let scene = face(rig, &rig.pose(&[], &identity), &identity);
-        Panel { scene, frame, view: View::ThreeQuarter }.draw(&format!("person {}", k + 1))
+        Shot { scene, frame, view: View::ThreeQuarter }.draw(&format!("person {}", k + 1))
     });
-    sheet = sheet.row("", people.collect());
+    sheet = sheet.row("", people);
 
     let scans = scans.iter().take(ACROSS / 2).flat_map(|(name, case)| {
         let frame = Frame::of(&case.truth);
@@ -77,11 +76,11 @@ pub fn contact_sheet(rig: &FaceRig, scans: &[(String, ScanCase)], seed: u64) -> 
         let count = format!("{} triangles", case.scan.triangles.len());
         let near = Frame { centre: frame.centre - Vec3::new(0.0, 0.2 * frame.half.y, 0.0), half: frame.half * 0.4 };
         [
-            Panel { scene: scene(), frame, view: View::ThreeQuarter }.draw(name),
-            Panel { scene: wires, frame: near, view: View::Front }.draw(&count),
+            Shot { scene: scene(), frame, view: View::ThreeQuarter }.draw(name),
+            Shot { scene: wires, frame: near, view: View::Front }.draw(&count),
         ]
     });
-    sheet.row("", scans.collect())
+    sheet.row("", scans)
 }
 
 /// The face with its eyeballs.
@@ -92,16 +91,14 @@ fn face(rig: &FaceRig, positions: &[Vec3], identity: &[f64]) -> Scene {
     })
 }
 
-struct Panel {
+struct Shot {
     scene: Scene,
     frame: Frame,
     view: View,
 }
 
-impl Panel {
-    fn draw(&self, caption: &str) -> RgbImage {
-        let mut picture = render(&self.scene, &Camera::framing(&self.frame, self.view, SIZE), SIZE);
-        draw_text(&mut picture, 8, 8, caption, 2, INK);
-        picture
+impl Shot {
+    fn draw(&self, caption: &str) -> Panel {
+        Panel::new(render(&self.scene, &Camera::framing(&self.frame, self.view, SIZE), SIZE), caption)
     }
 }

@@ -23,6 +23,7 @@ pub mod silence;
 pub mod solver_case;
 pub mod start_bench;
 pub mod start_cases;
+pub mod statistics;
 pub mod surgery;
 pub mod tables;
 pub mod unseen;

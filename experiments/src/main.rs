@@ -13,7 +13,7 @@ use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
-/// claims, compares all models, and puts everything on one page, in at most ten minutes on two cores.
+/// claims, compares all models, and puts everything on one page, in at most thirteen minutes on two cores.
 #[derive(Parser)]
 #[command(name = "experiments", version, max_term_width = 110, args_conflicts_with_subcommands = true)]
 #[command(
@@ -81,7 +81,7 @@ fn main() -> ExitCode {
     let outcome = match &cli.command {
         None => on_threads(cli.threads, || {
             let program = this_program()?;
-            report::run(&cli.report, &cli.report.effort(), &program, &mut io::stdout().lock()).map(drop)
+            report::run(&cli.report, &cli.report.effort(), &program, &[], &mut io::stdout().lock()).map(drop)
         }),
         Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench::command::run(a)),
         Some(Command::Dev(Dev::StartBench(a))) => on_threads(a.threads, || start_bench::run(a)),

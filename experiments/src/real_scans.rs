@@ -17,7 +17,9 @@ use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, register};
-use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_size};
+use nonrigid::render::{
+    Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_height, text_size,
+};
 use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
@@ -313,8 +315,9 @@ fn unreadable(a: &Arguments, name: &str, message: &str) -> (Vec<RealScanRow>, Ve
 const ACROSS: usize = 6;
 /// Width and height of a picture, pixels.
 const PANEL: [u32; 2] = [300, 340];
-const FONT: u32 = 2;
-const LINE: u32 = 20;
+/// Height of a line of text, and from one to the next.
+const FONT: u32 = 17;
+const LINE: u32 = 21;
 const INK: [u8; 3] = [32, 36, 44];
 const RED: [u8; 3] = [178, 40, 34];
 
@@ -354,7 +357,14 @@ fn captioned(picture: RgbImage, title: &str, lines: &[String]) -> RgbImage {
     panel.fill(255);
     picture.enumerate_pixels().for_each(|(x, y, pixel)| panel.put_pixel(x, y, *pixel));
     for (i, line) in [title].into_iter().chain(lines.iter().map(String::as_str)).enumerate() {
-        draw_text(&mut panel, 6, i64::from(PANEL[1] + 8 + i as u32 * LINE), line, FONT, INK);
+        draw_text(
+            &mut panel,
+            6,
+            i64::from(PANEL[1] + 8 + i as u32 * LINE),
+            line,
+            text_height(line, FONT, PANEL[0] - 12),
+            INK,
+        );
     }
     panel
 }
@@ -362,7 +372,7 @@ fn captioned(picture: RgbImage, title: &str, lines: &[String]) -> RgbImage {
 fn failed_panel(title: &str, message: &str) -> RgbImage {
     let mut picture = RgbImage::new(PANEL[0], PANEL[1]);
     picture.fill(245);
-    let across = (PANEL[0] - 12) / text_size(" ", FONT)[0];
+    let across = (PANEL[0] - 12) / text_size("n", FONT)[0];
     for (i, line) in wrapped(message, across as usize).iter().enumerate() {
         draw_text(&mut picture, 6, 40 + i64::from(LINE) * i as i64, line, FONT, RED);
     }

@@ -87,7 +87,7 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
     let smooth = [axis("lambda_smooth last", LAST, 6), axis("lambda_smooth first", FIRST, 3)];
     let mut axes = match model {
         ModelKind::Rigid | ModelKind::Similarity => Vec::new(),
-        ModelKind::Blendshape | ModelKind::Flame => blend.to_vec(),
+        ModelKind::Blendshape | ModelKind::Flame | ModelKind::Gpmm | ModelKind::GpmmRig => blend.to_vec(),
         ModelKind::Klimov2020 => [&graph[..], &blend].concat(),
         ModelKind::Hybrid => [&graph[..], &blend, &[axis("lambda_unseen", &[0.0, 0.3, 1.0, 3.0, 10.0], 2)]].concat(),
         ModelKind::Sequential => [&smooth[..], &blend].concat(),
@@ -96,9 +96,10 @@ pub fn axes(model: ModelKind) -> Vec<Axis> {
         ModelKind::Free => {
             [&[axis("bilaplacian", &[0.0, 1.0], 0), axis("cotangent", &[0.0, 1.0], 0)], &smooth[..]].concat()
         }
+        ModelKind::Laplacian => smooth.to_vec(),
         ModelKind::Affine => [&[axis("gamma", &[0.1, 0.3, 1.0, 3.0, 10.0], 2)], &smooth[..]].concat(),
         ModelKind::MassSpring | ModelKind::Fem | ModelKind::Ffd => smooth.to_vec(),
-        ModelKind::Arap => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
+        ModelKind::Arap | ModelKind::Poisson => [&[axis("joint", &[0.0, 1.0], 1)], &smooth[..]].concat(),
     };
     axes.push(axis("landmarks last", LANDMARKS_LAST, 2));
     axes.push(axis("landmarks first", LANDMARKS_FIRST, 2));

@@ -216,6 +216,8 @@ class WarmStart:
 @final
 class Registration:
     @property
+    def finer(self) -> Mesh | None: ...
+    @property
     def positions(self) -> _Floats: ...
     @property
     def colors(self) -> NDArray[np.uint8] | None: ...
@@ -294,6 +296,7 @@ def register(
     regions: list[str],
     free_regions: list[str],
     warm_start: WarmStart | None,
+    subdivide: int,
     threads: int | None,
     callback: Callable[[Step], Any] | None,
     on_positions: Callable[[Step, _Floats], Any] | None,

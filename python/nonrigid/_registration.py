@@ -25,9 +25,13 @@ Model = Literal[
     "sequential",
     "blendshape",
     "flame",
+    "gpmm",
+    "gpmm_rig",
     "graph",
     "sumner",
     "arap",
+    "poisson",
+    "laplacian",
     "affine",
     "mass_spring",
     "fem",
@@ -73,6 +77,9 @@ class Registration:
     """What speaks for that, most telling first; empty unless the probability is high."""
     finished: bool
     """Whether the schedule was run to its end; False if a callback has stopped it."""
+
+    finer: Mesh | None
+    """The result divided by Catmull and Clark's rules and gone on to the scan, if `subdivide` has asked for it; with the scan's colours."""
 
     _reads: list[str]
     _facing: tuple[int, bool]
@@ -230,6 +237,7 @@ def register(
     flip: Literal["auto", "yes", "no"] | None = None,
     unit: str | Mapping[str, str] | None = None,
     warm_start: Registration | PathLike | None = None,
+    subdivide: int = 0,
     threads: int | None = None,
     callback: Callable[[Step], Any] | None = None,
     on_positions: Callable[[Step, Floats], Any] | None = None,
@@ -249,14 +257,15 @@ def register(
     (vertices (L,), points (L, 3)). template_landmarks: what names mean, a file or {name: vertex or point}. With fewer than three landmarks the
     start is searched.
 
-    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "graph", "sumner", "arap", "affine", "mass_spring", "fem", "ffd", "free", "rigid" or "similarity".
+    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "gpmm", "gpmm_rig", "graph", "sumner", "arap", "poisson", "laplacian", "affine", "mass_spring", "fem", "ffd", "free", "rigid" or "similarity".
     schedule: a `Schedule`, its keys, or a TOML file; the model's own unless stated.
 
     neutral: the subject's own neutral, (V, 3) or a file. mask: (V,) from 0 to 1, what the scan says counts so much; free_mask: 1 for vertices
     that follow smoothness alone; regions, free_regions: the same by names of the rig's regions, or of groups of the template.
 
     flip: whether the scan is inside out. unit: "mm", "cm", "m", "um", "in" or "auto", for all inputs, or {"target": "m"} for some.
-    warm_start: the registration of the frame before, or its state file. threads: one a core unless stated; the result does not depend on it.
+    warm_start: the registration of the frame before, or its state file. subdivide: how often
+    to divide the result, up to 3 times, for `Registration.finer`. threads: one a core unless stated; the result does not depend on it.
 
     callback: sees every `Step` on the thread that called; returning False stops, and the result is what was reached; an exception stops
     and is raised, as is Ctrl-C. on_positions: the same with the positions (V, 3) after the step; stopping there ends the run after the
@@ -296,6 +305,8 @@ def register(
         raise ValueError("shapes, identity_modes, expression_bounds and identity_bounds are of a rig; give rig")
     elif model == "hybrid":
         warn("no rig given: without blendshapes the hybrid model is the graph model")
+    if not 0 <= subdivide <= 3:
+        raise ValueError(f"subdivide: found {subdivide}, expected 0 to 3 rounds")
     if template_landmarks is not None and landmarks is None:
         raise ValueError("template_landmarks say what the names of landmarks mean; give landmarks")
     marks = None if landmarks is None else _landmarks("landmarks", landmarks, True)
@@ -326,6 +337,7 @@ def register(
         regions=names_of(regions),
         free_regions=names_of(free_regions),
         warm_start=warm,
+        subdivide=subdivide,
         threads=threads,
         callback=callback,
         on_positions=on_positions,
@@ -346,6 +358,7 @@ def register(
     result.report_json, result.state_json = found.report, found.state
     result.error_probability, result.doubts = found.error_probability, found.doubts
     result.finished = found.finished
+    result.finer = None if found.finer is None else Mesh._of(found.finer)
     result._facing, result._scan, result._equations = found.facing, target, found.equations
     of_shapes = None if of_rig is None else of_rig._native
     read = [start._native, target._native, rest, of_shapes, marks, names, *masks, steering, warm]

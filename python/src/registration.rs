@@ -9,15 +9,15 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use nonrigid::io::{Input, KnownUnit};
+use nonrigid::io::{Input, KnownUnit, MeshFile};
 use nonrigid::landmark::pair_landmarks;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::nlls::NormalEquations;
 use nonrigid::registration::TERMS;
 use nonrigid::registration::{
-    self, InputFile, ModelFactory as _, ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationObserver,
-    RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord, VertexColors, register_with,
-    scan_colors,
+    self, DetailReport, InputFile, ModelFactory as _, ModelKind, Quality, RegistrationError, RegistrationInput,
+    RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord,
+    VertexColors, add_detail, detail_schedule, register_with, scan_colors,
 };
 use nonrigid::render::{registration_sheet, save_png};
 use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection};
@@ -185,10 +185,17 @@ pub struct Registration {
     state: String,
     reliability: Reliability,
     equations: Option<Sparse>,
+    finer: Option<MeshFile>,
 }
 
 #[pymethods]
 impl Registration {
+    /// The finer mesh, if one was asked for.
+    #[getter]
+    fn finer(&self) -> Option<Mesh> {
+        self.finer.clone().map(Mesh::of_arrays)
+    }
+
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         arrays::from_points(py, &self.result.positions)
@@ -326,7 +333,7 @@ fn combined(a: Option<Vec<f64>>, b: Option<Vec<f64>>, with: impl Fn(f64, f64) ->
 
 #[pyfunction]
 #[pyo3(signature = (template, scan, *, neutral, rig, shapes, identity_modes, landmarks, template_landmarks, landmark_units, model, schedule,
-    mask, free_mask, regions, free_regions, warm_start, threads, callback, on_positions, equations))]
+    mask, free_mask, regions, free_regions, warm_start, subdivide, threads, callback, on_positions, equations))]
 fn register(
     py: Python<'_>,
     template: &Mesh,
@@ -345,6 +352,7 @@ fn register(
     regions: Vec<String>,
     free_regions: Vec<String>,
     warm_start: Option<&WarmStart>,
+    subdivide: u8,
     threads: Option<usize>,
     callback: Option<&Bound<'_, PyAny>>,
     on_positions: Option<&Bound<'_, PyAny>>,
@@ -398,6 +406,9 @@ fn register(
         };
         let result =
             register_with(&input_of, &model, &TERMS, &schedule.schedule, observer).map_err(registration_error)?;
+        let rounds = Some(subdivide).filter(|n| *n > 0 && result.stop == RegistrationStop::Finished);
+        let detail = rounds.map(|n| add_detail(&input_of, &result, n, &detail_schedule(), observer)).transpose();
+        let detail = detail.map_err(registration_error)?;
         let (faced, normals) = result.scan_facing.apply(&target, scan.file.normals.as_deref());
         let input_of = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input_of };
         let quality = Quality::measure(&input_of, &result.positions).map_err(computation)?;
@@ -422,9 +433,18 @@ fn register(
         });
         let report = Report::new(model.name(), files.collect(), &result, quality, reliability.clone());
         let colors_observed = colors.as_ref().map(VertexColors::observed_count);
-        let report = Report { regions, free_regions, units, colors_observed, ..report };
+        let (mut finer, mut of_finer) = (None, None);
+        if let Some(detail) = detail {
+            let input = detail.input(&faced, normals.as_deref());
+            let positions = &detail.result.positions;
+            let colors = scan.file.colors.as_deref().map(|colors| scan_colors(&input, colors, positions)).transpose();
+            let colors = colors.map_err(computation)?.map(|c| c.colors);
+            of_finer = Some(DetailReport::measure(&input, &detail).map_err(computation)?);
+            finer = Some(MeshFile { mesh: detail.template.with_positions(positions.clone()), normals: None, colors });
+        }
+        let report = Report { regions, free_regions, units, colors_observed, detail: of_finer, ..report };
         let (report, state) = (json(&report)?, json(&result.end)?);
-        Ok(Registration { result, colors, report, state, reliability, equations: None })
+        Ok(Registration { result, colors, report, state, reliability, equations: None, finer })
     };
 
     let stop = AtomicBool::new(false);

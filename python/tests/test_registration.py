@@ -230,3 +230,15 @@ def test_after_a_fork(python: Callable[..., subprocess.CompletedProcess[str]], m
         pytest.skip("there is no fork on this system")
     ended = python(FORK, method)
     assert ended.returncode == 0 and ended.stdout == "same\n", ended.stderr
+
+
+def test_a_result_is_divided(face: data_gen.Face, case: data_gen.Case) -> None:
+    found = nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, landmarks=case.landmarks, subdivide=1)
+    finer = pickle.loads(pickle.dumps(found)).finer
+    assert finer is not None and len(found.positions) == len(face.rig.mesh.vertices)
+    assert len(finer.polygons[0]) - 1 == len(face.rig.mesh.polygons[1])
+    detail = found.report["detail"]
+    assert detail["vertices"] == len(finer.vertices)
+    assert detail["quality"]["median_within"] < detail["before"]["median_within"]
+    with pytest.raises(ValueError, match="subdivide"):
+        nonrigid.register(face.rig.mesh, case.scan, subdivide=4)

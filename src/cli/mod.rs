@@ -1,5 +1,6 @@
 //! The command line: arguments and messages only. Everything else is in the library.
 
+mod animate;
 mod bake;
 pub mod batch;
 mod completions;
@@ -15,6 +16,7 @@ mod rig;
 mod rig_convert;
 mod rig_fit;
 mod rig_pca;
+mod rig_subdivide;
 mod rig_transfer;
 mod units;
 
@@ -58,6 +60,8 @@ enum Command {
     Register(Box<register::Arguments>),
     /// Wrap a template onto many scans, listed in a table.
     Batch(Box<batch::Arguments>),
+    /// Make one animated file of the frames of a sequence.
+    Animate(animate::Arguments),
     /// Measure a result against ground truth, or against the scan where there is none.
     Eval(eval::Arguments),
     /// Change a face by masks: presets in millimetres, or a recipe.
@@ -108,6 +112,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>, program: &Program) -> 
     let outcome = match cli.command {
         Command::Register(arguments) => register::run(&arguments),
         Command::Batch(arguments) => batch::run(&arguments, program),
+        Command::Animate(arguments) => animate::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Morph(arguments) => morph::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),

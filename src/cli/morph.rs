@@ -66,8 +66,8 @@ pub struct Arguments {
     /// Only the first N steps of the recipe
     #[arg(long, value_name = "N", conflicts_with = "preset")]
     until: Option<usize>,
-    /// In place of every step's model: direct, free, arap, graph, blendshape or hybrid
-    #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>)]
+    #[arg(long, value_name = "MODEL", value_parser = str::parse::<MorphModel>,
+        help = format!("In place of every step's model: {}", MorphModel::names()))]
     model: Option<MorphModel>,
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -113,7 +113,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (Some(mesh), Some(out)) = (&a.mesh, &a.out) else {
         return Err(Failure::new(Stage::Arguments, "--mesh and --out are needed"));
     };
-    check_output(out, &["obj", "ply", "glb"])?;
+    check_output(out, &["obj", "ply", "glb", "usda"])?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
     let jobs = jobs(a)?;
     let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;

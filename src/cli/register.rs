@@ -20,9 +20,10 @@ use crate::landmark;
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
-    Handedness, InputFile, ModelFactory, ModelKind, Quality, RegistrationInput, RegistrationObserver,
-    RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip, Schedule, StepRecord, TERMS, VertexColors,
-    WITHIN_MM, WRONG_MM, WarmStart, register, scan_colors,
+    DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
+    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip,
+    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, detail_schedule, register,
+    scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::texture::{BakeInput, Baked};
@@ -61,8 +62,8 @@ pub struct Arguments {
     /// Whether the scan is inside out, its normals facing inwards, and has to be turned over [default: the schedule's, or auto]
     #[arg(long, value_enum, value_name = "WHEN")]
     flip: Option<FlipArgument>,
-    /// Deformation model: hybrid, sequential, blendshape, graph, sumner, arap, affine (N-ICP), mass_spring, fem, ffd, free, rigid or similarity
-    #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>)]
+    #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>,
+        help = format!("Deformation model: {}", ModelKind::names()))]
     model: ModelKind,
     /// Schedule (.toml) [default: the model's own]
     #[arg(long, value_name = "FILE")]
@@ -80,9 +81,13 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj, .ply or .glb), with the scan's colours at its vertices if the scan has any
+    /// Result (.obj, .ply, .glb or .usda), with the scan's colours at its vertices if the scan has any
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
+    /// Divide the result N times by Catmull and Clark's rules, each polygon of k corners into k quads, and let its vertices go on to
+    /// the scan by themselves: for wrinkles that the template is too coarse for
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=MOST_ROUNDS as i64))]
+    subdivide: Option<u8>,
     #[command(flatten)]
     bake: BakeArguments,
     /// Report (.json); times go to a second file, *.timing.json
@@ -194,23 +199,30 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let reading = clock.elapsed().as_secs_f64();
 
-    let result = register(&input, &a.model, &schedule, &mut progress).map_err(|e| {
+    let failed = |e: RegistrationError| {
         let stage = if e.is_input() { Stage::Loading } else { Stage::Computation };
         Failure::new(stage, e.to_string())
-    })?;
+    };
+    let result = register(&input, &a.model, &schedule, &mut progress).map_err(failed)?;
+    let rounds = a.subdivide.filter(|_| result.stop == RegistrationStop::Finished);
+    let detail = rounds.map(|n| add_detail(&input, &result, n, &detail_schedule(), &mut progress)).transpose();
+    let detail = detail.map_err(failed)?;
     progress.bar.finish_and_clear();
     let registering = clock.elapsed().as_secs_f64() - reading;
 
     let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
     let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
-    let mut registered = template.clone();
-    registered.positions.clone_from(&result.positions);
     let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
     let reliability = Reliability::of(&input, &result, &quality);
-    let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions)).transpose();
+    // From here on what is written: the finer mesh, if there is one.
+    let input = detail.as_ref().map_or(input, |d| d.input(&faced, normals.as_deref()));
+    let (template, positions) = (input.template, detail.as_ref().map_or(&result, |d| &d.result).positions.clone());
+    let finer = detail.as_ref().map(|d| DetailReport::measure(&input, d)).transpose().map_err(Failure::computation)?;
+    let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &positions)).transpose();
     let colors = colors.map_err(Failure::computation)?;
+    let mut registered = template.with_positions(positions);
     let before_texture = clock.elapsed().as_secs_f64();
-    let shown = VertexMasks::new(mask.as_deref(), free_mask.as_deref(), vec![false; template.positions.len()]).data;
+    let shown = VertexMasks::new(input.mask, input.free_mask, vec![false; template.positions.len()]).data;
     let baked = a.bake.bake(&BakeInput {
         template: &registered,
         mask: Some(&shown),
@@ -226,7 +238,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
             let texture_seen = baked.as_ref().map(Baked::seen_share);
-            Some((path, Report { regions, free_regions, units, colors_observed, texture_seen, ..report }))
+            let detail = finer.clone();
+            Some((path, Report { regions, free_regions, units, colors_observed, texture_seen, detail, ..report }))
         }
         None => None,
     };
@@ -258,7 +271,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let percent = 100.0 * reliability.probability;
         let title =
             format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
-        let sheet = registration_sheet(&title, &template, &faced, &registered, 480);
+        let sheet = registration_sheet(&title, template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none() && !a.bake.asked());
@@ -269,7 +282,11 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     }
     baked.as_ref().map_or(Ok(()), |baked| a.bake.report(baked, &a.out))?;
     print_summary(a, &result, &quality, &reliability, clock.elapsed().as_secs_f64())?;
-    if result.stop == RegistrationStop::StoppedByObserver {
+    if let Some(finer) = &finer {
+        say(finer)?;
+    }
+    let last = detail.as_ref().map_or(&result, |d| &d.result);
+    if last.stop == RegistrationStop::StoppedByObserver {
         let message = format!("interrupted: {} holds what was reached, not the end", a.out.display());
         return Err(progress.interrupt.failure(message));
     }
@@ -361,7 +378,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
 
 /// Outputs that could not be written, or would overwrite what is read, are refused before the work is done.
 fn check_outputs(a: &Arguments) -> Result<(), Failure> {
-    check_output(&a.out, &["obj", "ply", "glb"])?;
+    check_output(&a.out, &["obj", "ply", "glb", "usda"])?;
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;

@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::inputs::{ShapeKindArgument, read_rig};
 use super::units::UnitArguments;
-use super::{Failure, rig_convert, rig_fit, rig_pca, rig_transfer, say};
+use super::{Failure, rig_convert, rig_fit, rig_pca, rig_subdivide, rig_transfer, say};
 
 /// `nonrigid rig` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -35,6 +35,8 @@ pub enum Command {
     Convert(rig_convert::Arguments),
     /// Give a rig's shapes to a subject: a personal rig from one registered neutral scan
     Transfer(rig_transfer::Arguments),
+    /// Divide a rig's mesh and all its shapes by Catmull and Clark's rules
+    Subdivide(rig_subdivide::Arguments),
     /// Find the weights of a sequence of registered meshes
     Fit(rig_fit::Arguments),
 }
@@ -52,6 +54,7 @@ pub fn run(command: &Command) -> Result<(), Failure> {
         Command::Pca(arguments) => rig_pca::run(arguments),
         Command::Convert(arguments) => rig_convert::run(arguments),
         Command::Transfer(arguments) => rig_transfer::run(arguments),
+        Command::Subdivide(arguments) => rig_subdivide::run(arguments),
         Command::Fit(arguments) => rig_fit::run(arguments),
     }
 }

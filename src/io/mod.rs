@@ -12,10 +12,12 @@ mod npy;
 mod npz;
 mod obj;
 mod off;
+mod pc2;
 mod plan;
 mod ply;
 mod stl;
 mod unit;
+mod usda;
 mod xyz;
 
 use std::path::{Path, PathBuf};
@@ -26,17 +28,19 @@ pub(crate) use error::{check_side_file, excerpt, extension, read_file};
 #[cfg(feature = "cli")]
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
-pub use gltf::{GltfMesh, parse_gltf, read_gltf, write_glb};
+pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
+pub use pc2::write_pc2;
 pub use plan::{FilePlan, PlanError, check_files};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
 pub use unit::{BODY_EXTENT, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
+pub use usda::write_usda;
 pub use xyz::parse_xyz;
 
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
@@ -60,7 +64,7 @@ pub fn check_coordinates(path: &Path, points: &[Vec3]) -> Result<(), ReadError> 
 }
 
 const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz, .glb and .gltf";
-const WRITTEN: &str = ".obj, .ply and .glb";
+const WRITTEN: &str = ".obj, .ply, .glb and .usda";
 
 /// What a mesh file holds.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -194,7 +198,8 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
     match extension(path).as_str() {
         "obj" => obj::write_colored_obj(path, mesh, colors),
         "ply" => write_ply_polygons(path, mesh, PlyOptions { colors, precision: PlyPrecision::Double, normals: None }),
-        "glb" => write_look(path, mesh, gltf::Look { colors, png: None }),
+        "glb" => write_look(path, mesh, gltf::Look { colors, ..gltf::Look::default() }),
+        "usda" => write_usda(path, mesh, colors, std::slice::from_ref(&mesh.positions), 1.0),
         found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }
@@ -204,7 +209,7 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
 /// # Errors
 /// As [`write_glb`].
 pub fn write_textured_glb(path: &Path, mesh: &PolygonMesh, png: &[u8]) -> Result<(), WriteError> {
-    write_look(path, mesh, gltf::Look { colors: None, png: Some(png) })
+    write_look(path, mesh, gltf::Look { png: Some(png), ..gltf::Look::default() })
 }
 
 fn write_look(path: &Path, mesh: &PolygonMesh, look: gltf::Look<'_>) -> Result<(), WriteError> {

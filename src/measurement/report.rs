@@ -222,7 +222,7 @@ fn draw(
             };
             render(&scene, &camera, size)
         };
-        sheet = sheet.row(&view.name(), columns.iter().map(picture).collect());
+        sheet = sheet.row(&view.name(), columns.iter().map(picture));
     }
     sheet.render()
 }

@@ -13,6 +13,7 @@ mod oriented_points;
 mod polygon_mesh;
 mod pose;
 pub mod srgb;
+mod subdivide;
 pub mod surface_lattice;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -25,6 +26,7 @@ pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
+pub use subdivide::Subdivision;
 pub use triangle_mesh::TriangleMesh;
 
 /// A point or vector in space, millimetres.

@@ -5,48 +5,18 @@
 //!     E_smooth = lambda sum_i sum_(j in N(i)) w_ij |(v_i - v_j) - R_i (n_i - n_j)|^2           their eq. (7), "spokes"
 //! ```
 //!
-//! `v` are the parameters, `n` the rest positions, `w_ij` cotangent weights on a fixed triangulation. The rotations are not
-//! parameters: for any `v` each `R_i` is the best one, so `E_smooth` is a function of `v` alone, and by the envelope theorem
-//! its gradient is that at fixed `R_i`:
-//!
-//! ```text
-//!     1/2 dE/dv_i = lambda sum_j w_ij ( 2 (v_i - v_j) - (R_i + R_j)(n_i - n_j) )                their eq. (9)
-//! ```
-//!
-//! Two Hessians go with it. **Local/global** keeps the rotations: `2 lambda L`, `L` the cotangent Laplacian; a Gauss-Newton step
-//! is then the paper's global step (without data, exactly), and the energy never rises. **Joint** linearises positions and
-//! rotations together, `r_ij = v_i - v_j - exp(omega_i^) R_i (n_i - n_j)`, and eliminates each `omega_i` by its 3 x 3 block:
-//!
-//! ```text
-//!     p_ij = R_i (n_i - n_j)      D_i = sum_j w_ij (|p_ij|^2 1 - p_ij p_ij')
-//!     C_i v = sum_j w_ij p_ij x (v_j - v_i)
-//!     H = 2 lambda L - lambda sum_i C_i' D_i^-1 C_i
-//! ```
-//!
-//! It joins pairs of neighbours of a vertex too, and needs far fewer steps where rotations are large.
+//! `v` are the parameters, `n` the rest positions, `w_ij` cotangent weights on a fixed triangulation. The cells of
+//! `rigid_cells.rs` are the stars. There is the algebra of both solvers: with **local/global** a Gauss-Newton step is the
+//! paper's global step (without data, exactly), their eq. (9); **joint** turns the stars along.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
-use super::rotation_fit::closest_rotation;
-use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
-use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::nlls::{BlockStructure, NormalEquations};
-
-/// What a step knows of the rotations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ArapSolver {
-    /// They stay while the positions move (Sorkine and Alexa's alternation).
-    #[default]
-    LocalGlobal,
-    /// They turn along: Gauss-Newton over positions and rotations, the rotations eliminated.
-    Joint,
-}
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
+use super::on_patch::{PatchFactory, PatchInput};
+use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use crate::mesh::{MeshError, TriangleMesh};
 
 /// How as-rigid-as-possible surfaces are solved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,86 +33,17 @@ impl Default for ArapOptions {
     }
 }
 
-/// Part of the trace of `D_i` added to its diagonal: stars on a line turn freely round it.
-const TURN_FLOOR: f64 = 1e-9;
+/// Cells of as-rigid-as-possible surfaces: a vertex and the edges to its neighbours.
+#[derive(Debug)]
+pub struct Spokes;
 
-/// An as-rigid-as-possible surface.
-pub struct Arap {
-    /// `lambda` of the regulariser.
-    pub lambda_smooth: f64,
-    options: ArapOptions,
-    assembly: VertexAssembly,
-    stars: Stars,
-    fitted: Fit,
-    /// `2 L`, a scalar for every stored block.
-    stiffness: Vec<f64>,
-    turns: Turns,
+impl CellKind for Spokes {
+    const NAME: &'static str = "arap";
+    const ENERGY: &'static str = "rigidity";
 }
 
-/// Neighbours of every vertex, one row after the other.
-struct Stars {
-    starts: Vec<u32>,
-    spokes: Vec<Spoke>,
-}
-
-#[derive(Clone, Copy)]
-struct Spoke {
-    other: u32,
-    weight: f64,
-    /// `n_i - n_j`.
-    rest: Vec3,
-}
-
-impl Stars {
-    fn range(&self, i: usize) -> std::ops::Range<usize> {
-        self.starts[i] as usize..self.starts[i + 1] as usize
-    }
-
-    fn of(&self, i: usize) -> &[Spoke] {
-        &self.spokes[self.range(i)]
-    }
-}
-
-/// Everything that follows from `x` alone, kept until `x` changes.
-#[derive(Default)]
-struct Fit {
-    x: Vec<f64>,
-    positions: Vec<Vec3>,
-    rotations: Vec<UnitQuaternion<f64>>,
-    stars: Vec<StarFit>,
-}
-
-#[derive(Clone, Copy)]
-struct StarFit {
-    rotation: Matrix3<f64>,
-    energy: f64,
-}
-
-/// The eliminated rotations of the joint solver. A star's members are its centre and its spokes' ends.
-#[derive(Default)]
-struct Turns {
-    starts: Vec<u32>,
-    /// Block of every member, or `HELD`.
-    members: Vec<u32>,
-    /// `C_i` and `D_i^-1 C_i` for every member.
-    coupling: Vec<[Matrix3<f64>; 2]>,
-    /// Per block, the stars its vertex is a member of.
-    row_starts: Vec<u32>,
-    uses: Vec<TurnUse>,
-    targets: Vec<TurnTarget>,
-}
-
-/// A star at one of its members; the members that come no later in the row are its targets.
-struct TurnUse {
-    member: u32,
-    targets: std::ops::Range<u32>,
-}
-
-struct TurnTarget {
-    member: u32,
-    /// Where the block starts in the row.
-    start: u32,
-}
+/// An as-rigid-as-possible surface. Cell `i` is the star of vertex `i`.
+pub type Arap = RigidCells<Spokes>;
 
 impl Arap {
     /// The surface at rest on `mesh` (millimetres).
@@ -155,277 +56,11 @@ impl Arap {
     /// When a position is not finite or a triangle indexes past the vertices.
     pub fn new(mesh: &TriangleMesh, options: ArapOptions, lambda_smooth: f64) -> Result<Self, MeshError> {
         let edges = WeightedEdges::new(mesh, EdgeWeights::Cotangent, options.clamp)?;
-        let n = &mesh.positions;
-        let (mut starts, mut spokes) = (vec![0], Vec::new());
-        for (i, star) in edges.stars(n.len()).into_iter().enumerate() {
-            let spoke = |(j, weight): (u32, f64)| Spoke { other: j, weight, rest: n[i] - n[j as usize] };
-            spokes.extend(star.into_iter().filter(|s| s.1 != 0.0).map(spoke));
-            starts.push(spokes.len() as u32);
+        let mut cells = Cells::new();
+        for (i, star) in edges.stars(mesh.positions.len()).into_iter().enumerate() {
+            cells.push(&mesh.positions, star.into_iter().map(|(j, w)| (i as u32, j, w)));
         }
-        Ok(Self {
-            lambda_smooth,
-            options,
-            assembly: VertexAssembly::new(n.clone(), n.len(), &edges.joined()),
-            stars: Stars { starts, spokes },
-            fitted: Fit::default(),
-            stiffness: Vec::new(),
-            turns: Turns::default(),
-        })
-    }
-
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.assembly.rest.clone();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.assembly.hold(held, positions);
-        self.fitted = Fit::default();
-        self
-    }
-
-    /// The best rotation of every vertex' star at `x`.
-    pub fn rotations(&mut self, x: &[f64]) -> impl Iterator<Item = Rotation3<f64>> + '_ {
-        self.fit(x);
-        self.fitted.rotations.iter().map(|q| q.to_rotation_matrix())
-    }
-
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.assembly.unobserved_shifts()
-    }
-
-    /// The local step.
-    fn fit(&mut self, x: &[f64]) {
-        let Fit { x: last, positions, rotations, stars: fits } = &mut self.fitted;
-        if last == x && !positions.is_empty() {
-            return;
-        }
-        last.clear();
-        last.extend_from_slice(x);
-        self.assembly.positions(x, positions, |_, v| v);
-        let (stars, v) = (&self.stars, &*positions);
-        rotations.resize(v.len(), UnitQuaternion::identity());
-        fits.resize(v.len(), StarFit { rotation: Matrix3::identity(), energy: 0.0 });
-        let chunks = fits.par_chunks_mut(CHUNK).zip(rotations.par_chunks_mut(CHUNK)).enumerate();
-        chunks.for_each(|(c, (fits, rotations))| {
-            for (k, (fit, rotation)) in fits.iter_mut().zip(rotations).enumerate() {
-                let i = c * CHUNK + k;
-                let spokes = stars.of(i);
-                let mut a = Matrix3::zeros();
-                for spoke in spokes {
-                    a += (v[i] - v[spoke.other as usize]) * spoke.weight * spoke.rest.transpose();
-                }
-                *rotation = closest_rotation(&a, rotation);
-                fit.rotation = rotation.to_rotation_matrix().into_inner();
-                fit.energy = spokes
-                    .iter()
-                    .map(|s| s.weight * (v[i] - v[s.other as usize] - fit.rotation * s.rest).norm_squared())
-                    .sum();
-            }
-        });
-    }
-
-    /// Members of the stars and where their pairs lie in the equations.
-    fn analyse_turns(&mut self, structure: &BlockStructure, members: Vec<u32>, starts: Vec<u32>) {
-        let mut uses: Vec<(usize, TurnUse)> = Vec::new();
-        let turns = &mut self.turns;
-        turns.targets.clear();
-        for star in starts.windows(2) {
-            let range = star[0]..star[1];
-            let free = range.filter_map(|m| self.assembly.block(members[m as usize]).map(|block| (m, block)));
-            for (member, row) in free.clone() {
-                let first = turns.targets.len() as u32;
-                let targets = free.clone().filter(|t| t.1 <= row);
-                turns.targets.extend(
-                    targets.map(|(member, column)| TurnTarget { member, start: row_position(structure, row, column) }),
-                );
-                uses.push((row, TurnUse { member, targets: first..turns.targets.len() as u32 }));
-            }
-        }
-        uses.sort_by_key(|u| u.0);
-        turns.row_starts = vec![0; structure.block_count() + 1];
-        uses.iter().for_each(|u| turns.row_starts[u.0 + 1] += 1);
-        for i in 0..structure.block_count() {
-            turns.row_starts[i + 1] += turns.row_starts[i];
-        }
-        turns.uses = uses.into_iter().map(|u| u.1).collect();
-        turns.coupling = vec![[Matrix3::zeros(); 2]; members.len()];
-        turns.starts = starts;
-        turns.members = members;
-    }
-
-    /// `C_i` and `D_i^-1 C_i` of all stars, in the order of their members.
-    fn linearize_turns(&mut self) {
-        let (stars, fits, turns) = (&self.stars, &self.fitted.stars, &mut self.turns);
-        split_stars(&turns.starts, 0, &mut turns.coupling, &|i, coupling| {
-            let mut d = Matrix3::zeros();
-            coupling[0][0] = Matrix3::zeros();
-            for (k, spoke) in stars.of(i).iter().enumerate() {
-                let p = fits[i].rotation * spoke.rest;
-                d += (Matrix3::from_diagonal_element(p.norm_squared()) - p * p.transpose()) * spoke.weight;
-                coupling[k + 1][0] = p.cross_matrix() * spoke.weight;
-                let own = coupling[0][0] - coupling[k + 1][0];
-                coupling[0][0] = own;
-            }
-            // Where D is not positive definite (negative weights) the rotation stays, as in local/global.
-            let floor = TURN_FLOOR * d.trace();
-            let factor = (d + Matrix3::from_diagonal_element(floor)).cholesky();
-            for [c, y] in coupling {
-                *y = factor.as_ref().map_or_else(Matrix3::zeros, |factor| factor.solve(c));
-            }
-        });
-    }
-}
-
-/// Calls `fill(i, coupling of star i)` for every star, in parallel.
-fn split_stars(
-    starts: &[u32],
-    first: usize,
-    coupling: &mut [[Matrix3<f64>; 2]],
-    fill: &(impl Fn(usize, &mut [[Matrix3<f64>; 2]]) + Sync),
-) {
-    let count = starts.len() - 1;
-    if count <= CHUNK {
-        let mut rest = coupling;
-        for (k, star) in starts.windows(2).enumerate() {
-            let (own, others) = rest.split_at_mut((star[1] - star[0]) as usize);
-            fill(first + k, own);
-            rest = others;
-        }
-        return;
-    }
-    let middle = count / 2;
-    let (left, right) = coupling.split_at_mut((starts[middle] - starts[0]) as usize);
-    rayon::join(
-        || split_stars(&starts[..=middle], first, left, fill),
-        || split_stars(&starts[middle..], first + middle, right, fill),
-    );
-}
-
-impl DeformationModel for Arap {
-    fn name(&self) -> &'static str {
-        "arap"
-    }
-
-    fn vertex_count(&self) -> usize {
-        self.assembly.rest.len()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.assembly.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        self.assembly.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.assembly.rest[v as usize])).collect()
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
-        let stars = &self.stars;
-        let (mut members, mut starts) = (Vec::new(), vec![0u32]);
-        for i in 0..self.assembly.rest.len() {
-            members.push(i as u32);
-            members.extend(stars.of(i).iter().map(|s| s.other));
-            starts.push(members.len() as u32);
-        }
-        let structure = match self.options.solver {
-            ArapSolver::Joint => {
-                let cliques = starts.windows(2).map(|s| &members[s[0] as usize..s[1] as usize]);
-                self.assembly.analyse(samples, cliques)
-            }
-            ArapSolver::LocalGlobal => {
-                let spokes: Vec<[u32; 2]> = (0..self.assembly.rest.len())
-                    .flat_map(|i| stars.of(i).iter().map(move |s| [i as u32, s.other]))
-                    .collect();
-                self.assembly.analyse(samples, spokes.iter().map(|s| &s[..]))
-            }
-        };
-        self.stiffness = vec![0.0; structure.slot_count()];
-        for (row, &i) in self.assembly.vertices.iter().enumerate() {
-            let slots = structure.row_slots(row);
-            for spoke in self.stars.of(i as usize) {
-                self.stiffness[slots.end - 1] += 2.0 * spoke.weight;
-                if let Some(column) = self.assembly.block(spoke.other).filter(|&column| column < row) {
-                    let slot = slots.start + row_position(&structure, row, column) as usize / 9;
-                    self.stiffness[slot] -= 2.0 * spoke.weight;
-                }
-            }
-        }
-        if self.options.solver == ArapSolver::Joint {
-            self.analyse_turns(&structure, members, starts);
-        }
-        structure
-    }
-
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        self.assembly.positions(x, out, |_, v| v);
-    }
-
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.assembly.pull_back(field, equations);
-    }
-
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.fit(x);
-        let sum: f64 = self.fitted.stars.iter().map(|s| s.energy).sum();
-        out.push(("rigidity", self.lambda_smooth * sum));
-    }
-
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.fit(x);
-        let joint = self.options.solver == ArapSolver::Joint;
-        if joint {
-            self.linearize_turns();
-        }
-        let structure = equations.structure().clone();
-        let (stars, v, fits) = (&self.stars, &self.fitted.positions, &self.fitted.stars);
-        let (vertices, stiffness, turns, lambda) =
-            (&self.assembly.vertices, &self.stiffness, &self.turns, self.lambda_smooth);
-        equations.for_each_block_row(&|row_index, mut row| {
-            let i = vertices[row_index] as usize;
-            add_scalars(&mut row, &stiffness[structure.row_slots(row_index)], lambda);
-            let mut gradient = Vec3::zeros();
-            for spoke in stars.of(i) {
-                let j = spoke.other as usize;
-                let turned = (fits[i].rotation + fits[j].rotation) * spoke.rest;
-                gradient += ((v[i] - v[j]) * 2.0 - turned) * spoke.weight;
-            }
-            row.gradient.iter_mut().zip(&gradient).for_each(|(g, r)| *g += lambda * r);
-            if joint {
-                turns.subtract(row_index, row.blocks, lambda);
-            }
-        });
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
-    }
-}
-
-impl Turns {
-    /// Subtracts `lambda C_i' D_i^-1 C_i` of all stars from one block row.
-    fn subtract(&self, row: usize, blocks: &mut [f64], lambda: f64) {
-        for star in &self.uses[self.row_starts[row] as usize..self.row_starts[row + 1] as usize] {
-            let own = self.coupling[star.member as usize][0] * lambda;
-            for target in &self.targets[star.targets.start as usize..star.targets.end as usize] {
-                let product = own.tr_mul(&self.coupling[target.member as usize][1]);
-                let block = &mut blocks[target.start as usize..target.start as usize + 9];
-                for (k, h) in block.iter_mut().enumerate() {
-                    *h -= product[(k / 3, k % 3)];
-                }
-            }
-        }
+        Ok(Self::of(&mesh.positions, &edges, cells, Some(options.solver), lambda_smooth))
     }
 }
 
@@ -438,17 +73,6 @@ pub struct RigidityOptions {
 }
 
 impl OptionTable for RigidityOptions {}
-
-impl RegistrationModel for Arap {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
-    }
-}
 
 pub(super) struct Factory;
 
@@ -469,17 +93,36 @@ impl ModelFactory for Factory {
         let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
         Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
     }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        // Each edge counts twice.
+        let arap = Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?;
+        Ok(Box::new(arap.with_held_at(input.held, input.places)))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
+    use nalgebra::Rotation3;
+
     use super::*;
-    use crate::energy::{DataTerm, Deformation};
+    use crate::energy::{DataTerm, Deformation, Samples};
+    use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;
-    use crate::nlls::{Minimizer, Options, Problem};
+    use crate::nlls::{Minimizer, NormalEquations, Options, Problem};
 
     const SOLVERS: [ArapSolver; 2] = [ArapSolver::LocalGlobal, ArapSolver::Joint];
 

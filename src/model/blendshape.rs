@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, OneNodeOptions, RegistrationModel, RigidMotion, Stiffness,
-    node_options,
+    Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, OneNodeOptions, PatchFactory, PatchInput,
+    RegistrationModel, RigidMotion, Stiffness, node_options,
 };
-use crate::energy::{OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -71,5 +71,15 @@ impl ModelFactory for Factory {
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let model = blendshape(input.rest.positions.clone(), input.shapes.clone(), 0.0);
         node_options::one_node(model, input.options)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), input.shapes.clone(), input.shape_weight())))
     }
 }

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
 /// How edges weigh in a Laplacian. On equilateral triangles all kinds agree.
@@ -20,10 +21,13 @@ pub enum EdgeWeights {
 }
 
 /// Cotangent of the largest angle that counts, either way.
-const LARGEST_COTANGENT: f64 = 1e3;
+pub(super) const LARGEST_COTANGENT: f64 = 1e3;
+
+/// Vertex areas below this part of the mean count as that.
+const SMALLEST_AREA: f64 = 1e-3;
 
 /// Cotangents of a triangle's angles at its three corners; zero if it has no area.
-fn cotangents(positions: &[Vec3], triangle: [u32; 3]) -> [f64; 3] {
+pub(super) fn cotangents(positions: &[Vec3], triangle: [u32; 3]) -> [f64; 3] {
     std::array::from_fn(|k| {
         let [a, b, c] = [0, 1, 2].map(|m| positions[triangle[(k + m) % 3] as usize]);
         let (u, v) = (b - a, c - a);
@@ -105,6 +109,29 @@ impl WeightedEdges {
     /// The edges of weight other than zero.
     pub fn joined(&self) -> Vec<[u32; 2]> {
         self.edges.iter().zip(&self.weights).filter(|(_, w)| **w != 0.0).map(|(e, _)| *e).collect()
+    }
+
+    /// The edges of the mesh alone.
+    pub fn without_ties(&self) -> Self {
+        let (edges, weights) = (self.edges[..self.of_mesh].to_vec(), self.weights[..self.of_mesh].to_vec());
+        Self { edges, weights, of_mesh: self.of_mesh, boundary: self.boundary.clone() }
+    }
+
+    /// The area of every vertex, in units of the mesh' area divided by `reference_vertices`. Uniform weights know no areas: all
+    /// vertices with edges have the same.
+    pub fn areas(&self, mesh: &TriangleMesh, kind: EdgeWeights, reference_vertices: f64) -> Vec<f64> {
+        let mut used = vec![false; mesh.positions.len()];
+        self.edges[..self.of_mesh].as_flattened().iter().for_each(|&v| used[v as usize] = true);
+        let used = used.into_iter().filter(|u| *u).count().max(1) as f64;
+        match kind {
+            EdgeWeights::Uniform => vec![reference_vertices / used; mesh.positions.len()],
+            EdgeWeights::Cotangent => {
+                let areas = vertex_areas(&mesh.positions, &mesh.triangles);
+                let mean = areas.iter().sum::<f64>() / used;
+                let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
+                areas.into_iter().map(|a| relative(a) * reference_vertices / used).collect()
+            }
+        }
     }
 
     /// The other end and the weight of every edge at each vertex, ties included; edges in order.

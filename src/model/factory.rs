@@ -5,7 +5,7 @@ use thiserror::Error;
 
 #[cfg(doc)]
 use super::Autodiff;
-use super::AutodiffError;
+use super::{AutodiffError, PatchFactory};
 use crate::energy::{DeformationModel, NoOptions, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::rig::ShapeBasis;
@@ -28,7 +28,8 @@ pub trait RegistrationModel: DeformationModel {
         out.extend_from_slice(rest);
     }
 
-    /// Names and values of the blendshape weights in `x`, if the model has any; in the order of the border's coordinates.
+    /// Names and values of the blendshape weights in `x`, if the model has any: those of the first of the border's coordinates, in
+    /// their order.
     fn named_weights(&self, _x: &[f64]) -> Vec<(String, f64)> {
         Vec::new()
     }
@@ -107,6 +108,11 @@ pub trait ModelFactory: Send + Sync {
     /// # Errors
     /// When the template's geometry does not do, or an option.
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError>;
+
+    /// How morphs make the model, if they can.
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        None
+    }
 }
 
 /// A model of the table under another name, with a schedule of its own.

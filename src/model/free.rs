@@ -21,10 +21,10 @@ use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::smooth_rows::SmoothRows;
 use super::vertex_assembly::{VertexAssembly, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
-use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -52,9 +52,6 @@ pub struct FreeOptions {
     pub reference_vertices: f64,
 }
 
-/// Vertex areas below this part of the mean count as that.
-const SMALLEST_AREA: f64 = 1e-3;
-
 /// Free vertices under a Laplacian.
 pub struct Free {
     /// `lambda` of the regulariser.
@@ -79,24 +76,8 @@ fn laplacian(edges: &WeightedEdges) -> SmoothRows {
 }
 
 fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> SmoothRows {
-    let count = mesh.positions.len();
-    let of_mesh = WeightedEdges {
-        edges: edges.edges[..edges.of_mesh].to_vec(),
-        weights: edges.weights[..edges.of_mesh].to_vec(),
-        ..edges.clone()
-    };
-    let mut stars = of_mesh.stars(count);
-    let used = stars.iter().filter(|s| !s.is_empty()).count().max(1) as f64;
-    // In units of the mean area, then of the reference vertex': uniform weights know no areas.
-    let areas: Vec<f64> = match options.weights {
-        EdgeWeights::Uniform => vec![options.reference_vertices / used; count],
-        EdgeWeights::Cotangent => {
-            let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-            let mean = areas.iter().sum::<f64>() / used;
-            let relative = |a: f64| if mean > 0.0 { (a / mean).max(SMALLEST_AREA) } else { 1.0 };
-            areas.into_iter().map(|a| relative(a) * options.reference_vertices / used).collect()
-        }
-    };
+    let mut stars = edges.without_ties().stars(mesh.positions.len());
+    let areas = edges.areas(mesh, options.weights, options.reference_vertices);
     let mut rows = SmoothRows::new();
     for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
         if edges.boundary[i] {
@@ -112,7 +93,7 @@ fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions
 }
 
 /// Replaces the weights `w_ij` of a star by the `c_ij` that vanish on fields linear along the surface.
-fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec3]) {
+pub(super) fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec3]) {
     let edge = |j: u32| positions[j as usize] - positions[i];
     let (mut g, mut sum) = (Matrix3::zeros(), Vec3::zeros());
     for &(j, w) in star.iter() {
@@ -281,6 +262,26 @@ impl ModelFactory for Factory {
         let SmoothOptions { kind, weights } = input.options.read()?;
         let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
         Ok(Box::new(Free::new(input.rest, options, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (kind, weights) = (input.smoothness, EdgeWeights::Cotangent);
+        let options = FreeOptions { kind, weights, reference_vertices: input.mesh.positions.len() as f64 };
+        let lambda = match kind {
+            Smoothness::Laplacian => input.gradient_weight(),
+            Smoothness::BiLaplacian => input.gradient_weight().powi(2),
+        };
+        Ok(Box::new(Free::new(input.mesh, options, lambda)?.with_held_at(input.held, input.places)))
     }
 }
 

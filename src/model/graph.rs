@@ -2,10 +2,10 @@
 //! With the paper's own affine nodes: [`sumner`](super::sumner()).
 
 use super::{
-    GraphLevel, GraphOptions, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, NodeTransform,
-    RegistrationModel, RigidMotion, Stiffness, node_options,
+    GraphLevel, GraphOptions, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, NodeTransform, PatchFactory,
+    PatchInput, RegistrationModel, RigidMotion, Stiffness, node_options,
 };
-use crate::energy::{Options, OptionsError};
+use crate::energy::{DeformationModel, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -50,5 +50,16 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         node_options::build("graph", input, &ShapeBasis::none())
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (nodes, lambda) = node_options::on_patch(input)?;
+        Ok(Box::new(graph(input.mesh.positions.clone(), nodes, lambda)))
     }
 }

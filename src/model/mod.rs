@@ -1,6 +1,6 @@
 //! Deformation models, one file each, with the options that it reads from a schedule and its factory; a new one is a line of the
-//! table below besides. Those of nodes and blendshapes are the hybrid with one node or without shapes; free vertices share
-//! `vertex_assembly.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
+//! table below besides. Those of nodes and blendshapes are the hybrid with one node or without shapes; those of
+//! vertices share `vertex_assembly.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
 //! [`nlls::Assembly`](crate::nlls::Assembly).
 
 mod affine;
@@ -14,23 +14,29 @@ mod fem;
 mod ffd;
 mod flame;
 mod free;
+mod gpmm;
 mod graph;
 mod hybrid;
 mod klimov2020;
+mod laplacian;
 mod mass_spring;
 mod node_graph;
 mod node_options;
+mod on_patch;
+mod poisson;
 mod rigid;
+mod rigid_cells;
 mod rotation_fit;
 mod sequential;
 mod similarity;
 mod smooth_rows;
+mod star_similarity;
 mod sumner;
 mod transform;
 mod vertex_assembly;
 
 pub use affine::{Affine, AffineOptions};
-pub use arap::{Arap, ArapOptions, ArapSolver, RigidityOptions};
+pub use arap::{Arap, ArapOptions, RigidityOptions, Spokes};
 pub use autodiff::{Autodiff, AutodiffError, Point, PositionFunction};
 pub use blendshape::{Blendshape, BlendshapeLevel, blendshape, blendshape_in_place};
 pub use edge_weights::EdgeWeights;
@@ -38,13 +44,19 @@ pub use factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, Smoot
 pub use fem::{Fem, TissueOptions};
 pub use ffd::{Ffd, LatticeOptions};
 pub use free::{Free, FreeOptions, SmoothOptions, Smoothness};
+pub use gpmm::{GaussianKernel, GpmmOptions, gpmm};
 pub use graph::{Graph, graph, graph_of};
 pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
+pub use laplacian::{Laplacian, LaplacianOptions};
 pub use mass_spring::{MassSpring, SpringOptions};
 pub use node_graph::NodeGraph;
 pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
+pub use on_patch::{PatchFactory, PatchInput};
+pub use poisson::{Guidance, Patches, Poisson, PoissonOptions};
 pub use rigid::{Rigid, rigid};
+pub use rigid_cells::{ArapSolver, CellKind, RigidCells};
 pub use similarity::{Similarity, similarity};
+pub use star_similarity::Frames;
 pub use sumner::{Sumner, SumnerOptions, sumner};
 pub use transform::{
     AffineMap, AffineMotion, AngleAxisMotion, NodeTransform, QuaternionMotion, RigidMotion, SimilarityMotion,
@@ -89,12 +101,20 @@ models! {
     Blendshape => blendshape::Factory,
     /// Blendshapes as users of linear head models fit them: landmarks, then robust closest points (Li et al. 2017, FLAME).
     Flame => flame::FACTORY,
+    /// Gaussian process of smooth displacements as shapes, under one rigid motion (Luethi et al. 2018).
+    Gpmm => gpmm::Factory { with_rig: false },
+    /// The same and the blendshapes: the sum of a learnt kernel and a smooth one.
+    GpmmRig => gpmm::Factory { with_rig: true },
     /// Deformation graph, rigid nodes unless the schedule says otherwise.
     Graph => graph::Factory,
     /// Deformation graph with affine nodes (Sumner et al. 2007).
     Sumner => sumner::Factory,
     /// As-rigid-as-possible surface (Sorkine and Alexa 2007).
     Arap => arap::Factory,
+    /// Gradient-domain surface: every patch of triangles keeps its gradients but for a turn (Yu et al. 2004).
+    Poisson => poisson::Factory,
+    /// Surface that keeps its differential coordinates up to similarities (Sorkine et al. 2004).
+    Laplacian => laplacian::Factory,
     /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
     Affine => affine::Factory,
     /// Springs along the edges and through a layer of tissue (Balaniuk, Costa and Melo 2006; Van Gelder 1998).
@@ -111,6 +131,14 @@ models! {
     Similarity => similarity::Factory,
 }
 
+impl ModelKind {
+    /// The names of all of them, in one line.
+    #[must_use]
+    pub fn names() -> String {
+        Self::ALL.map(|m| m.to_string()).join(", ")
+    }
+}
+
 impl std::fmt::Display for ModelKind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())
@@ -121,10 +149,8 @@ impl std::str::FromStr for ModelKind {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|m| m.name() == name).ok_or_else(|| {
-            let known: Vec<_> = Self::ALL.iter().map(|m| m.name().to_owned()).collect();
-            format!("unknown model '{name}'; known models: {}", known.join(", "))
-        })
+        let found = Self::ALL.into_iter().find(|m| m.name() == name);
+        found.ok_or_else(|| format!("unknown model '{name}'; known models: {}", Self::names()))
     }
 }
 
@@ -159,6 +185,10 @@ impl ModelFactory for ModelKind {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         self.factory().build(input)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        self.factory().on_patch()
     }
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform,
+    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform, PatchInput,
     QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
 };
 use crate::energy::{OptionTable, Options, OptionsError};
@@ -169,6 +169,16 @@ pub(super) fn build(
     }
 }
 
+/// The graph of a patch, and its `lambda_graph`.
+pub(super) fn on_patch(input: &PatchInput<'_>) -> Result<(NodeGraph, f64), ModelError> {
+    let nodes = NodeGraph::on_region(input.mesh, input.held, input.nodes.min(input.moving.div_ceil(2)))?;
+    let edge = |e: &(u32, u32)| (nodes.nodes()[e.0 as usize] - nodes.nodes()[e.1 as usize]).norm_squared();
+    // A residual of (7) sees the change along its edge: half of the gradient's square, times the edge's.
+    let squares: f64 = 0.5 * nodes.edges().iter().map(edge).sum::<f64>();
+    let (weight, area) = (input.gradient_weight(), input.vertex_area * input.moving as f64);
+    Ok((nodes, if squares > 0.0 { weight * area / squares } else { weight }))
+}
+
 /// A model of one node, with the linearisation that `[model]` names.
 pub(super) fn one_node<T: NodeTransform<W>, const W: usize>(
     mut model: Hybrid<T, W>,
@@ -201,6 +211,7 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
     }
 
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
-        self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied()).collect()
+        let named = self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied());
+        named.take(self.reported_shapes).collect()
     }
 }

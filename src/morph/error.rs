@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::mesh::{MeshError, Vec3};
+use crate::model::ModelError;
 use crate::render::CameraError;
 
 /// A mask, or what it is to move, cannot be computed with.
@@ -123,7 +124,7 @@ pub enum MorphError {
     #[error("model {model} needs blendshapes of {vertices} vertices, found {found}")]
     Shapes {
         /// The model.
-        model: &'static str,
+        model: String,
         /// Vertices of the shapes; 0 without shapes.
         found: usize,
         /// Vertices of the mesh.
@@ -165,6 +166,9 @@ pub enum MorphError {
     /// The mesh, or the positions.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// The model cannot be built on the part that moves.
+    #[error(transparent)]
+    Model(#[from] ModelError),
     /// A corner of a polygon indexes past the vertices.
     #[error("corner {corner} has vertex index {index}, expected one below {count}")]
     CornerVertex {

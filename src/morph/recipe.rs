@@ -76,7 +76,7 @@ pub struct RecipeStep {
     /// one millimetre, make one recipe.
     #[serde(default = "one")]
     pub amount: f64,
-    /// Default [`MorphModel::Direct`].
+    /// Default `direct`. The others are deformation models that can be held at a rim; `nonrigid morph --help` names them.
     #[serde(default)]
     pub model: MorphModel,
     /// Of an energy.

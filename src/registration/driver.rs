@@ -474,8 +474,8 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
     }
     let variance = problem.residual_variance(x);
     let covariance = workspace.border_covariance(problem, x, DAMPING_FLOOR).ok();
-    let covariance = covariance.filter(|c| c.nrows() == named.len()).zip(variance);
-    let bounds = problem.border_bounds().filter(|b| b.lower.len() == named.len());
+    let covariance = covariance.filter(|c| c.nrows() >= named.len()).zip(variance);
+    let bounds = problem.border_bounds().filter(|b| b.lower.len() >= named.len());
     let weight = |(k, (name, value))| {
         let at_bound = bounds.is_some_and(|b| b.at_bound(x, k));
         let std_dev = covariance.as_ref().filter(|_| !at_bound).map(|(c, variance)| (variance * c[(k, k)]).sqrt());

@@ -25,6 +25,16 @@ pub enum RegistrationError {
     /// A landmark lies outside the template.
     #[error("landmark: {0}")]
     Sample(#[from] SampleError),
+    /// Subdivision makes too many vertices.
+    #[error(
+        "{rounds} rounds of subdivision make more than {most} vertices of this template; fewer rounds, or a coarser template"
+    )]
+    TooFine {
+        /// Rounds.
+        rounds: u8,
+        /// Vertices at most.
+        most: usize,
+    },
     /// The template has no faces.
     #[error("the template has no faces; a registration needs its surface")]
     EmptyTemplate,

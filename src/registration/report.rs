@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::evidence::Seen;
 use super::{
-    Coverage, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop, Reliability,
-    ScanFacing, Schedule, StartSearch, StepRecord,
+    Coverage, DetailReport, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop,
+    Reliability, ScanFacing, Schedule, StartSearch, StepRecord,
 };
 use crate::correspondence::ScanError;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
@@ -148,6 +148,9 @@ pub struct Report {
     /// Share of the template's part of a baked texture that the scan shows; `None` if none was baked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub texture_seen: Option<f64>,
+    /// The finer mesh that the result was divided into; `None` if it was not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detail: Option<DetailReport>,
     /// Probability that the result is wrong, what speaks for it, and what both rest on.
     #[serde(flatten)]
     pub reliability: Reliability,
@@ -185,6 +188,7 @@ impl Report {
             quality,
             colors_observed: None,
             texture_seen: None,
+            detail: None,
             reliability,
             weights: result.weights.clone(),
             history: result.history.clone(),

@@ -36,5 +36,5 @@ pub use colour::{ColourMap, ColourScale, Rgb8};
 pub use png::{PictureError, encode_png, save_png};
 pub use raster::{RenderOptions, render, render_with};
 pub use scene::{Scene, Style};
-pub use sheet::{Sheet, error_sheet, registration_sheet};
-pub use text::{draw_text, text_size};
+pub use sheet::{Panel, Sheet, error_sheet, registration_sheet};
+pub use text::{draw_text, text_height, text_size};

@@ -2,23 +2,47 @@
 
 use image::{Rgb, RgbImage, imageops};
 
-use super::text::{draw_text, text_size};
+use super::text::{draw_text, text_height, text_size};
 use super::{Camera, ColourScale, Frame, Rgb8, Scene, Style, View, render};
 use crate::mesh::{PolygonMesh, TriangleMesh};
 
-/// A grid of equally large panels with a title, column headings, row captions and, on request, a colour bar.
+/// A picture of a [`Sheet`] with a caption above it, which may be empty. A picture alone is a panel too.
+#[derive(Debug, Clone)]
+pub struct Panel {
+    picture: RgbImage,
+    caption: String,
+}
+
+impl Panel {
+    /// A picture and its caption, which shrinks to the picture's width.
+    #[must_use]
+    pub fn new(picture: RgbImage, caption: &str) -> Self {
+        Self { picture, caption: caption.into() }
+    }
+}
+
+impl From<RgbImage> for Panel {
+    fn from(picture: RgbImage) -> Self {
+        Self::new(picture, "")
+    }
+}
+
+/// A grid of equally large panels with a title, column headings, captions above rows and panels and, on request, a colour bar. No word
+/// stands on a picture.
 #[derive(Debug, Clone, Default)]
 pub struct Sheet {
     title: String,
     columns: Vec<String>,
-    rows: Vec<(String, Vec<RgbImage>)>,
+    rows: Vec<(String, Vec<Panel>)>,
     scale: Option<ColourScale>,
 }
 
 const INK: Rgb8 = [32, 36, 44];
 const FAINT: Rgb8 = [208, 211, 216];
-const FONT: u32 = 2;
-const LINE: u32 = 8 * FONT;
+/// Height of a line of text.
+const LINE: u32 = 18;
+/// The same of a caption.
+const SMALL: u32 = 16;
 const MARGIN: u32 = 14;
 const GAP: u32 = 6;
 const BAR: u32 = 22;
@@ -39,8 +63,8 @@ impl Sheet {
 
     /// Adds a row of panels under a caption (which may be empty).
     #[must_use]
-    pub fn row(mut self, caption: &str, panels: Vec<RgbImage>) -> Self {
-        self.rows.push((caption.into(), panels));
+    pub fn row<P: Into<Panel>>(mut self, caption: &str, panels: impl IntoIterator<Item = P>) -> Self {
+        self.rows.push((caption.into(), panels.into_iter().map(Into::into).collect()));
         self
     }
 
@@ -55,33 +79,46 @@ impl Sheet {
     #[must_use]
     pub fn render(&self) -> RgbImage {
         let panels = || self.rows.iter().flat_map(|(_, panels)| panels);
-        let width = panels().map(RgbImage::width).max().unwrap_or(0);
-        let height = panels().map(RgbImage::height).max().unwrap_or(0);
+        let width = panels().map(|p| p.picture.width()).max().unwrap_or(0);
+        let height = panels().map(|p| p.picture.height()).max().unwrap_or(0);
         let across = self.rows.iter().map(|(_, p)| p.len()).max().unwrap_or(0).max(self.columns.len()) as u32;
         let header = |present: bool| if present { LINE + MARGIN } else { 0 };
         let title_height = header(!self.title.is_empty());
         let top = MARGIN + title_height + header(!self.columns.is_empty());
         let right = MARGIN + across * (width + GAP);
         let bar_width = self.scale.as_ref().map_or(0, |scale| MARGIN + bar_column_width(scale));
-        let total_width = (right + bar_width + MARGIN).max(text_size(&self.title, FONT)[0] + 2 * MARGIN);
-        let bottom = top + self.rows.len() as u32 * (height + GAP);
+        let wide = |text: &String| text_size(text, LINE)[0] + 2 * MARGIN;
+        let words = self.rows.iter().map(|r| &r.0).chain([&self.title]);
+        let total_width = words.map(wide).fold(right + bar_width + MARGIN, u32::max);
+        // Above the pictures of a row: its own caption, then theirs.
+        let above = |(caption, panels): &(String, Vec<Panel>)| {
+            let line = |present: bool, height: u32| if present { height + GAP } else { 0 };
+            [line(!caption.is_empty(), LINE), line(panels.iter().any(|p| !p.caption.is_empty()), SMALL)]
+        };
+        let bottom = top + self.rows.iter().map(|row| above(row).iter().sum::<u32>() + height + GAP).sum::<u32>();
         let mut sheet = RgbImage::from_pixel(total_width, bottom + MARGIN - GAP.min(MARGIN), Rgb([255; 3]));
 
-        draw_text(&mut sheet, i64::from(MARGIN), i64::from(MARGIN), &self.title, FONT, INK);
+        draw_text(&mut sheet, i64::from(MARGIN), i64::from(MARGIN), &self.title, LINE, INK);
         for (i, heading) in self.columns.iter().enumerate() {
-            let font = if text_size(heading, FONT)[0] > width { 1 } else { FONT };
+            let font = text_height(heading, LINE, width);
             let free = i64::from(width) - i64::from(text_size(heading, font)[0]);
             let x = i64::from(MARGIN) + i as i64 * i64::from(width + GAP) + free / 2;
             draw_text(&mut sheet, x, i64::from(MARGIN + title_height), heading, font, INK);
         }
-        for (r, (caption, row)) in self.rows.iter().enumerate() {
-            let y = i64::from(top) + r as i64 * i64::from(height + GAP);
-            for (c, panel) in row.iter().enumerate() {
+        let mut y = top;
+        for row in &self.rows {
+            let [of_row, of_panels] = above(row);
+            draw_text(&mut sheet, i64::from(MARGIN), i64::from(y), &row.0, LINE, INK);
+            y += of_row + of_panels;
+            for (c, panel) in row.1.iter().enumerate() {
                 let x = i64::from(MARGIN) + c as i64 * i64::from(width + GAP);
-                imageops::replace(&mut sheet, panel, x, y);
-                outline(&mut sheet, x, y, panel.width(), panel.height(), FAINT);
+                let font = text_height(&panel.caption, SMALL, width);
+                draw_text(&mut sheet, x, i64::from(y - of_panels), &panel.caption, font, INK);
+                let picture = &panel.picture;
+                imageops::replace(&mut sheet, picture, x, i64::from(y));
+                outline(&mut sheet, x, i64::from(y), picture.width(), picture.height(), FAINT);
             }
-            draw_text(&mut sheet, i64::from(MARGIN) + 8, y + 8, caption, FONT, INK);
+            y += height + GAP;
         }
         if let Some(scale) = &self.scale {
             draw_bar(&mut sheet, scale, right + MARGIN - GAP, top, bottom.saturating_sub(GAP));
@@ -95,9 +132,9 @@ fn tick_texts(scale: &ColourScale) -> Vec<(f64, String)> {
     let end = |value: f64, limit: f64| (scale.position(value) - scale.position(limit)).abs() < 1e-6;
     for (value, text) in &mut ticks {
         if scale.clipped[0] && end(*value, scale.low) {
-            text.insert_str(0, "<=");
+            text.insert_str(0, "≤ ");
         } else if scale.clipped[1] && end(*value, scale.high) {
-            text.insert_str(0, ">=");
+            text.insert_str(0, "≥ ");
         }
     }
     ticks
@@ -122,15 +159,15 @@ fn bar_label(scale: &ColourScale) -> Vec<String> {
 }
 
 fn bar_column_width(scale: &ColourScale) -> u32 {
-    let ticks = tick_texts(scale).iter().map(|t| text_size(&t.1, FONT)[0]).max().unwrap_or(0);
-    let label = bar_label(scale).iter().map(|l| text_size(l, FONT)[0]).max().unwrap_or(0);
+    let ticks = tick_texts(scale).iter().map(|t| text_size(&t.1, LINE)[0]).max().unwrap_or(0);
+    let label = bar_label(scale).iter().map(|l| text_size(l, LINE)[0]).max().unwrap_or(0);
     (BAR + 12 + ticks).max(label)
 }
 
 fn draw_bar(sheet: &mut RgbImage, scale: &ColourScale, left: u32, top: u32, bottom: u32) {
     let lines = bar_label(scale);
     for (i, line) in lines.iter().enumerate() {
-        draw_text(sheet, i64::from(left), i64::from(top + i as u32 * (LINE + 4)), line, FONT, INK);
+        draw_text(sheet, i64::from(left), i64::from(top + i as u32 * (LINE + 4)), line, LINE, INK);
     }
     let top = top + lines.len() as u32 * (LINE + 4) + LINE;
     let bottom = bottom.saturating_sub(LINE).min(top + 640);
@@ -154,7 +191,7 @@ fn draw_bar(sheet: &mut RgbImage, scale: &ColourScale, left: u32, top: u32, bott
                 sheet.put_pixel(x, y as u32, Rgb(INK));
             }
         }
-        draw_text(sheet, i64::from(left + BAR + 10), y - i64::from(LINE / 2), &text, FONT, INK);
+        draw_text(sheet, i64::from(left + BAR + 10), y - i64::from(LINE / 2), &text, LINE, INK);
     }
 }
 
@@ -205,7 +242,7 @@ pub fn registration_sheet(
     let mut sheet = Sheet::new(title).columns(&["template", "scan", "result", "result over scan"]);
     for view in [View::Front, View::ThreeQuarter] {
         let size = [panel, panel];
-        let panels = scenes.iter().map(|(f, scene)| render(scene, &Camera::framing(f, view, size), size)).collect();
+        let panels = scenes.iter().map(|(f, scene)| render(scene, &Camera::framing(f, view, size), size));
         sheet = sheet.row(&view.name(), panels);
     }
     sheet.render()
@@ -231,7 +268,7 @@ pub fn error_sheet(
             let style = Style::Values(values.to_vec(), scale.clone());
             render(&Scene::new().mesh(&mesh.triangulate(), style), &camera, size)
         };
-        sheet = sheet.row(&view.name(), results.iter().map(draw).collect());
+        sheet = sheet.row(&view.name(), results.iter().map(draw));
     }
     sheet.render()
 }
@@ -250,6 +287,15 @@ mod tests {
         let sheet = Sheet::new("a title wider than the panels").columns(&["one", "two"]).row("front", vec![panel; 2]);
         let sheet = sheet.colour_bar(&scale).render();
         assert_eq!(sheet.pixels().filter(|p| p.0 == [1, 2, 3]).count() / 1000, 2 * 48 * 38 / 1000);
-        assert_eq!(tick_texts(&scale).last().unwrap().1, ">=2.0");
+        assert_eq!(tick_texts(&scale).last().unwrap().1, "≥ 2.0");
+    }
+
+    #[test]
+    fn no_word_stands_on_a_picture() {
+        let picture = RgbImage::from_pixel(50, 40, Rgb([1, 2, 3]));
+        let whole = |sheet: Sheet| sheet.render().pixels().filter(|p| p.0 == [1, 2, 3]).count();
+        let plain = Sheet::new("").row("", vec![picture.clone(); 2]);
+        let named = [Panel::new(picture.clone(), "a caption wider than its picture"), picture.into()];
+        assert_eq!(whole(Sheet::new("title").columns(&["one"]).row("a row", named)), whole(plain));
     }
 }

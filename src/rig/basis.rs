@@ -76,6 +76,42 @@ impl ShapeBasis {
         Self { slab: Arc::new(slab), ..self.clone() }
     }
 
+    /// These shapes and, after them, those of `other`, on the same vertices.
+    ///
+    /// # Panics
+    /// If both have shapes, but not of as many vertices.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        if self.is_empty() || other.is_empty() {
+            return if self.is_empty() { other.clone() } else { self.clone() };
+        }
+        assert_eq!(self.vertex_count(), other.vertex_count(), "shapes of different templates");
+        let rows = self.slab.chunks_exact(self.len()).zip(other.slab.chunks_exact(other.len()));
+        let mut slab = Vec::with_capacity(self.slab.len() + other.slab.len());
+        rows.for_each(|(own, others)| {
+            slab.extend_from_slice(own);
+            slab.extend_from_slice(others);
+        });
+        let bounds =
+            [(0, f64::NEG_INFINITY), (1, f64::INFINITY)].map(|(side, free)| match (self.bounds(), other.bounds()) {
+                (None, None) => Vec::new(),
+                _ => [self, other]
+                    .iter()
+                    .flat_map(|basis| match basis.bounds[side].is_empty() {
+                        true => vec![free; basis.len()],
+                        false => basis.bounds[side].clone(),
+                    })
+                    .collect(),
+            });
+        Self {
+            shapes: [&self.shapes[..], &other.shapes].concat(),
+            sigmas: [&self.sigmas[..], &other.sigmas].concat(),
+            beyond: [&self.beyond[..], &other.beyond].concat(),
+            bounds,
+            slab: Arc::new(slab),
+        }
+    }
+
     /// Number of shapes.
     #[must_use]
     pub fn len(&self) -> usize {

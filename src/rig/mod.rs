@@ -16,6 +16,7 @@ mod pca;
 mod population;
 mod read;
 mod regions;
+mod subdivide;
 mod transfer;
 mod write;
 
@@ -29,6 +30,7 @@ pub use population::{Population, PopulationError};
 pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
 pub use regions::Regions;
+pub use subdivide::SubdivideError;
 pub use transfer::{TransferError, TransferOptions};
 pub use write::RIG_FILES;
 

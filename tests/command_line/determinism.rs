@@ -51,7 +51,7 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
     let bench = Bench::new();
     let face = "--mesh rig/template.obj --rig rig";
     let morph = format!("morph {face} --identity-modes 5 --preset nose-tip --preset cheekbone");
-    for model in MorphModel::ALL {
+    for model in MorphModel::all() {
         let outputs = "--out OUT/m.obj --masks OUT/masks --report OUT/page --threads THREADS";
         let line = format!("{morph} --model {} {outputs}", model.name());
         assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 11, "{}", model.name());

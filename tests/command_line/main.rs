@@ -17,6 +17,7 @@ mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 
+mod animate;
 mod bad_input;
 mod batch;
 mod determinism;

@@ -57,6 +57,32 @@ fn every_model_keeps_the_templates_topology() {
 }
 
 #[test]
+fn a_result_is_divided_and_its_finer_vertices_go_to_the_scan() {
+    let bench = Bench::new();
+    let printed = bench.done(&format!("{FIT} {INPUTS} --subdivide 2 --out fine.obj --report fine.json"));
+    assert!(printed.contains("divided: "), "{printed}");
+    bench.done("rig subdivide --rig rig --rounds 2 --out finer");
+    let (fine, rest) =
+        (read_obj(&bench.path("fine.obj")).unwrap(), read_obj(&bench.path("finer/template.obj")).unwrap());
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    assert_eq!(fine.polygon_count(), 4 * template.corners.len());
+    assert_eq!((&fine.starts, &fine.corners), (&rest.starts, &rest.corners));
+    assert_eq!(fine.metadata, rest.metadata);
+    assert_eq!(fine.metadata.corner_uvs.len(), fine.corners.len());
+    let detail = &json(std::fs::read(bench.path("fine.json")).unwrap())["detail"];
+    assert_eq!(detail["vertices"], fine.positions.len());
+    let median = |when: &str| detail[when]["median_within"].as_f64().unwrap();
+    assert!(median("quality") < 0.7 * median("before"), "{detail}");
+    let flipped = |when: &str| detail[when]["flipped"].as_u64().unwrap();
+    assert!(flipped("quality") <= flipped("before") + 4, "{detail}");
+    // The divided rig is a rig: the divided result's rest shape registers with its shapes.
+    let fitted = bench.done(&format!(
+        "register --template finer/template.obj --rig finer {INPUTS} --model blendshape --out again.obj"
+    ));
+    assert!(fitted.contains("wrote again.obj"), "{fitted}");
+}
+
+#[test]
 fn outputs_are_the_same_bytes_at_any_number_of_threads() {
     let bench = Bench::new();
     for threads in [1, 2] {

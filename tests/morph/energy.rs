@@ -7,10 +7,18 @@ use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
 use nonrigid::model::Smoothness;
 use nonrigid::morph::{self, *};
+use nonrigid::registration::ModelKind;
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 
-const ENERGIES: [MorphModel; 5] =
-    [MorphModel::Free, MorphModel::Arap, MorphModel::Graph, MorphModel::Blendshape, MorphModel::Hybrid];
+const FREE: MorphModel = MorphModel::Energy(ModelKind::Free);
+const ARAP: MorphModel = MorphModel::Energy(ModelKind::Arap);
+const GRAPH: MorphModel = MorphModel::Energy(ModelKind::Graph);
+const BLENDSHAPE: MorphModel = MorphModel::Energy(ModelKind::Blendshape);
+const HYBRID: MorphModel = MorphModel::Energy(ModelKind::Hybrid);
+const POISSON: MorphModel = MorphModel::Energy(ModelKind::Poisson);
+const LAPLACIAN: MorphModel = MorphModel::Energy(ModelKind::Laplacian);
+const GPMM: MorphModel = MorphModel::Energy(ModelKind::Gpmm);
+const ENERGIES: [MorphModel; 8] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM];
 
 /// A generated face, its first identity modes, and a soft round mask on the tip of its nose.
 struct Face {
@@ -107,7 +115,7 @@ fn free_vertices_without_a_regulariser_are_the_papers_morph() {
     let bound = 1e-12 * bounding_box_diagonal(&face.mesh.positions);
     for smoothness in [Smoothness::Laplacian, Smoothness::BiLaplacian] {
         let options = EnergyOptions { smoothing: 0.0, smoothness, ..EnergyOptions::default() };
-        let mut energy = face.try_energy(&step, &Constraints::default(), MorphModel::Free, &options).unwrap();
+        let mut energy = face.try_energy(&step, &Constraints::default(), FREE, &options).unwrap();
         let (moved, _) = energy.solve().unwrap();
         for (a, b) in moved.iter().zip(&direct) {
             assert!((a - b).norm() <= bound, "{:e}", (a - b).norm());
@@ -136,7 +144,7 @@ fn pins_hold_exactly_and_goals_draw() {
     let tip = TemplatePoint::Vertex(face.tip);
     let (far, near) = (Vec3::new(0.7, -0.2, 4.0), Vec3::new(0.0, 0.3, 1.0));
     let bound = PIN_TOLERANCE * bounding_box_diagonal(&face.mesh.positions);
-    for model in [MorphModel::Free, MorphModel::Arap, MorphModel::Graph, MorphModel::Hybrid] {
+    for model in [FREE, ARAP, GRAPH, HYBRID, POISSON, LAPLACIAN] {
         let pins = vec![placed("tip", tip, at(&tip) + far)];
         let constraints = Constraints { pins, ..Constraints::default() };
         let (moved, _) = face.energy(&step, &constraints, model).solve().unwrap();
@@ -161,7 +169,7 @@ fn pins_hold_exactly_and_goals_draw() {
     // Thirty shapes reach any place of one point.
     let pins = vec![placed("tip", tip, at(&tip) + near)];
     let constraints = Constraints { pins, ..Constraints::default() };
-    let (moved, _) = face.energy(&step, &constraints, MorphModel::Blendshape).solve().unwrap();
+    let (moved, _) = face.energy(&step, &constraints, BLENDSHAPE).solve().unwrap();
     assert_eq!(moved[face.tip as usize], at(&tip) + near);
 }
 
@@ -193,7 +201,7 @@ fn a_region_without_handles_follows_pins_and_goals() {
     let target = tip.position(&face.mesh.positions) + Vec3::z() * 4.0;
     let pins = vec![placed("tip", tip, target)];
     let constraints = Constraints { free: vec![face.mask(15.0)], pins, ..Constraints::default() };
-    for model in [MorphModel::Free, MorphModel::Arap, MorphModel::Graph, MorphModel::Hybrid] {
+    for model in [FREE, ARAP, GRAPH, HYBRID] {
         let (moved, report) = face.energy(&MorphStep::default(), &constraints, model).solve().unwrap();
         assert_eq!(moved[face.tip as usize], target);
         let neighbours = face.triangle_at_tip().into_iter().filter(|v| *v != face.tip);
@@ -225,7 +233,7 @@ fn parts_that_nothing_drives_stay_and_are_counted() {
     let pairs = vec![MaskedDisplacement { weights: weights(1.0, 0.0, 0.0), displacement: FORWARD }];
     let step = MorphStep { pairs, ..MorphStep::default() };
     let constraints = Constraints { free: vec![weights(0.0, 1.0, 1.0)], ..Constraints::default() };
-    for model in [MorphModel::Free, MorphModel::Arap] {
+    for model in [FREE, ARAP] {
         for (smoothing, parts) in
             [(2.0, 1), (0.0, 3 + face.mask(15.0).values().iter().filter(|w| **w > DEFAULT_THRESHOLD).count())]
         {
@@ -284,7 +292,7 @@ fn one_recipe_means_the_same_at_any_resolution() {
 fn weights_of_shapes_stay_between_their_bounds() {
     let face = &*FACE;
     let bounded = face.shapes.clone().with_bounds(|_| [-0.1, 0.1]);
-    for model in [MorphModel::Blendshape, MorphModel::Hybrid] {
+    for model in [BLENDSHAPE, HYBRID] {
         let step = face.step(FORWARD);
         let options = EnergyOptions::default();
         let mut energy =
@@ -317,10 +325,10 @@ fn impossible_morphs_are_named() {
     let fails = |step: &MorphStep, constraints: &Constraints, model, options: &EnergyOptions| {
         face.try_energy(step, constraints, model, options).err().unwrap()
     };
-    assert_eq!(fails(&MorphStep::default(), &none, MorphModel::Free, &options), MorphError::NothingMoves);
+    assert_eq!(fails(&MorphStep::default(), &none, FREE, &options), MorphError::NothingMoves);
     assert_eq!(fails(&step, &none, MorphModel::Direct, &options), MorphError::NoEnergy);
     let no_shapes = ShapeBasis::none();
-    let error = MorphEnergy::new(&face.mesh, &step, &none, MorphModel::Blendshape, &no_shapes, &options).err().unwrap();
+    let error = MorphEnergy::new(&face.mesh, &step, &none, BLENDSHAPE, &no_shapes, &options).err().unwrap();
     assert_eq!(
         error.to_string(),
         format!("model blendshape needs blendshapes of {} vertices, found 0", face.mesh.positions.len())
@@ -332,24 +340,24 @@ fn impossible_morphs_are_named() {
         EnergyOptions { tolerance: -1.0, ..options },
         EnergyOptions { max_iterations: 0, ..options },
     ] {
-        assert!(matches!(fails(&step, &none, MorphModel::Free, &wrong), MorphError::Option { .. }));
+        assert!(matches!(fails(&step, &none, FREE, &wrong), MorphError::Option { .. }));
     }
     let moves = step.moves(face.mesh.positions.len()).unwrap();
     let held = TemplatePoint::Vertex(moves.iter().position(|m| !m).unwrap() as u32);
     let tip = TemplatePoint::Vertex(face.tip);
     let pins = |pins| Constraints { pins, ..Constraints::default() };
-    let error = fails(&step, &pins(vec![placed("ear", held, Vec3::zeros())]), MorphModel::Arap, &options);
+    let error = fails(&step, &pins(vec![placed("ear", held, Vec3::zeros())]), ARAP, &options);
     assert_eq!(error, MorphError::PointHeld("ear".into()));
     let twice = vec![placed("a", tip, Vec3::zeros()), placed("b", tip, Vec3::x())];
-    assert_eq!(fails(&step, &pins(twice), MorphModel::Arap, &options), MorphError::PinnedTwice("b".into()));
+    assert_eq!(fails(&step, &pins(twice), ARAP, &options), MorphError::PinnedTwice("b".into()));
     let nan = vec![placed("a", tip, Vec3::repeat(f64::NAN))];
-    assert!(matches!(fails(&step, &pins(nan), MorphModel::Arap, &options), MorphError::Target { .. }));
+    assert!(matches!(fails(&step, &pins(nan), ARAP, &options), MorphError::Target { .. }));
     let one = ShapeBasis::new(
         vec![Shape { name: "up".into(), family: Family::Identity }],
         (0..face.mesh.positions.len()).flat_map(|_| [0.0, 1.0, 0.0]).collect(),
     );
     let aside = pins(vec![placed("tip", tip, tip.position(&face.mesh.positions) + Vec3::x())]);
-    let mut energy = MorphEnergy::new(&face.mesh, &step, &aside, MorphModel::Blendshape, &one, &options).unwrap();
+    let mut energy = MorphEnergy::new(&face.mesh, &step, &aside, BLENDSHAPE, &one, &options).unwrap();
     let error = energy.solve().unwrap_err();
     assert!(
         matches!(&error, MorphError::PinOutOfReach { name, distance } if name == "tip" && *distance > 0.9),
@@ -357,7 +365,7 @@ fn impossible_morphs_are_named() {
     );
     let mut mesh = face.mesh.clone();
     mesh.triangles.push([0, 1, u32::MAX]);
-    assert!(MorphEnergy::new(&mesh, &step, &none, MorphModel::Free, &no_shapes, &options).is_err());
+    assert!(MorphEnergy::new(&mesh, &step, &none, FREE, &no_shapes, &options).is_err());
 }
 
 #[test]
@@ -370,7 +378,7 @@ fn awkward_meshes_give_finite_results_and_keep_what_is_held() {
         let size = bounding_box_diagonal(&mesh.positions);
         let pairs = vec![MaskedDisplacement { weights, displacement: Vec3::new(0.01, 0.02, 0.05) * size }];
         let step = MorphStep { pairs, ..MorphStep::default() };
-        for model in [MorphModel::Free, MorphModel::Arap, MorphModel::Graph] {
+        for model in [FREE, ARAP, GRAPH] {
             let (none, options) = (Constraints::default(), EnergyOptions::default());
             let energy = MorphEnergy::new(&mesh, &step, &none, model, &ShapeBasis::none(), &options);
             match energy.and_then(|mut energy| energy.solve()) {

@@ -9,6 +9,7 @@ use nonrigid::landmark::TemplatePoint;
 use nonrigid::landmark::read_template_landmarks;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::*;
+use nonrigid::registration::ModelKind;
 use nonrigid::rig::{Regions, ShapeBasis};
 
 struct Face {
@@ -136,7 +137,10 @@ fn a_recipe_replayed_gives_the_same_bits_and_until_stops_early() {
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            face.replay(&recipe, ReplayOptions { model: Some(MorphModel::Arap), ..ReplayOptions::default() })
+            face.replay(
+                &recipe,
+                ReplayOptions { model: Some(MorphModel::Energy(ModelKind::Arap)), ..ReplayOptions::default() },
+            )
         })
     };
     let [a, b, c] = [1, 2, 2].map(|threads| on(threads).unwrap());
@@ -145,8 +149,12 @@ fn a_recipe_replayed_gives_the_same_bits_and_until_stops_early() {
         assert_eq!(b[k].positions, c[k].positions);
     }
     assert_ne!(a[0].positions, a[1].positions);
-    let first =
-        face.replay(&recipe, ReplayOptions { until: Some(1), model: Some(MorphModel::Arap), amount: None }).unwrap();
+    let first = face
+        .replay(
+            &recipe,
+            ReplayOptions { until: Some(1), model: Some(MorphModel::Energy(ModelKind::Arap)), amount: None },
+        )
+        .unwrap();
     assert_eq!((first.len(), &first[0].positions), (1, &a[0].positions));
 }
 
@@ -248,7 +256,7 @@ fn protected_parts_keep_their_bits_and_points_go_where_they_are_put() {
     approx::assert_abs_diff_eq!(moved(30), out, epsilon = 1e-9);
     assert!((moved(28) - out * 4.0).norm() < 0.5, "{:?}", moved(28));
     let report = outcome.report.energy.as_ref().unwrap();
-    assert_eq!((report.model, report.moving), (MorphModel::Arap, outcome.report.moving));
+    assert_eq!((report.model, report.moving), (MorphModel::Energy(ModelKind::Arap), outcome.report.moving));
     // A region of its own, without handles.
     let text = "[[step]]\nmodel = \"graph\"\n[[step.mask]]\nregion = { circle = { centre = [0, 0], radius = 20 } }\n\
                 [[step.pin]]\nlandmark = \"30\"\nby = [0, 0, 2]\n";

@@ -101,7 +101,7 @@ fn sentence(lines: &[&str]) -> String {
 }
 
 /// Types of fields that are a choice between names, and where they are.
-const CHOICES: [(&str, &str); 13] = [
+const CHOICES: [(&str, &str); 14] = [
     ("PoseKind", "mesh/pose.rs"),
     ("ScanFlip", "correspondence/mod.rs"),
     ("StepAlgorithm", "registration/schedule.rs"),
@@ -113,8 +113,9 @@ const CHOICES: [(&str, &str); 13] = [
     ("Linearisation", "model/hybrid/mod.rs"),
     ("Smoothness", "model/free.rs"),
     ("EdgeWeights", "model/edge_weights.rs"),
-    ("ArapSolver", "model/arap.rs"),
-    ("MorphModel", "morph/energy/mod.rs"),
+    ("ArapSolver", "model/rigid_cells.rs"),
+    ("Guidance", "model/poisson.rs"),
+    ("Frames", "model/star_similarity.rs"),
 ];
 
 /// Text for a cell of a table. Names of Rust become what a file says.
@@ -198,6 +199,9 @@ fn tables_of(model: ModelKind) -> [Option<(&'static str, &'static str)>; 2] {
         "fem" => [Some(("model/fem.rs", "TissueOptions")), smooth],
         "ffd" => [Some(("model/ffd.rs", "LatticeOptions")), smooth],
         "arap" => [Some(("model/arap.rs", "RigidityOptions")), smooth],
+        "laplacian" => [Some(("model/laplacian.rs", "LaplacianOptions")), smooth],
+        "gpmm" | "gpmm_rig" => [Some(("model/gpmm.rs", "GpmmOptions")), blendshape],
+        "poisson" => [Some(("model/poisson.rs", "PoissonOptions")), smooth],
         "affine" => [Some(("model/affine.rs", "AffineOptions")), smooth],
         other => panic!("the reference does not know the model {other}"),
     }

@@ -289,24 +289,14 @@ pub fn quadratic(model: impl DeformationModel) -> impl Fn(&[f64]) -> Reference {
     }
 }
 
-/// As-rigid-as-possible surfaces: residuals `(v_i - v_j) - exp(omega_i^) R_i (n_i - n_j)` at the best `R_i`, by dual numbers in
-/// `v` and `omega`. Local/global holds `omega`, joint eliminates it.
-pub fn rigidity(
-    mesh: &TriangleMesh,
-    options: ArapOptions,
-    lambda: f64,
-    held: &[bool],
-    places: &[Vec3],
-    x: &[f64],
-) -> Reference {
-    Rigidity::new(mesh, options, lambda, held, places).reference(x)
-}
-
-struct Rigidity {
+/// Cells of edges: residuals `(v_a - v_b) - exp(omega_c^) R_c (n_a - n_b)` at the best `R_c`, by dual numbers in `v` and `omega`.
+/// Local/global holds `omega`, joint eliminates it.
+pub struct Rigidity {
     rest: Vec<Vec3>,
-    /// `(i, j, w_ij)`, each pair in both directions.
-    spokes: Vec<(usize, usize, f64)>,
-    options: ArapOptions,
+    cells: usize,
+    /// `(c, a, b, w_ab)`.
+    edges: Vec<(usize, usize, usize, f64)>,
+    solver: ArapSolver,
     lambda: f64,
     places: Vec<Option<Vec3>>,
 }
@@ -315,7 +305,8 @@ struct Rigidity {
 const TURN_FLOOR: f64 = 1e-9;
 
 impl Rigidity {
-    fn new(mesh: &TriangleMesh, options: ArapOptions, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
+    /// Stars: each edge in both directions, each in the cell of its first vertex.
+    pub fn stars(mesh: &TriangleMesh, options: ArapOptions, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
         let rest = mesh.positions.clone();
         let graph = EdgeGraph::of(mesh);
         let mut edges: Vec<(usize, usize, f64)> = Vec::new();
@@ -328,18 +319,50 @@ impl Rigidity {
             let weight = opposite.sum::<f64>() / 2.0;
             edges.push((a as usize, b as usize, if options.clamp { weight.max(0.0) } else { weight }));
         }
-        // Vertices of no triangle are tied to the nearest other.
+        edges.extend(Self::ties(&rest, &graph));
+        let edges =
+            edges.into_iter().filter(|e| e.2 != 0.0).flat_map(|(a, b, w)| [(a, a, b, w), (b, b, a, w)]).collect();
+        let places = held.iter().zip(places).map(|(held, p)| held.then_some(*p)).collect();
+        Self { cells: rest.len(), rest, edges, solver: options.solver, lambda, places }
+    }
+
+    /// Triangles with their neighbours across edges: each triangle shared evenly among the cells that it is in, its edges weighing half
+    /// their cotangents.
+    pub fn patches(mesh: &TriangleMesh, solver: ArapSolver, lambda: f64, held: &[bool], places: &[Vec3]) -> Self {
+        let (rest, triangles) = (mesh.positions.clone(), &mesh.triangles);
+        let adjacent = |s: usize, t: usize| triangles[s].iter().filter(|v| triangles[t].contains(v)).count() >= 2;
+        let patch = |t: usize| (0..triangles.len()).filter(move |&s| adjacent(s, t));
+        let mut edges = Vec::new();
+        for t in 0..triangles.len() {
+            for s in patch(t) {
+                let share = 1.0 / patch(s).count() as f64;
+                for k in 0..3 {
+                    let [a, b, c] = [0, 1, 2].map(|m| triangles[s][(k + m) % 3] as usize);
+                    let (u, v) = (rest[a] - rest[c], rest[b] - rest[c]);
+                    edges.push((t, a, b, share * u.dot(&v) / u.cross(&v).norm() / 2.0));
+                }
+            }
+        }
+        for (loose, anchor, weight) in Self::ties(&rest, &EdgeGraph::of(mesh)) {
+            let cell = triangles.iter().position(|t| t.contains(&(anchor as u32))).expect("an anchor in a triangle");
+            edges.push((cell, loose, anchor, weight));
+        }
+        let places = held.iter().zip(places).map(|(held, p)| held.then_some(*p)).collect();
+        Self { rest, cells: triangles.len(), edges, solver, lambda, places }
+    }
+
+    /// Vertices of no triangle are tied to the nearest other.
+    fn ties(rest: &[Vec3], graph: &EdgeGraph) -> Vec<(usize, usize, f64)> {
         let squared = |a: usize, b: usize| (rest[a] - rest[b]).norm_squared();
-        let mean = edges.iter().map(|e| squared(e.0, e.1)).sum::<f64>() / edges.len() as f64;
+        let lengths = graph.edges().iter().map(|e| squared(e[0] as usize, e[1] as usize));
+        let mean = lengths.sum::<f64>() / graph.edges().len() as f64;
         let loose = |i: &usize| graph.neighbours(*i).is_empty();
-        for i in (0..rest.len()).filter(loose) {
+        let tie = |i: usize| {
             let others = (0..rest.len()).filter(|j| !loose(j));
             let anchor = others.min_by(|&a, &b| squared(i, a).total_cmp(&squared(i, b))).expect("a triangle");
-            edges.push((i, anchor, (mean / squared(i, anchor)).min(1.0) / 3f64.sqrt()));
-        }
-        let spokes = edges.into_iter().filter(|e| e.2 != 0.0).flat_map(|(a, b, w)| [(a, b, w), (b, a, w)]).collect();
-        let places = held.iter().zip(places).map(|(held, p)| held.then_some(*p)).collect();
-        Self { rest, spokes, options, lambda, places }
+            (i, anchor, (mean / squared(i, anchor)).min(1.0) / 3f64.sqrt())
+        };
+        (0..rest.len()).filter(loose).map(tie).collect()
     }
 
     /// Positions for the parameters of free vertices.
@@ -353,25 +376,25 @@ impl Rigidity {
     }
 
     fn rotations(&self, v: &[[f64; 3]]) -> Vec<Matrix3<f64>> {
-        let mut a = vec![Matrix3::zeros(); v.len()];
-        for &(i, j, w) in &self.spokes {
-            a[i] += (Vec3::from(v[i]) - Vec3::from(v[j])) * (self.rest[i] - self.rest[j]).transpose() * w;
+        let mut a = vec![Matrix3::zeros(); self.cells];
+        for &(c, i, j, w) in &self.edges {
+            a[c] += (Vec3::from(v[i]) - Vec3::from(v[j])) * (self.rest[i] - self.rest[j]).transpose() * w;
         }
         a.into_iter().map(closest_by_singular_values).collect()
     }
 
-    fn reference(&self, x: &[f64]) -> Reference {
+    pub fn reference(&self, x: &[f64]) -> Reference {
         let rotations = self.rotations(&self.place(x));
-        let (n, turns) = (x.len(), 3 * self.rest.len());
+        let (n, turns) = (x.len(), 3 * self.cells);
         let evaluate = |step: &[Dual64]| {
             let moved: Vec<Dual64> = step[..n].iter().zip(x).map(|(d, x)| *d + *x).collect();
             let v = self.place(&moved);
-            let residual = |&(i, j, _): &(usize, usize, f64)| -> [Dual64; 3] {
-                let p = rotations[i] * (self.rest[i] - self.rest[j]);
-                let turn = so3::exp([0, 1, 2].map(|a| step[n + 3 * i + a]));
+            let residual = |&(c, i, j, _): &(usize, usize, usize, f64)| -> [Dual64; 3] {
+                let p = rotations[c] * (self.rest[i] - self.rest[j]);
+                let turn = so3::exp([0, 1, 2].map(|a| step[n + 3 * c + a]));
                 std::array::from_fn(|a| v[i][a] - v[j][a] - (turn[a][0] * p[0] + turn[a][1] * p[1] + turn[a][2] * p[2]))
             };
-            let residuals: Vec<Dual64> = self.spokes.iter().flat_map(residual).collect();
+            let residuals: Vec<Dual64> = self.edges.iter().flat_map(residual).collect();
             (v, residuals)
         };
         let mut step = vec![Dual64::from_re(0.0); n + turns];
@@ -387,11 +410,11 @@ impl Rigidity {
                 positions.column_mut(k).iter_mut().zip(v.as_flattened()).for_each(|(e, v)| *e = v.eps);
             }
         }
-        let weights = self.spokes.iter().flat_map(|s| [self.lambda * s.2; 3]);
+        let weights = self.edges.iter().flat_map(|e| [self.lambda * e.3; 3]);
         let (all, gradient) = normal(&jacobian, weights.zip(residuals.iter().map(|r| r.re)));
         let mut hessian = all.view((0, 0), (n, n)).into_owned();
-        if self.options.solver == ArapSolver::Joint {
-            for i in 0..self.rest.len() {
+        if self.solver == ArapSolver::Joint {
+            for i in 0..self.cells {
                 let at = n + 3 * i;
                 let mut own: Matrix3<f64> = all.fixed_view::<3, 3>(at, at).into_owned();
                 own += Matrix3::from_diagonal_element(TURN_FLOOR * own.trace());

@@ -4,9 +4,9 @@
 use nonrigid::energy::{DataTerm, DeformationModel, Pointwise, SampleResidual, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
-    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Fem, Ffd, Free, FreeOptions, Hybrid,
-    LatticeOptions, Linearisation, MassSpring, NodeGraph, NodeTransform, PositionFunction, QuaternionMotion,
-    Smoothness, SpringOptions, Stiffness, TissueOptions,
+    Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Fem, Ffd, Frames, Free, FreeOptions,
+    Guidance, Hybrid, Laplacian, LaplacianOptions, LatticeOptions, Linearisation, MassSpring, NodeGraph, NodeTransform,
+    Poisson, PoissonOptions, PositionFunction, QuaternionMotion, Smoothness, SpringOptions, Stiffness, TissueOptions,
 };
 use nonrigid::model::{AffineMotion, blendshape, blendshape_in_place, graph, rigid, similarity, sumner};
 use nonrigid::nlls::{Euclidean, Kernel, RobustKernel, Scalar};
@@ -16,7 +16,7 @@ use num_dual::DualSVec64;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::reference::{self, Reference};
+use super::reference::{self, Reference, Rigidity};
 use super::stated_graph::stated_graph;
 
 pub fn random_vec(rng: &mut ChaCha8Rng, size: f64) -> Vec3 {
@@ -125,11 +125,27 @@ impl Zoo {
                 let options = ArapOptions { solver, clamp };
                 let model = Arap::new(mesh, options, 0.7).expect("a sound mesh");
                 let model = model.with_held_at(&self.held, &self.places);
-                let (mesh, held, places) = (mesh.clone(), self.held.clone(), self.places.clone());
-                let stated = move |x: &[f64]| reference::rigidity(&mesh, options, 0.7, &held, &places, x);
+                let stated = Rigidity::stars(mesh, options, 0.7, &self.held, &self.places);
                 let name = format!("arap, {solver:?}, {}", if clamp { "clamped" } else { "as it comes" });
-                all.push(Specimen::new(name, model, stated));
+                all.push(Specimen::new(name, model, move |x| stated.reference(x)));
             }
+            let options = PoissonOptions { guidance: Guidance::Turned, solver };
+            let model = Poisson::new(mesh, options, 0.7).expect("a sound mesh").with_held_at(&self.held, &self.places);
+            let stated = Rigidity::patches(mesh, solver, 0.7, &self.held, &self.places);
+            all.push(Specimen::new(format!("poisson, {solver:?}"), model, move |x| stated.reference(x)));
+        }
+        let standing = || {
+            let options = PoissonOptions { guidance: Guidance::Rest, ..PoissonOptions::default() };
+            Poisson::new(mesh, options, 0.7).expect("a sound mesh").with_held_at(&self.held, &self.places)
+        };
+        all.push(Specimen::new("poisson, guidance at rest", standing(), reference::quadratic(standing())));
+        for weights in [EdgeWeights::Uniform, EdgeWeights::Cotangent] {
+            let options = LaplacianOptions { weights, frames: Frames::Rest };
+            let build = || {
+                let model = Laplacian::new(mesh, options, 100.0, 0.7).expect("a sound mesh");
+                model.with_held_at(&self.held, &self.places)
+            };
+            all.push(Specimen::new(format!("laplacian, {weights:?}"), build(), reference::quadratic(build())));
         }
         let skin = &self.skin();
         let springs = || MassSpring::new(skin, SpringOptions { thickness: 4.0 }, 0.7).expect("a sound mesh");
@@ -253,6 +269,8 @@ impl TestModel for Arap {}
 impl TestModel for MassSpring {}
 impl TestModel for Fem {}
 impl TestModel for Ffd {}
+impl TestModel for Poisson {}
+impl TestModel for Laplacian {}
 impl<F: PositionFunction> TestModel for Autodiff<F> {}
 
 pub const KERNELS: [Kernel; 9] = [

@@ -4,6 +4,7 @@ use anyhow::{Context as _, Result, bail};
 
 use super::axis::{Axis, Span, short};
 use super::canvas::{Anchor, Canvas, GREY, GRID, INK, Key, WIDTH, WORDS, colour, width};
+use crate::report::table::shown;
 
 /// A named value.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,8 +67,8 @@ impl GroupedBars {
     pub fn svg(&self) -> Result<String> {
         let values = self.bars.iter().flat_map(|(_, b)| spread(b).into_iter().flatten().chain([b.value]));
         let axis = Axis::linear(&self.y).from_zero();
-        let shown = values.filter(|v| v.is_finite()).map(|v| v.min(self.top));
-        let span = Span::new(&axis, shown, None).with_context(|| format!("bars {:?}", self.title))?;
+        let within = values.filter(|v| v.is_finite()).map(|v| v.min(self.top));
+        let span = Span::new(&axis, within, None).with_context(|| format!("bars {:?}", self.title))?;
         let names = self.bars.iter().map(|(_, b)| width(&b.name, WORDS)).fold(60.0, f64::max);
         let (left, right) = (names + 24.0, WIDTH - 150.0);
         let at = |v: f64| left + span.fraction(v.min(self.top)) * (right - left);
@@ -113,7 +114,7 @@ impl GroupedBars {
                 end = end.max(at(ends[1]));
             }
             let beyond = if bar.value > self.top { ", off the scale" } else { "" };
-            let words = format!("{}{beyond}", short(bar.value));
+            let words = format!("{}{beyond}", shown(bar.value));
             // On white: no line crosses it.
             canvas.rectangle([end + 3.0, y - 8.0], [width(&words, WORDS) + 4.0, 16.0], "#FFFFFF");
             canvas.words([end + 5.0, y], &words, Anchor::Start, "");
@@ -235,7 +236,7 @@ mod tests {
         let bars = vec![bar("all", "short", 1.5, None), bar("all", "long", 8.75, Some([7.0, 11.0]))];
         let svg = GroupedBars::new("", "mm", bars).top(2.0).svg().unwrap();
         let texts = texts(&svg);
-        assert!(texts.contains(&"1.5") && texts.contains(&"8.75, off the scale"), "{texts:?}");
+        assert!(texts.contains(&"1.50") && texts.contains(&"8.75, off the scale"), "{texts:?}");
         assert!(!texts.contains(&"4") && !texts.contains(&"10"), "the axis ends at the top: {texts:?}");
     }
 

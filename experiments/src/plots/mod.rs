@@ -21,7 +21,7 @@ mod plot;
 
 pub use axis::Axis;
 pub use bars::{Bar, GroupedBars, StackedBars};
-pub use fit::{Curvature, LinearFit, PowerLaw};
+pub use fit::{LinearFit, PowerLaw};
 pub use plot::{Grid, Mark, Plot, Point, Series};
 
 /// Writes a picture.

@@ -24,13 +24,22 @@ pub struct Series {
     name: String,
     points: Vec<Point>,
     law: bool,
+    look: Option<usize>,
 }
 
 impl Series {
     /// A line with a marker at each point. Without a name it is not in the legend.
     #[must_use]
     pub fn line(name: &str, points: Vec<Point>) -> Self {
-        Self { name: name.to_owned(), points, law: false }
+        Self { name: name.to_owned(), points, law: false, look: None }
+    }
+
+    /// Sets colour and marker by number, so that they are the same in plots that are not on one page; unless set, a name has the place in
+    /// which it first comes.
+    #[must_use]
+    pub fn with_look(mut self, look: usize) -> Self {
+        self.look = Some(look);
+        self
     }
 
     /// Adds to the legend the exponent of the points' [`PowerLaw`] and the range of x that it was fitted to, if there is one.
@@ -224,7 +233,7 @@ impl<'a> Panel<'a> {
         let ends = plot.lines.iter().flat_map(|l| l.ends.map(|end| end[0]));
         let xs = shown().map(|p| p.x).chain(plot.marks.iter().map(|m| m.x)).chain(ends);
         let x = Span::new(&plot.x, xs, None)?;
-        let look = |(k, s): (usize, &Series)| names.iter().position(|n| *n == s.name).unwrap_or(k);
+        let look = |(k, s): (usize, &Series)| s.look.or_else(|| names.iter().position(|n| *n == s.name)).unwrap_or(k);
         let looks = plot.series.iter().enumerate().map(look).collect();
         let high = if wide < WIDTH { 270.0 } else { 380.0 };
         let ticks = y.ticks(high as usize / 40).iter().map(|t| width(&t.1, WORDS)).fold(0.0, f64::max);
@@ -328,14 +337,14 @@ impl<'a> Panel<'a> {
             for line in &self.plot.lines {
                 canvas.line(line.ends.map(|[x, y]| self.at(x, y)), self.line_colour(line), 1.5, true);
             }
-            for (series, look) in self.plot.series.iter().zip(&self.looks) {
-                self.draw_lines(canvas, series, *look);
+            for (k, (series, look)) in self.plot.series.iter().zip(&self.looks).enumerate() {
+                self.draw_lines(canvas, series, *look, self.aside(k));
             }
         });
-        for (series, look) in self.plot.series.iter().zip(&self.looks) {
+        for (k, (series, look)) in self.plot.series.iter().zip(&self.looks).enumerate() {
             for p in series.points.iter().filter(|p| self.shows(p) && !self.is_above(p)) {
                 let [across, down] = self.at(p.x, p.y);
-                canvas.marker([corner[0] + across, y + down], *look);
+                canvas.marker([corner[0] + across + self.aside(k), y + down], *look);
             }
         }
         for (row, k) in above.into_iter().enumerate() {
@@ -353,14 +362,34 @@ impl<'a> Panel<'a> {
         [across * self.size[0], (1.0 - up) * self.size[1]]
     }
 
-    fn draw_lines(&self, canvas: &mut Canvas, series: &Series, look: usize) {
+    /// Pixels by which a series stands beside where it is: error bars at one x would cover each other.
+    fn aside(&self, series: usize) -> f64 {
+        let has_bars = |s: &Series| s.points.iter().any(|p| p.spread.is_some_and(|[low, high]| low < high));
+        let barred: Vec<usize> = (0..self.plot.series.len()).filter(|k| has_bars(&self.plot.series[*k])).collect();
+        let Some(place) = barred.iter().position(|k| *k == series) else { return 0.0 };
+        let mut xs: Vec<f64> = self
+            .plot
+            .series
+            .iter()
+            .flat_map(|s| &s.points)
+            .filter(|p| self.shows(p))
+            .map(|p| self.at(p.x, p.y)[0])
+            .collect();
+        xs.sort_by(f64::total_cmp);
+        let gap = xs.windows(2).map(|w| w[1] - w[0]).filter(|gap| *gap > 1e-6).fold(f64::INFINITY, f64::min);
+        let step = (0.5 * gap / barred.len() as f64).min(5.0);
+        step * (place as f64 - (barred.len() - 1) as f64 / 2.0)
+    }
+
+    fn draw_lines(&self, canvas: &mut Canvas, series: &Series, look: usize, aside: f64) {
+        let at = |x: f64, y: f64| [self.at(x, y)[0] + aside, self.at(x, y)[1]];
         for run in series.points.split(|p| !self.shows(p)).filter(|run| run.len() > 1) {
-            canvas.polyline(&run.iter().map(|p| self.at(p.x, p.y)).collect::<Vec<_>>(), colour(look));
+            canvas.polyline(&run.iter().map(|p| at(p.x, p.y)).collect::<Vec<_>>(), colour(look));
         }
         for p in series.points.iter().filter(|p| self.shows(p) && !self.is_above(p)) {
             if let Some([low, high]) = p.spread.filter(|s| s.iter().all(|v| !v.is_nan())) {
                 let open = |v: f64, edge: f64| {
-                    if self.plot.y.shows(v) { self.at(p.x, v) } else { [self.at(p.x, p.y)[0], edge] }
+                    if self.plot.y.shows(v) { at(p.x, v) } else { [at(p.x, p.y)[0], edge] }
                 };
                 canvas.line([open(low, self.size[1]), open(high, 0.0)], colour(look), 1.5, false);
             }
@@ -468,6 +497,21 @@ mod tests {
         assert_eq!(legends(vec![named("one", &names), named("two", &names), named("three", &names[..1])]), 3);
         assert!(Grid { columns: 2, plots: vec![] }.svg().is_err());
         assert!(Grid { columns: 0, plots: vec![named("one", &["a"])] }.svg().is_err());
+    }
+
+    #[test]
+    fn error_bars_at_one_place_stand_side_by_side() {
+        let series = |name: &str| Series::line(name, points(&[1.0, 2.0, 3.0], 0.5));
+        let plot = plot(vec![series("a"), series("b"), series("c"), Series::line("bare", points(&[1.0], 0.0))]);
+        let panel = Panel::new(&plot, &[], WIDTH).unwrap();
+        assert_eq!([0, 1, 2, 3].map(|k| panel.aside(k)), [-5.0, 0.0, 5.0, 0.0]);
+    }
+
+    #[test]
+    fn a_look_can_be_set() {
+        let svg = plot(vec![Series::line("a", points(&[1.0], 0.0)).with_look(2)]).svg().unwrap();
+        // Marker and error bar, line and marker of the legend.
+        assert_eq!((count(&svg, "<circle"), count(&svg, "#009E73")), (0, 4));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use nonrigid::console::{Failure, Stage, say_to};
-use nonrigid::registration::{ModelFactory as _, ModelKind};
+use nonrigid::registration::{ModelFactory, ModelKind};
 use nonrigid::self_test::Machine;
 use serde_json::json;
 
@@ -22,6 +22,7 @@ mod page;
 mod studies;
 mod study;
 pub mod table;
+mod view3d;
 
 use claims::{Judged, Measured, Verdict};
 use data::{Data, RealScans};
@@ -79,11 +80,34 @@ impl Options {
     }
 }
 
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            quick: false,
+            full: false,
+            list: false,
+            only: Vec::new(),
+            rig: None,
+            scans: None,
+            peers: None,
+            seed: 7,
+            out: PathBuf::from("out/report"),
+        }
+    }
+}
+
 /// Runs the studies that were asked for and tells `log` about it. `program` is the `experiments` whose processes measure memory.
+/// Models of your own, `own`, join those of the crate in Fig. 5, the comparison and the sweeps.
 ///
 /// # Errors
 /// A [`Failure`] of the arguments, of reading, of writing; and of the computation when a study failed, after all others have run.
-pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Write) -> Result<Vec<Judged>> {
+pub fn run(
+    options: &Options,
+    effort: &Effort,
+    program: &Path,
+    own: &[&dyn ModelFactory],
+    log: &mut dyn Write,
+) -> Result<Vec<Judged>> {
     let chosen = choose(options)?;
     if options.list {
         list(effort, log)?;
@@ -111,7 +135,7 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
     make_output_folder(out, [])?;
     forget_results(out, &tables)?;
     let measured = Measured { folder: out, tables: &tables };
-    write_manifest(options, effort, &data, &chosen)?;
+    write_manifest(options, effort, &data, &chosen, own)?;
     let about = about(options, effort, &data);
     let mut states: Vec<(&'static Study, State)> = chosen.iter().map(|s| (*s, State::Waiting)).collect();
     let mut times = Vec::new();
@@ -123,7 +147,8 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
         let progress = progress_bar();
         say(log, format!("{:12}", study.name))?;
         let (seed, peers) = (options.seed, options.peers.as_deref());
-        states[k].1 = outcome(study, &Setting { effort, data: &data, seed, out, program, peers, progress: &progress })?;
+        states[k].1 =
+            outcome(study, &Setting { effort, data: &data, seed, out, program, own, peers, progress: &progress })?;
         progress.finish_and_clear();
         let seconds = begin.elapsed().as_secs_f64();
         times.push((study.name, seconds));
@@ -133,13 +158,18 @@ pub fn run(options: &Options, effort: &Effort, program: &Path, log: &mut dyn Wri
     }
     let verdicts = claims::judge_all(measured)?;
     claims::table(&verdicts).write(out, "claims")?;
-    page::write(out, &Page { about: &about, verdicts: &verdicts, studies: &states })?;
+    let bytes = page::write(out, &Page { about: &about, verdicts: &verdicts, studies: &states })?;
     write_machine(out, &times, clock.elapsed().as_secs_f64())?;
 
     let count = |v: Verdict| verdicts.iter().filter(|j| j.verdict == v).count();
-    let [holds, fails, open] = [Verdict::Holds, Verdict::Fails, Verdict::NotMeasured].map(count);
-    say(log, format!("\nclaims: {holds} hold, {fails} do not, {open} not measured\n"))?;
-    say(log, format!("page    {}\n", out.join("index.html").display()))?;
+    let [holds, fails, undecided, open] = Verdict::ALL.map(count);
+    say(
+        log,
+        format!(
+            "\nclaims: {holds} hold, {fails} do not, {undecided} undecided with so few scans, {open} not measured\n"
+        ),
+    )?;
+    say(log, format!("page    {}, {:.1} MB\n", out.join("index.html").display(), bytes as f64 / 1e6))?;
     say(log, format!("data    {}, {}\n", data.rig_folder.display(), data.cases_folder.display()))?;
     say(log, format!("took {}\n\n{}\n", spoken(clock.elapsed().as_secs_f64()), next_commands(&data, out)))?;
     let failed =
@@ -225,7 +255,7 @@ fn about(options: &Options, effort: &Effort, data: &Data) -> String {
     let of = if data.generated {
         format!("generated from seed {}", options.seed)
     } else {
-        "your own rig and scans; sweeps, resolution and Fig. 4 on generated faces".to_owned()
+        "your own rig and scans; sweeps, resolution and the solver's growth on generated faces".to_owned()
     };
     format!(
         "{} cases on a template of {} vertices, {of}. Effort: {}.",
@@ -239,10 +269,16 @@ fn about(options: &Options, effort: &Effort, data: &Data) -> String {
 const MANIFEST: &str = "manifest.json";
 
 /// What identifies a run: equal manifests, equal results.
-fn write_manifest(options: &Options, effort: &Effort, data: &Data, chosen: &[&Study]) -> Result<()> {
+fn write_manifest(
+    options: &Options,
+    effort: &Effort,
+    data: &Data,
+    chosen: &[&Study],
+    own: &[&dyn ModelFactory],
+) -> Result<()> {
     let command: Vec<String> = std::env::args().skip(1).collect();
-    let schedules: BTreeMap<String, &str> =
-        ModelKind::ALL.iter().map(|m| (m.to_string(), m.default_schedule())).collect();
+    let models = ModelKind::ALL.iter().map(|m| m as &dyn ModelFactory).chain(own.iter().copied());
+    let schedules: BTreeMap<&str, &str> = models.map(|m| (m.name(), m.default_schedule())).collect();
     let manifest = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "commit": commit(),
@@ -327,14 +363,8 @@ mod tests {
     fn unknown_studies_are_refused_with_those_that_there_are() {
         let options = |names: &[&str]| Options {
             quick: true,
-            full: false,
-            list: false,
             only: names.iter().map(ToString::to_string).collect(),
-            rig: None,
-            scans: None,
-            peers: None,
-            seed: 7,
-            out: PathBuf::new(),
+            ..Options::default()
         };
         let error = choose(&options(&["shapes", "fig9"])).unwrap_err().to_string();
         assert!(error.contains("fig9") && error.contains("sweeps"), "{error}");

@@ -1,19 +1,23 @@
 //! What a study is: a name, what it is about, how long it takes, and a function that fills its section of the page.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result, bail};
+use cpu_time::ThreadTime;
 use indicatif::ProgressBar;
 use nonrigid::console::Failure;
-use nonrigid::registration::{RegistrationResult, TERMS};
-use nonrigid::render::{RgbImage, draw_text, save_png};
+use nonrigid::registration::{ModelFactory, ModelKind, RegistrationResult, Schedule, TERMS};
+use nonrigid::render::{RgbImage, save_png};
 use rayon::prelude::*;
 
 use super::data::Data;
 use super::effort::Effort;
-use super::table::{Table, number};
-use crate::plots::{Point, write_svg};
-use crate::scan_bench::{BenchCase, BenchRow, Score, Variant, run_case};
+use super::table::{Table, number, shown};
+use super::view3d::View3d;
+use crate::plots::{Point, Series, write_svg};
+use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]
@@ -44,6 +48,8 @@ pub struct Setting<'a> {
     pub out: &'a Path,
     /// The `experiments` whose processes measure memory.
     pub program: &'a Path,
+    /// Models of the caller's own, which join those of the crate.
+    pub own: &'a [&'a dyn ModelFactory],
     /// The Python that has the other programs, if they are asked for.
     pub peers: Option<&'a Path>,
     /// How far it is.
@@ -51,8 +57,10 @@ pub struct Setting<'a> {
 }
 
 /// What a study leaves on the page, from top to bottom.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Section {
+    /// What was found, in a sentence.
+    pub finding: String,
     /// In this order.
     pub blocks: Vec<Block>,
 }
@@ -76,9 +84,42 @@ pub enum Block {
         /// The file with all of its digits.
         file: String,
     },
+    /// Meshes that one can turn.
+    View(View3d),
 }
 
-impl Setting<'_> {
+/// A model with its default schedule: one of the crate's, or the caller's own.
+pub struct Entrant<'a> {
+    model: &'a dyn ModelFactory,
+    schedule: Schedule,
+}
+
+impl Entrant<'_> {
+    /// The model's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.model.name()
+    }
+
+    /// Registers a case: score, result, seconds.
+    ///
+    /// # Errors
+    /// When the registration fails.
+    pub fn register(&self, case: &BenchCase, landmarks: LandmarkUse) -> Result<(Score, RegistrationResult, f64)> {
+        run_case(self.model, &TERMS, &self.schedule, case, landmarks)
+    }
+}
+
+impl<'a> Setting<'a> {
+    /// These models, then the caller's own.
+    ///
+    /// # Errors
+    /// When a default schedule cannot be read.
+    pub fn entrants(&self, models: &'a [ModelKind]) -> Result<Vec<Entrant<'a>>> {
+        let models = models.iter().map(|m| m as &dyn ModelFactory).chain(self.own.iter().copied());
+        models.map(|model| Ok(Entrant { model, schedule: Schedule::default_for(model)? })).collect()
+    }
+
     /// Saves a picture as `name`.png.
     ///
     /// # Errors
@@ -110,6 +151,62 @@ impl Setting<'_> {
         // One job a task: they take unequally long.
         jobs.par_iter().with_max_len(1).map(one).collect()
     }
+
+    /// Runs every job on one thread, as many jobs at a time as there are threads: what [`cpu_seconds`] measures in a job is then all of
+    /// its work, whatever else the machine does meanwhile.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub fn run_each_on_one_thread<J: Sync, R: Send>(&self, jobs: &[J], run: impl Fn(&J) -> R + Sync) -> Result<Vec<R>> {
+        self.progress.set_length(jobs.len() as u64);
+        let next = AtomicUsize::new(0);
+        let lane = || -> Result<Vec<(usize, R)>> {
+            let mut done = Vec::new();
+            one_thread()?.install(|| {
+                while let Some((k, job)) =
+                    Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|k| Some((k, jobs.get(k)?)))
+                {
+                    done.push((k, run(job)));
+                    self.progress.inc(1);
+                }
+            });
+            Ok(done)
+        };
+        let mut done = thread::scope(|scope| -> Result<Vec<(usize, R)>> {
+            let lanes: Vec<_> = (0..rayon::current_num_threads()).map(|_| scope.spawn(lane)).collect();
+            let mut done = Vec::new();
+            for lane in lanes {
+                match lane.join() {
+                    Ok(of_lane) => done.extend(of_lane?),
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+            Ok(done)
+        })?;
+        done.sort_by_key(|(k, _)| *k);
+        Ok(done.into_iter().map(|(_, result)| result).collect())
+    }
+}
+
+/// A pool of one thread.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn one_thread() -> Result<rayon::ThreadPool> {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().context("a pool of one thread")
+}
+
+/// What some work on this thread alone returns, and the seconds of processor time that it took.
+///
+/// # Errors
+/// When the system does not say, or the work is not on one thread.
+pub fn cpu_seconds<R>(work: impl FnOnce() -> R) -> Result<(R, f64)> {
+    if rayon::current_num_threads() != 1 {
+        bail!("processor time is measured on one thread, not on {}", rayon::current_num_threads());
+    }
+    let begin = ThreadTime::try_now().context("processor time")?;
+    let result = work();
+    Ok((result, begin.try_elapsed().context("processor time")?.as_secs_f64()))
 }
 
 /// Registers a case with a variant: score, result, seconds.
@@ -118,13 +215,6 @@ impl Setting<'_> {
 /// When the registration fails.
 pub fn register_variant(variant: &Variant, case: &BenchCase) -> Result<(Score, RegistrationResult, f64)> {
     run_case(&variant.model, &TERMS, &variant.schedule, case, variant.landmarks)
-}
-
-/// A picture with a few words in its upper left corner.
-#[must_use]
-pub fn labelled(mut picture: RgbImage, words: &str) -> RgbImage {
-    draw_text(&mut picture, 6, 6, words, 2, [32, 36, 44]);
-    picture
 }
 
 /// Columns of [`error_cells`].
@@ -166,6 +256,40 @@ pub fn error_text<T>(result: &Result<T>) -> String {
     result.as_ref().err().map_or_else(String::new, |e| format!("{e:#}"))
 }
 
+/// The names in a column by the mean of their numbers in another, least first; without those that have none, as a failure has.
+///
+/// # Errors
+/// When a column does not exist.
+pub fn ranked(table: &Table, holding: &[(&str, &str)], name: &str, column: &str) -> Result<Vec<(String, f64)>> {
+    let (key, value) = (table.column(name)?, table.column(column)?);
+    let mut all: Vec<(String, Vec<f64>)> = Vec::new();
+    for (_, row) in table.find(holding)? {
+        let number = row[value].parse().unwrap_or(f64::NAN);
+        match all.iter_mut().find(|(name, _)| *name == row[key]) {
+            Some((_, numbers)) => numbers.push(number),
+            None => all.push((row[key].clone(), vec![number])),
+        }
+    }
+    let mut means: Vec<(String, f64)> = all.into_iter().map(|(name, of)| (name, spread(&of).0)).collect();
+    means.retain(|(_, mean)| mean.is_finite());
+    means.sort_by(|a, b| a.1.total_cmp(&b.1));
+    Ok(means)
+}
+
+/// What was found of [`ranked`] names, in a sentence.
+#[must_use]
+pub fn least_and_most(quantity: &str, ranked: &[(String, f64)], unit: &str) -> String {
+    let said = |(name, mean): &(String, f64)| format!("{name} {}{unit}", shown(*mean));
+    match ranked {
+        [] => format!("No {quantity}: everything failed."),
+        [one] => format!("Mean {quantity}: {}.", said(one)),
+        [first, second, .., last] => {
+            format!("Least mean {quantity}: {}, then {}; greatest: {}.", said(first), said(second), said(last))
+        }
+        [first, last] => format!("Least mean {quantity}: {}; greatest: {}.", said(first), said(last)),
+    }
+}
+
 /// Mean, and least and greatest, of some numbers. Where one is none, as of a failure, so is the mean.
 #[must_use]
 pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
@@ -173,6 +297,16 @@ pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let greatest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     (mean, [least, greatest])
+}
+
+/// A line of a model, which looks the same in every plot.
+#[must_use]
+pub fn model_line(model: &str, points: Vec<Point>) -> Series {
+    let line = Series::line(model, points);
+    match ModelKind::ALL.iter().position(|m| m.to_string() == model) {
+        Some(look) => line.with_look(look),
+        None => line,
+    }
 }
 
 /// Mean and range of some numbers as a point of a plot.

@@ -29,6 +29,34 @@ pub fn number(value: f64) -> String {
     }
 }
 
+/// A number as people read it, the same wherever it stands: the three leading digits of what a table holds.
+#[must_use]
+pub fn shown(value: f64) -> String {
+    if value.is_infinite() {
+        return if value > 0.0 { "infinite" } else { "-infinite" }.to_owned();
+    }
+    shown_cell(&number(value))
+}
+
+/// A cell as people read it: a number with a decimal point as [`shown`], all else as it is.
+#[must_use]
+pub fn shown_cell(cell: &str) -> String {
+    match cell.parse::<f64>() {
+        Ok(v) if v.is_finite() && cell.contains('.') => match v.abs() {
+            0.0 => "0".to_owned(),
+            a if a < 1e-3 => format!("{v:.1e}"),
+            a => format!("{v:.*}", (2 - a.log10().floor() as i32).clamp(0, 5) as usize),
+        },
+        _ => cell.to_owned(),
+    }
+}
+
+/// So many of something: `1 case`, `2 cases`.
+#[must_use]
+pub fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 impl Table {
     /// A table without rows.
     #[must_use]
@@ -43,6 +71,32 @@ impl Table {
     pub fn push(&mut self, row: Vec<String>) {
         assert_eq!(row.len(), self.header.len(), "a row as long as the header {:?}", self.header);
         self.rows.push(row);
+    }
+
+    /// The table as people read it, as LaTeX of the package booktabs.
+    #[must_use]
+    pub fn latex(&self) -> String {
+        let escape = |text: &str| {
+            text.chars().fold(String::new(), |mut out, c| {
+                match c {
+                    '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
+                    '\\' => out.push_str("\\textbackslash{}"),
+                    '~' => out.push_str("\\textasciitilde{}"),
+                    '^' => out.push_str("\\textasciicircum{}"),
+                    _ => out.push(c),
+                }
+                out
+            })
+        };
+        let line = |cells: &mut dyn Iterator<Item = String>| {
+            cells.map(|c| escape(&c)).collect::<Vec<_>>().join(" & ") + " \\\\\n"
+        };
+        // A column without letters is one of numbers, to the right.
+        let number = |k: usize| self.rows.iter().all(|row| row[k].is_empty() || row[k].parse::<f64>().is_ok());
+        let columns: String = (0..self.header.len()).map(|k| if number(k) { 'r' } else { 'l' }).collect();
+        let head = line(&mut self.header.iter().map(|name| name.replace('_', " ")));
+        let rows: String = self.rows.iter().map(|row| line(&mut row.iter().map(|cell| shown_cell(cell)))).collect();
+        format!("\\begin{{tabular}}{{{columns}}}\n\\toprule\n{head}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n")
     }
 
     /// Writes `name`.csv and `name`.json into a folder.
@@ -132,6 +186,27 @@ mod tests {
         assert!(read.numbers(&[("name", "c")], "rmse").unwrap()[0].is_nan());
         assert_eq!(read.find(&[("name", "c")]).unwrap()[0].0, 3);
         assert!(read.find(&[("nothing", "c")]).is_err());
+    }
+
+    #[test]
+    fn latex_is_aligned_and_escaped() {
+        let mut table = Table::new(&["name", "self_intersections"]);
+        table.push(vec!["50 % of a_b".into(), number(1.2345)]);
+        assert_eq!(
+            table.latex(),
+            "\\begin{tabular}{lr}\n\\toprule\nname & self intersections \\\\\n\\midrule\n50 \\% of a\\_b & 1.23 \\\\\n\\bottomrule\n\\end{tabular}\n"
+        );
+    }
+
+    #[test]
+    fn a_number_is_rounded_once_for_all() {
+        let cells = ["1.234567", "0.012345", "1234.500000", "400", "a < b", "1.2345e-5"].map(shown_cell);
+        assert_eq!(cells, ["1.23", "0.0123", "1234", "400", "a < b", "1.2e-5"]);
+        for value in [0.6925, 0.692_499_9, 1.5, 12.345_678, -0.25, 7.0, 0.0] {
+            assert_eq!(shown(value), shown_cell(&number(value)));
+        }
+        assert_eq!([1.5, 0.7, f64::INFINITY].map(shown), ["1.50", "0.700", "infinite"]);
+        assert_eq!([counted(1, "case"), counted(2, "case")], ["1 case", "2 cases"]);
     }
 
     #[test]

@@ -144,8 +144,10 @@ mod tests {
         let kernels = Variant::kernels().unwrap();
         assert_eq!(kernels.len(), 8);
         for v in &kernels {
-            let mut back = v.schedule.clone();
-            back.levels.iter_mut().zip(&default.levels).for_each(|(l, d)| l.kernel = d.kernel);
+            let mut kernels = Vec::new();
+            each_level(&mut default.clone(), |l| kernels.push(l.kernel));
+            let (mut back, mut kernels) = (v.schedule.clone(), kernels.into_iter());
+            each_level(&mut back, |l| l.kernel = kernels.next().unwrap());
             assert_eq!(back, default, "{}: something else than the kernel differs", v.name);
             for (level, of) in v.schedule.levels.iter().zip(&default.levels) {
                 let word = serde_json::to_value(level.kernel).unwrap();

@@ -40,8 +40,8 @@ use crate::mesh::PolygonMesh;
 pub(super) use document::files_beside;
 pub(super) use read::parse_painted_gltf;
 pub use read::{parse_gltf, read_gltf};
-pub use write::write_glb;
 pub(super) use write::{Look, write_painted_glb};
+pub use write::{Motion, write_animated_glb, write_glb};
 
 const MILLIMETRES_PER_METRE: f64 = 1000.0;
 

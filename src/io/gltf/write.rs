@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
+use nalgebra::{Rotation3, UnitQuaternion};
 use serde_json::{Map, Value, json};
 
 use super::MILLIMETRES_PER_METRE;
@@ -10,7 +11,7 @@ use super::topology::{Triangles, split};
 use crate::io::{WriteError, write_atomically};
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::srgb::to_light;
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::mesh::{PolygonMesh, Pose, Vec3};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -35,6 +36,37 @@ pub fn write_glb(
     write_painted_glb(path, mesh, Look::default(), target_names, target_deltas, extras)
 }
 
+/// How a mesh moves: a pose and the weights of its morph targets for every frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Motion<'a> {
+    /// Frames a second.
+    pub frames_per_second: f64,
+    /// From the mesh's frame, millimetres, to that of the scene.
+    pub poses: &'a [Pose],
+    /// As many as targets, for every frame.
+    pub weights: &'a [Vec<f64>],
+}
+
+/// [`write_glb`] with colours per vertex, if given, and an animation of node and morph targets, linear between frames.
+///
+/// # Errors
+/// As [`write_glb`]; and when frames have not a weight for each target, or colours are not one per vertex.
+pub fn write_animated_glb(
+    path: &Path,
+    mesh: &PolygonMesh,
+    colors: Option<&[[u8; 3]]>,
+    target_names: &[&str],
+    target_deltas: &[f32],
+    motion: &Motion<'_>,
+) -> Result<(), WriteError> {
+    let expected = || format!("{} frames, each with {} weights", motion.poses.len(), target_names.len());
+    if motion.weights.len() != motion.poses.len() || motion.weights.iter().any(|w| w.len() != target_names.len()) {
+        return Err(WriteError::data(path, expected(), format!("{} of others", motion.weights.len())));
+    }
+    let look = Look { colors, motion: Some(motion), ..Look::default() };
+    write_painted_glb(path, mesh, look, target_names, target_deltas, &Map::new())
+}
+
 /// What a mesh looks like.
 #[derive(Clone, Copy, Default)]
 pub(in crate::io) struct Look<'a> {
@@ -42,13 +74,15 @@ pub(in crate::io) struct Look<'a> {
     pub colors: Option<&'a [[u8; 3]]>,
     /// A PNG file, which the texture coordinates are of.
     pub png: Option<&'a [u8]>,
+    /// How it moves.
+    pub motion: Option<&'a Motion<'a>>,
 }
 
 /// [`write_glb`] with colours.
 pub(in crate::io) fn write_painted_glb(
     path: &Path,
     mesh: &PolygonMesh,
-    Look { colors, png }: Look<'_>,
+    Look { colors, png, motion }: Look<'_>,
     target_names: &[&str],
     target_deltas: &[f32],
     extras: &Map<String, Value>,
@@ -112,8 +146,11 @@ pub(in crate::io) fn write_painted_glb(
         "scenes": [{ "nodes": [0] }],
         "nodes": [{ "mesh": 0 }],
         "meshes": [of_mesh],
-        "accessors": file.accessors,
     });
+    if let Some(motion) = motion {
+        document["animations"] = json!([file.animation(motion, !target_names.is_empty())]);
+    }
+    document["accessors"] = json!(file.accessors);
     if !triangles.is_empty() {
         // the format's default is metal, which is black without surroundings
         let mut material = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.7 });
@@ -205,6 +242,53 @@ impl Contents {
     fn accessor(&mut self, accessor: Value) -> usize {
         self.accessors.push(accessor);
         self.accessors.len() - 1
+    }
+
+    /// Values over time, which no vertex has.
+    fn track(&mut self, values: &[f32], kind: &str, width: usize) -> usize {
+        let view = self.view(values.iter().map(|v| v.to_le_bytes()), None);
+        let count = values.len() / width;
+        self.accessor(json!({ "bufferView": view, "componentType": FLOAT, "type": kind, "count": count }))
+    }
+
+    fn animation(&mut self, motion: &Motion<'_>, has_targets: bool) -> Value {
+        let times: Vec<f32> = (0..motion.poses.len()).map(|k| (k as f64 / motion.frames_per_second) as f32).collect();
+        let input = self.track(&times, "SCALAR", 1);
+        self.accessors[input]["min"] = json!([times.first()]);
+        self.accessors[input]["max"] = json!([times.last()]);
+        let translations: Vec<f32> = motion
+            .poses
+            .iter()
+            .flat_map(|p| p.translation.iter().map(|x| (x / MILLIMETRES_PER_METRE) as f32).collect::<Vec<_>>())
+            .collect();
+        let mut last = UnitQuaternion::identity();
+        let turn = |pose: &Pose| {
+            let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(pose.rotation));
+            // the nearer of the two that are the same rotation
+            last = if turn.coords.dot(&last.coords) < 0.0 {
+                UnitQuaternion::new_unchecked(-turn.into_inner())
+            } else {
+                turn
+            };
+            <[f64; 4]>::from(last.coords).map(|x| x as f32)
+        };
+        let turns: Vec<[f32; 4]> = motion.poses.iter().map(turn).collect();
+        let scales: Vec<f32> = motion.poses.iter().flat_map(|p| [p.scale as f32; 3]).collect();
+        let mut tracks = vec![
+            ("translation", self.track(&translations, "VEC3", 3)),
+            ("rotation", self.track(turns.as_flattened(), "VEC4", 4)),
+            ("scale", self.track(&scales, "VEC3", 3)),
+        ];
+        if has_targets {
+            let weights: Vec<f32> = motion.weights.iter().flatten().map(|w| *w as f32).collect();
+            tracks.push(("weights", self.track(&weights, "SCALAR", 1)));
+        }
+        let samplers =
+            tracks.iter().map(|(_, output)| json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
+        let channel =
+            |(k, (path, _)): (usize, &(&str, usize))| json!({ "sampler": k, "target": { "node": 0, "path": path } });
+        let channels = tracks.iter().enumerate().map(channel);
+        json!({ "name": "sequence", "samplers": samplers.collect::<Vec<_>>(), "channels": channels.collect::<Vec<_>>() })
     }
 
     fn floats(&mut self, values: &[f32], kind: &str) -> usize {

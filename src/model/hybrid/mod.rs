@@ -46,7 +46,10 @@ use self::reference::Strided;
 use self::regulariser::GraphRegulariser;
 use self::samples::{Blended, NodeSamples, Structured};
 use super::transform::{AffineMap, NodeTransform, RigidMotion};
-use super::{GraphOptions, ModelError, ModelFactory, ModelInput, NodeGraph, RegistrationModel, node_options};
+use super::{
+    GraphOptions, ModelError, ModelFactory, ModelInput, NodeGraph, PatchFactory, PatchInput, RegistrationModel,
+    node_options,
+};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{Tile, padded, sum_of_products, sweep, vectorized};
@@ -91,6 +94,8 @@ pub struct Hybrid<T = RigidMotion, const W: usize = 6> {
     rest: Vec<Vec3>,
     graph: NodeGraph,
     pub(super) shapes: ShapeBasis,
+    /// How many of the shapes, the first ones, are a rig's and have weights to report.
+    pub(super) reported_shapes: usize,
     /// Regulariser weights.
     pub stiffness: Stiffness,
     /// How [`pull_back`](DeformationModel::pull_back) differentiates.
@@ -159,6 +164,7 @@ impl<T: NodeTransform<W>, const W: usize> Hybrid<T, W> {
             regulariser: GraphRegulariser::new(&graph, &rest),
             rest,
             graph,
+            reported_shapes: shapes.len(),
             shapes,
             stiffness,
             linearisation: Linearisation::default(),
@@ -532,5 +538,17 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         node_options::build("hybrid", input, input.shapes)
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (nodes, graph) = node_options::on_patch(input)?;
+        let stiffness = Stiffness { graph, blend: input.shape_weight(), ..Stiffness::default() };
+        Ok(Box::new(Hybrid::new(input.mesh.positions.clone(), nodes, input.shapes.clone(), stiffness)))
     }
 }

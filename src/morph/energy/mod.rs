@@ -28,10 +28,7 @@ use super::{MorphError, MorphStep, Weights, check_positions};
 use crate::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use crate::landmark::TemplatePoint;
 use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
-use crate::model::{
-    Arap, ArapOptions, EdgeWeights, Free, FreeOptions, Hybrid, NodeGraph, Smoothness, Stiffness, blendshape_in_place,
-    graph,
-};
+use crate::model::{ModelFactory, ModelKind, PatchInput, Smoothness};
 use crate::nlls::{Kernel, Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
 use crate::term::Landmarks;
@@ -40,44 +37,56 @@ pub use pins::PIN_TOLERANCE;
 
 /// How the vertices under the masks follow them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(try_from = "String", into = "String")]
 pub enum MorphModel {
     /// Each by its weight, equation (5): no energy.
     #[default]
     Direct,
-    /// Free vertices, their displacements smooth.
-    Free,
-    /// As-rigid-as-possible surface.
-    Arap,
-    /// Embedded deformation graph.
-    Graph,
-    /// Blendshapes within the mask.
-    Blendshape,
-    /// Blendshapes within the mask inside a graph.
-    Hybrid,
+    /// A deformation model that can be held at the rim of a patch.
+    Energy(ModelKind),
 }
 
 impl MorphModel {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Direct, Self::Free, Self::Arap, Self::Graph, Self::Blendshape, Self::Hybrid];
+    #[must_use]
+    pub fn all() -> Vec<Self> {
+        let models = ModelKind::ALL.into_iter().filter(|m| m.on_patch().is_some());
+        std::iter::once(Self::Direct).chain(models.map(Self::Energy)).collect()
+    }
+
+    /// The names of all of them, in one line.
+    #[must_use]
+    pub fn names() -> String {
+        Self::all().iter().map(Self::name).collect::<Vec<_>>().join(", ")
+    }
 
     /// Its name in recipes and on the command line.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub fn name(&self) -> &str {
         match self {
             Self::Direct => "direct",
-            Self::Free => "free",
-            Self::Arap => "arap",
-            Self::Graph => "graph",
-            Self::Blendshape => "blendshape",
-            Self::Hybrid => "hybrid",
+            Self::Energy(model) => model.name(),
         }
     }
 
     /// Whether it needs blendshapes.
     #[must_use]
     pub fn uses_shapes(self) -> bool {
-        matches!(self, Self::Blendshape | Self::Hybrid)
+        matches!(self, Self::Energy(model) if model.uses_shapes())
+    }
+}
+
+impl From<MorphModel> for String {
+    fn from(model: MorphModel) -> Self {
+        model.name().to_owned()
+    }
+}
+
+impl TryFrom<String> for MorphModel {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        name.parse()
     }
 }
 
@@ -85,11 +94,8 @@ impl std::str::FromStr for MorphModel {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let known = || Self::ALL.map(Self::name).join(", ");
-        Self::ALL
-            .into_iter()
-            .find(|m| m.name() == name)
-            .ok_or_else(|| format!("unknown model '{name}'; there are {}", known()))
+        let found = Self::all().into_iter().find(|m| m.name() == name);
+        found.ok_or_else(|| format!("unknown model '{name}'; there are {}", Self::names()))
     }
 }
 
@@ -238,12 +244,16 @@ impl MorphEnergy {
         }
         if model.uses_shapes() && shapes.vertex_count() != count {
             let found = shapes.vertex_count();
-            return Err(MorphError::Shapes { model: model.name(), found, vertices: count });
+            return Err(MorphError::Shapes { model: model.name().to_owned(), found, vertices: count });
         }
         let patch = Patch::around(mesh, &moves);
 
+        let factory = match &model {
+            MorphModel::Direct => return Err(MorphError::NoEnergy),
+            MorphModel::Energy(kind) => kind.on_patch().ok_or(MorphError::NoEnergy)?,
+        };
         // A pinned vertex of a model whose vertices are its parameters is held like all others, elsewhere.
-        let by_vertex = matches!(model, MorphModel::Free | MorphModel::Arap);
+        let by_vertex = factory.by_vertex();
         let mut pinned = Vec::new();
         let mut samples = Samples::vertices(patch.vertices.len());
         let mut pins = PinTerm::new(PIN_TOLERANCE * bounding_box_diagonal(&mesh.positions));
@@ -293,7 +303,25 @@ impl MorphEnergy {
             pairs.map(|weights| weight(weights.values()[v as usize])).fold(0.0, f64::max)
         };
         let shapes = if model.uses_shapes() { shapes.masked(&patch.vertices, mask) } else { ShapeBasis::none() };
-        let built = build(model, &patch, &shapes, &pinned, options)?;
+        let (mut held, mut places) = (patch.held.clone(), patch.mesh.positions.clone());
+        for (v, target) in &pinned {
+            if let Some(k) = patch.find(*v) {
+                (held[k as usize], places[k as usize]) = (true, *target);
+            }
+        }
+        let built = factory.build_on_patch(&PatchInput {
+            mesh: &patch.mesh,
+            held: &held,
+            places: &places,
+            mask: &patch.vertices.iter().map(|&v| mask(v)).collect::<Vec<_>>(),
+            shapes: &shapes,
+            vertex_area: patch.vertex_area,
+            moving: patch.moving(),
+            smoothing: options.smoothing,
+            smoothness: options.smoothness,
+            nodes: options.nodes,
+            prior: options.prior,
+        })?;
         let mut problem = Deformation::new(built, samples);
         let term = |name: &str, landmarks| Pointwise::new(name, landmarks, Kernel::None);
         problem.terms = vec![term("handles", handles), term("goals", goals), term("pins", pins.landmarks().clone())];
@@ -415,61 +443,6 @@ impl MorphEnergy {
 
 /// Of what nothing observes; far below what the handles say, whose weight is 1.
 const DAMPING_FLOOR: f64 = 1e-10;
-
-/// The model on the patch. See the module on how lengths become weights.
-fn build(
-    model: MorphModel,
-    patch: &Patch,
-    shapes: &ShapeBasis,
-    pinned: &[(u32, Vec3)],
-    options: &EnergyOptions,
-) -> Result<Box<dyn DeformationModel>, MorphError> {
-    let (mesh, area) = (&patch.mesh, patch.vertex_area);
-    let smooth = options.smoothing * options.smoothing / area;
-    let rest = mesh.positions.clone();
-    let (mut held, mut places) = (patch.held.clone(), rest.clone());
-    for (v, target) in pinned {
-        if let Some(k) = patch.find(*v) {
-            (held[k as usize], places[k as usize]) = (true, *target);
-        }
-    }
-    let blend = options.prior * options.prior * patch.moving() as f64;
-    Ok(match model {
-        MorphModel::Direct => return Err(MorphError::NoEnergy),
-        MorphModel::Free => {
-            let reference_vertices = mesh.positions.len() as f64;
-            let free = FreeOptions { kind: options.smoothness, weights: EdgeWeights::Cotangent, reference_vertices };
-            let lambda = match options.smoothness {
-                Smoothness::Laplacian => smooth,
-                Smoothness::BiLaplacian => smooth * smooth,
-            };
-            Box::new(Free::new(mesh, free, lambda)?.with_held_at(&held, &places))
-        }
-        // Each edge counts twice.
-        MorphModel::Arap => {
-            Box::new(Arap::new(mesh, ArapOptions::default(), 0.5 * smooth)?.with_held_at(&held, &places))
-        }
-        MorphModel::Blendshape => Box::new(blendshape_in_place(rest, shapes.clone(), blend)),
-        MorphModel::Graph | MorphModel::Hybrid => {
-            let nodes = NodeGraph::on_region(mesh, &patch.held, options.nodes.min(patch.moving().div_ceil(2)))?;
-            let edge = |e: &(u32, u32)| (nodes.nodes()[e.0 as usize] - nodes.nodes()[e.1 as usize]).norm_squared();
-            // A residual of (7) sees the change along its edge: half of the gradient's square, times the edge's.
-            let squares: f64 = 0.5 * nodes.edges().iter().map(edge).sum::<f64>();
-            let region = area * patch.moving() as f64;
-            let lambda = if squares > 0.0 { smooth * region / squares } else { smooth };
-            if model == MorphModel::Graph {
-                Box::new(graph(rest, nodes, lambda))
-            } else {
-                Box::new(Hybrid::new(
-                    rest,
-                    nodes,
-                    shapes.clone(),
-                    Stiffness { graph: lambda, blend, ..Stiffness::default() },
-                ))
-            }
-        }
-    })
-}
 
 fn check_target(placed: &PlacedPoint) -> Result<(), MorphError> {
     if placed.target.iter().all(|c| c.is_finite()) {

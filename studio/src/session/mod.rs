@@ -237,7 +237,7 @@ impl Window {
         self.say(ServerMessage::Welcome {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             models: ModelKind::ALL.iter().map(ToString::to_string).collect(),
-            morph_models: MorphModel::ALL.iter().map(|m| m.name().to_owned()).collect(),
+            morph_models: MorphModel::all().iter().map(|m| m.name().to_owned()).collect(),
             presets: plan::presets(),
             vault: self.hub.vault.path_of_folder(),
         });

@@ -27,18 +27,22 @@ const fn model(name: Rows) -> Pick {
     rmse("comparison", name)
 }
 
-const PAPER: Rows = &[("differentiation", "paper"), ("quantity", "seconds")];
-const OURS: Rows = &[("differentiation", "ours"), ("quantity", "seconds")];
+const PAPER: Rows = &[("differentiation", "paper"), ("quantity", "registration")];
+const OURS: Rows = &[("differentiation", "ours"), ("quantity", "registration")];
 
 /// Every sentence of the paper that claims something which can be measured.
 pub const KLIMOV: &[Claim] = &[
     Claim {
         quote: "[The modified algorithm provides for] the highly accurate registration of 3D models which differ greatly.",
         section: "Abstract",
-        rule: "On the most extreme expression the hybrid's rmse is at most 1 mm, and at most half of the graph's.",
+        rule: "Over the scans, each of a strong expression, the hybrid's mean rmse is at most 1 mm, and at most half of the graph's.",
         rules: &[
-            alone(rmse("extreme", &[("model", "hybrid")]), AtMost(1.0)),
-            ratio(rmse("extreme", &[("model", "hybrid")]), rmse("extreme", &[("model", "graph")]), AtMost(0.5)),
+            alone(model(&[("group", "model"), ("name", "hybrid")]), AtMost(1.0)),
+            ratio(
+                model(&[("group", "model"), ("name", "hybrid")]),
+                model(&[("group", "model"), ("name", "graph")]),
+                AtMost(0.5),
+            ),
         ],
         remark: "",
     },
@@ -99,8 +103,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1, again 2.1",
         rule: "ARAP's rmse on the finest template is at least 1.2 times that on the coarsest.",
         rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "arap"), ("case", "0")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "arap"), ("case", "0")], "rmse", First),
+            pick("resolution", &[("study", "template"), ("name", "arap")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "arap")], "rmse", First),
             AtLeast(1.2),
         )],
         remark: "Here weights scale with the template's resolution; with weights per vertex as they stand it would be otherwise.",
@@ -110,8 +114,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1",
         rule: "The graph's rmse on the finest template is at most 1.2 times that on the coarsest.",
         rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "graph"), ("case", "0")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "graph"), ("case", "0")], "rmse", First),
+            pick("resolution", &[("study", "template"), ("name", "graph")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "graph")], "rmse", First),
             AtMost(1.2),
         )],
         remark: "",
@@ -173,8 +177,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1",
         rule: "The sequential method's rmse on the finest template is at least 1.2 times that on the coarsest.",
         rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "sequential"), ("case", "0")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "sequential"), ("case", "0")], "rmse", First),
+            pick("resolution", &[("study", "template"), ("name", "sequential")], "rmse", Last),
+            pick("resolution", &[("study", "template"), ("name", "sequential")], "rmse", First),
             AtLeast(1.2),
         )],
         remark: "",
@@ -263,10 +267,10 @@ pub const KLIMOV: &[Claim] = &[
     Claim {
         quote: "The graph cannot capture uneven deformations, as of a scan with a closed eye.",
         section: "2.1",
-        rule: "On the scan with closed eyes, the graph's rmse is at least 1.5 times the hybrid's.",
+        rule: "With closed eyes, the graph's rmse is at least 1.5 times the hybrid's.",
         rules: &[ratio(
-            model(&[("group", "model"), ("name", "graph"), ("case", "same_blink")]),
-            model(&[("group", "model"), ("name", "hybrid"), ("case", "same_blink")]),
+            rmse("sweeps", &[("sweep", "eyes"), ("value", "100"), ("model", "graph")]),
+            rmse("sweeps", &[("sweep", "eyes"), ("value", "100"), ("model", "hybrid")]),
             AtLeast(1.5),
         )],
         remark: "",
@@ -310,7 +314,7 @@ pub const KLIMOV: &[Claim] = &[
                 derivatives, and there are more variables.",
         section: "2.2",
         rule: "By the paper's differentiation, a registration with the most components takes at least twice as long as with the fewest.",
-        rules: &[alone(pick("shapes-fit.timing", PAPER, "last_over_first", First), AtLeast(2.0))],
+        rules: &[alone(pick("shapes-fit.timing", PAPER, "last_over_first", Mean), AtLeast(2.0))],
         remark: "",
     },
     Claim {
@@ -351,19 +355,15 @@ pub const KLIMOV: &[Claim] = &[
     Claim {
         quote: "The speed of the method depends practically linearly on the number of blendshapes.",
         section: "2.2, Fig. 4",
-        rule: "By the paper's differentiation: a straight line explains at least 95 % of the variance of the time, and the curvature \
-               is not significant (p at least 0.05).",
-        rules: &[
-            alone(pick("shapes-fit.timing", PAPER, "r_squared", First), AtLeast(0.95)),
-            alone(pick("shapes-fit.timing", PAPER, "curvature_p", First), AtLeast(0.05)),
-        ],
-        remark: "Medians over the scans; what other programs on the machine take is noise on top.",
+        rule: "By the paper's differentiation: no time lies farther from a straight line than a tenth of what the line rises by.",
+        rules: &[alone(pick("shapes-fit.timing", PAPER, "departure", Mean), AtMost(0.1))],
+        remark: "A line for each scan, through the least processor time of the repetitions.",
     },
     Claim {
         quote: "Where time is critical, it makes sense to use as few blendshapes as possible.",
         section: "2.2",
         rule: "By our differentiation, a registration with the most components takes at least 1.5 times as long as with the fewest.",
-        rules: &[alone(pick("shapes-fit.timing", OURS, "last_over_first", First), AtLeast(1.5))],
+        rules: &[alone(pick("shapes-fit.timing", OURS, "last_over_first", Mean), AtLeast(1.5))],
         remark: "It is a claim about the method; by our differentiation a further shape costs a dense update, no derivatives.",
     },
     Claim {
@@ -371,8 +371,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.2",
         rule: "By our differentiation, the share of the time that grows with the shapes is at least half of that by the paper's.",
         rules: &[ratio(
-            pick("shapes-fit.timing", OURS, "growing_share", First),
-            pick("shapes-fit.timing", PAPER, "growing_share", First),
+            pick("shapes-fit.timing", OURS, "growing_share", Mean),
+            pick("shapes-fit.timing", PAPER, "growing_share", Mean),
             AtLeast(0.5),
         )],
         remark: "",

@@ -10,9 +10,9 @@ pub const LI: &[Claim] = &[
     Claim {
         quote: "A set of texture coordinates is computed for the vertices in real time.",
         section: "Abstract, 1.1",
-        rule: "Every one of 100,000 vertices gets its weight, visibility included, within 40 ms, a frame of 25 a second.",
+        rule: "Every one of 100,000 vertices gets its weight, visibility included, within 40 ms of one core, a frame of 25 a second.",
         rules: &[alone(
-            pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", First),
+            pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", Mean),
             AtMost(40.0),
         )],
         remark: "The paper does without a test of visibility.",
@@ -36,18 +36,18 @@ pub const LI: &[Claim] = &[
     Claim {
         quote: "There is no need to preprocess the 3D model.",
         section: "Abstract, 5",
-        rule: "From region to moved vertices, 100,000 of them, everything takes at most 100 ms: drawing and blurring, weights, morph.",
+        rule: "From region to moved vertices, 100,000 of them, everything takes at most 100 ms of one core: drawing and blurring, weights, morph.",
         rules: &[
             alone(
-                pick("mask-speed.timing", &[("stage", "draw and blur"), ("size", "100000")], "milliseconds", First),
+                pick("mask-speed.timing", &[("stage", "draw and blur"), ("size", "100000")], "milliseconds", Mean),
                 AtMost(50.0),
             ),
             alone(
-                pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", First),
+                pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", Mean),
                 AtMost(40.0),
             ),
             alone(
-                pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", First),
+                pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", Mean),
                 AtMost(10.0),
             ),
         ],
@@ -130,9 +130,9 @@ pub const LI: &[Claim] = &[
     Claim {
         quote: "The system [...] runs efficiently.",
         section: "3",
-        rule: "Dragging moves 100,000 vertices within 40 ms.",
+        rule: "Dragging moves 100,000 vertices within 40 ms of one core.",
         rules: &[alone(
-            pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", First),
+            pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", Mean),
             AtMost(40.0),
         )],
         remark: "",

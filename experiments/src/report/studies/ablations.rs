@@ -6,9 +6,10 @@ use nonrigid::registration::{ModelKind, Schedule, StepAlgorithm};
 use crate::plots::{Bar, GroupedBars};
 use crate::report::effort::Effort;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, register_variant, spread,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, least_and_most, ranked, register_variant,
+    spread,
 };
-use crate::report::table::{Table, number};
+use crate::report::table::{Table, counted, number, shown};
 use crate::scan_bench::{LandmarkUse, Variant};
 
 pub const STUDY: Study = Study {
@@ -55,7 +56,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 
     let columns =
         ["normal", "tangential", "rmse", "p95", "flips", "self_intersections", "iterations", "largest_weight"];
-    let mut shown = Table::new(&[&["group", "variant"][..], &columns].concat());
+    let mut means = Table::new(&[&["group", "variant"][..], &columns].concat());
     let mut bars: Vec<(String, Bar)> = Vec::new();
     for variant in &variants {
         let rows = [("group", &*variant.group), ("name", &*variant.name)];
@@ -63,16 +64,20 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let mut cells = vec![variant.group.clone(), variant.name.clone()];
         for column in columns {
             let (mean, _) = mean(column)?;
-            cells.push(if mean.is_finite() { format!("{mean:.2}") } else { "failed".to_owned() });
+            cells.push(if mean.is_finite() { number(mean) } else { "failed".to_owned() });
         }
-        shown.push(cells);
+        means.push(cells);
         let (mean, range) = mean("rmse")?;
         bars.push((variant.group.clone(), Bar { name: variant.name.clone(), value: mean, spread: Some(range) }));
     }
-    let caption = format!("Error of the hybrid with one part changed; mean and range over {} cases.", cases.len());
+    let count = counted(cases.len(), "case");
+    let caption = format!("Error of the hybrid with one part changed; mean and range over {count}.");
     let figure = setting.plot("ablations", &GroupedBars::new("", "rmse / mm", bars).top(TOP).svg()?, caption)?;
-    let caption = format!("Means over {} cases, millimetres.", cases.len());
-    Ok(Section { blocks: vec![figure, Block::Table { table: shown, caption, file: "ablations.csv".into() }] })
+    let caption = format!("Means over {count}, millimetres.");
+    let by_name = ranked(&table, &[], "name", "rmse")?;
+    let default = by_name.iter().find(|(name, _)| *name == variants[0].name).map_or(f64::NAN, |d| d.1);
+    let finding = format!("The default: {} mm. {}", shown(default), least_and_most("rmse", &by_name, " mm"));
+    Ok(Section { finding, blocks: vec![figure, Block::Table { table: means, caption, file: "ablations.csv".into() }] })
 }
 
 /// Every variant, by group; the default is the first of all. Kernels and terms only where the comparison has them not.

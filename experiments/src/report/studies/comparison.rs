@@ -4,16 +4,16 @@ use anyhow::Result;
 use nonrigid::registration::ModelKind;
 
 use crate::plots::{Bar, GroupedBars};
-use crate::report::study::{Block, Section, Setting, Study, spread, write_runs};
-use crate::report::table::{Table, number};
-use crate::scan_bench::{CaseSource, Variant, measure, summarize};
+use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, spread, write_runs};
+use crate::report::table::{Table, counted, number};
+use crate::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, summarize};
 
 pub const STUDY: Study = Study {
     name: "comparison",
     title: "Comparison: models, robust kernels, data terms",
     about: "Varied: the model with its default schedule; then, for the hybrid, the robust kernel of its data term and the data \
             terms. Held: scans, shapes, landmarks. Measured: errors over the observed vertices, flips, self-intersections, \
-            steps, and, each variant in a process of its own, seconds and greatest memory.",
+            steps, and, each variant but a model of your own in a process of its own, seconds and greatest memory.",
     tables: &["comparison", "comparison.timing"],
     seconds: |effort| {
         let affine = if effort.models.contains(&ModelKind::Affine) { 9.0 } else { 0.0 };
@@ -33,11 +33,22 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     setting.progress.set_length((variants.len() * data.cases.len()) as u64);
     let threads = rayon::current_num_threads();
     let source = CaseSource::new(&data.cases_folder, &data.rig_folder);
-    let rows = measure(setting.program, &source, &variants, threads, None, &mut |_| {
+    let mut rows = measure(setting.program, &source, &variants, threads, None, &mut |_| {
         setting.progress.inc(1);
         Ok(())
     })?;
 
+    let own = setting.entrants(&[])?.into_iter().flat_map(|entrant| {
+        let of_case = |case: &BenchCase| {
+            let outcome = entrant.register(case, LandmarkUse::All);
+            let seconds = outcome.as_ref().ok().map(|o| o.2);
+            let score = outcome.map(|o| o.0).map_err(|e| format!("{e:#}"));
+            BenchRow { seconds, ..BenchRow::new("model", entrant.name(), &case.name, score) }
+        };
+        data.cases.iter().map(of_case).collect::<Vec<_>>()
+    });
+    let last = rows.iter().rposition(|row| row.group == "model").map_or(0, |k| k + 1);
+    rows.splice(last..last, own);
     write_runs(setting.out, "comparison", &rows, threads)?;
 
     let columns = [
@@ -75,13 +86,14 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         cells.push(s.failed.to_string());
         shown.push(cells);
     }
-    let cases = data.cases.len();
-    let caption = format!("Mean and range of the rmse over {cases} cases.");
+    let cases = counted(data.cases.len(), "case");
+    let caption = format!("Mean and range of the rmse over {cases}.");
     let figure = setting.plot("comparison", &GroupedBars::new("", "rmse / mm", bars).svg()?, caption)?;
     let caption = format!(
-        "Over {cases} cases, millimetres: means of rmse, normal and tangential error, p95, steps and seconds; the worst rmse; the most flips and \
+        "Over {cases}, millimetres: means of rmse, normal and tangential error, p95, steps and seconds; the worst rmse; the most flips and \
          self-intersections of a case; the greatest memory, data included. {threads} threads."
     );
+    let finding = least_and_most("rmse", &ranked(&shown, &[("group", "model")], "variant", "rmse")?, " mm");
     let shown = Block::Table { table: shown, caption, file: "comparison.csv and comparison.timing.csv".into() };
-    Ok(Section { blocks: vec![figure, shown] })
+    Ok(Section { finding, blocks: vec![figure, shown] })
 }

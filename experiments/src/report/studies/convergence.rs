@@ -8,8 +8,8 @@ use nonrigid::mesh::Vec3;
 use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
 
 use crate::plots::{Axis, Grid, Mark, Plot, Point, Series};
-use crate::report::study::{Section, Setting, Study};
-use crate::report::table::{Table, number};
+use crate::report::study::{Section, Setting, Study, model_line};
+use crate::report::table::{Table, number, shown};
 use crate::scan_bench::{BenchCase, Variant};
 
 pub const STUDY: Study = Study {
@@ -58,7 +58,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     });
 
     let mut table = Table::new(&["model", "iteration", "level", "rmse", "inliers", "motion", "term", "energy"]);
-    let (mut plots, mut errors) = (Vec::new(), Vec::new());
+    let (mut plots, mut errors, mut ends) = (Vec::new(), Vec::new(), Vec::new());
     for (variant, steps) in variants.iter().zip(outcomes) {
         let steps = steps?;
         for (k, (record, rmse)) in steps.iter().enumerate() {
@@ -70,8 +70,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
                 table.push(row);
             }
         }
+        ends.push((variant.name.clone(), steps.len(), steps.last().map_or(f64::NAN, |s| s.1)));
         let points = steps.iter().enumerate().map(|(k, s)| Point { x: (k + 1) as f64, y: s.1, spread: None });
-        errors.push(Series::line(&variant.name, points.collect()));
+        errors.push(model_line(&variant.name, points.collect()));
         if plots.len() < 2 {
             plots.push(energies(&variant.name, &steps));
         }
@@ -80,7 +81,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let plot = Plot::new("Error", Axis::linear("step").from_zero(), Axis::log("rmse / mm")).series(errors);
     plots.insert(0, plot);
     let caption = format!("{}: the error of every model, and the energy of two of them by term.", case.name);
-    Ok(Section { blocks: vec![setting.plot("convergence", &Grid { columns: 1, plots }.svg()?, caption)?] })
+    let ends = ends.iter().map(|(name, steps, rmse)| format!("{name} {} mm after {steps}", shown(*rmse)));
+    let finding = format!("Error after all steps: {}.", ends.collect::<Vec<_>>().join(", "));
+    Ok(Section { finding, blocks: vec![setting.plot("convergence", &Grid { columns: 1, plots }.svg()?, caption)?] })
 }
 
 /// Energy by term against the step, levels marked.

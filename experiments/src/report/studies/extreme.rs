@@ -8,14 +8,15 @@ use nonrigid::evaluation::{TruthErrors, VertexErrors};
 use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::ModelKind;
-use nonrigid::render::{Camera, ColourScale, Frame, RgbImage, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, ColourScale, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 
 use crate::report::data::upright;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, labelled, register_variant,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, least_and_most, ranked,
 };
-use crate::report::table::{Table, number};
-use crate::scan_bench::{BenchCase, Score, Variant};
+use crate::report::table::{Table, number, shown};
+use crate::report::view3d::{View3d, ViewMesh};
+use crate::scan_bench::{BenchCase, LandmarkUse, Score};
 
 pub const STUDY: Study = Study {
     name: "extreme",
@@ -44,13 +45,13 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let folder = setting.out.join("extreme");
     fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
     let regions = [MOUTH, EYES].map(|of| region(setting, case, of));
-    let variants = Variant::models(&setting.effort.models)?;
-    let outcomes = setting.run_all(&variants, |variant| register_variant(variant, case));
+    let entrants = setting.entrants(&setting.effort.models)?;
+    let outcomes = setting.run_all(&entrants, |entrant| entrant.register(case, LandmarkUse::All));
 
     let columns = [&["model"][..], &ERROR_COLUMNS, &["mouth_rmse", "eyes_rmse", "error"]].concat();
     let mut table = Table::new(&columns);
     let mut results = Vec::new();
-    for (variant, outcome) in variants.iter().zip(outcomes) {
+    for (entrant, outcome) in entrants.iter().zip(outcomes) {
         let (row, positions) = match outcome {
             Ok((row, result, _)) => (Ok(row), Some(result.positions)),
             Err(e) => (Err(e), None),
@@ -61,26 +62,31 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let errors: Option<VertexErrors> = errors.transpose()?.map(|e| e.1);
         let near =
             regions.each_ref().map(|r| errors.as_ref().map_or_else(String::new, |e| number(rmse_of(&e.distance, r))));
-        let mut cells = vec![variant.name.clone()];
+        let mut cells = vec![entrant.name().to_owned()];
         cells.extend(error_cells(row.as_ref().ok()));
         cells.extend(near);
         cells.push(error_text(&row));
         table.push(cells);
         if let (Ok(row), Some(positions), Some(errors)) = (row, positions, errors) {
             let mesh = case.template.with_positions(positions);
-            write_polygon_mesh(&folder.join(format!("{}.obj", variant.name)), &mesh).map_err(Failure::writing)?;
-            results.push((variant.name.as_str(), row, mesh, errors));
+            write_polygon_mesh(&folder.join(format!("{}.obj", entrant.name())), &mesh).map_err(Failure::writing)?;
+            results.push((entrant.name(), row, mesh, errors));
         }
     }
     table.write(setting.out, "extreme")?;
     let caption = format!(
-        "Template, true shape and scan of {}; then for every model its result, the polygons at the mouth, and the errors off the \
-         true surface and along it. Grey: the scan does not show it. The results are in the folder extreme, as OBJ.",
+        "Fig. 5: {}, one scan (n = 1). First row: the template and the scan, each with its mouth. Then a row for each model, with its \
+         rmse: the result, its polygons at the mouth, and by colour each vertex's error off the true surface (normal) and along it \
+         (tangential), in millimetres on the scale at the right. Grey: vertices that the scan does not show. The results are in the \
+         folder extreme, as OBJ.",
         case.name
     );
     let picture = setting.picture("extreme", &draw(setting, case, &results), caption)?;
-    let shown = Block::Table { table, caption: "The same in numbers, millimetres.".into(), file: "extreme.csv".into() };
-    Ok(Section { blocks: vec![picture, shown] })
+    let turned = Block::View(turnable(case, &results));
+    let finding = least_and_most("rmse", &ranked(&table, &[], "model", "rmse")?, " mm");
+    let numbers =
+        Block::Table { table, caption: "The same in numbers, millimetres.".into(), file: "extreme.csv".into() };
+    Ok(Section { finding, blocks: vec![picture, turned, numbers] })
 }
 
 /// Observed vertices of the template near some of its 68 landmarks; none for a rig without these.
@@ -100,8 +106,45 @@ fn rmse_of(distance: &[f64], vertices: &[usize]) -> f64 {
     (vertices.iter().map(|v| distance[*v].powi(2)).sum::<f64>() / vertices.len() as f64).sqrt()
 }
 
+/// A model's name, score, mesh and errors.
+type Outcome<'a> = (&'a str, Score, PolygonMesh, VertexErrors);
+
+/// Values of the vertices that the scan shows, of the others none.
+fn seen(case: &BenchCase, values: &[f64]) -> Vec<f64> {
+    values.iter().zip(&case.observed).map(|(v, o)| if *o { *v } else { f64::NAN }).collect()
+}
+
+/// One for all models, but for those that cannot deform: they would leave no colour for the others.
+fn scale(case: &BenchCase, results: &[Outcome<'_>]) -> ColourScale {
+    let nonrigid = results.iter().filter(|r| r.0 != "rigid" && r.0 != "similarity");
+    let all: Vec<f64> = nonrigid.flat_map(|r| seen(case, &r.3.distance)).collect();
+    ColourScale::for_magnitudes(&all, "error, off or along the surface", "mm")
+}
+
+/// Every result with its errors, then template, truth and scan, upright.
+fn turnable(case: &BenchCase, results: &[Outcome<'_>]) -> View3d {
+    let pose = upright(case);
+    let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
+    let of_model = |(model, score, mesh, errors): &Outcome<'_>| {
+        let said = format!("rmse {} mm", shown(score.errors.rmse));
+        ViewMesh::of_polygons(model, said, &mesh.with_positions(stand(&mesh.positions)))
+            .with_values([&errors.normal, &errors.tangential].map(|e| seen(case, e)).to_vec())
+    };
+    let mut meshes: Vec<ViewMesh> = results.iter().map(of_model).collect();
+    let truth = case.template.with_positions(stand(&case.truth));
+    let rest = case.template.with_positions(case.rest().to_vec());
+    let scan = TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() };
+    meshes.push(ViewMesh::of_polygons("template", "before the registration".into(), &rest));
+    meshes.push(ViewMesh::of_polygons("truth", "what every model should find".into(), &truth));
+    meshes.push(ViewMesh::new("scan", "what every model is given".into(), scan));
+    let caption =
+        format!("The results of Fig. 5 on {}, coloured by their errors off the true surface or along it.", case.name);
+    let quantities = vec!["off the surface", "along the surface"];
+    View3d { meshes, quantities, scale: scale(case, results), first: 0, caption }
+}
+
 /// First template, truth and scan; then a row for each model.
-fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, PolygonMesh, VertexErrors)]) -> RgbImage {
+fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[Outcome<'_>]) -> RgbImage {
     let pose = upright(case);
     let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
     let truth = case.template.with_positions(stand(&case.truth));
@@ -119,19 +162,14 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, Polygo
         if marks.is_empty() { Frame::of(&mesh.positions) } else { Frame::of(&marks).scaled(1.35) }
     };
     let open = lips(&truth);
-    let seen = |values: &[f64]| -> Vec<f64> {
-        values.iter().zip(&case.observed).map(|(v, o)| if *o { *v } else { f64::NAN }).collect()
-    };
-    // Models that cannot deform would leave no colour for the others.
-    let nonrigid = results.iter().filter(|r| r.0 != "rigid" && r.0 != "similarity");
-    let all: Vec<f64> = nonrigid.flat_map(|r| seen(&r.3.distance)).collect();
-    let scale = ColourScale::for_magnitudes(&all, "error, off or along the surface", "mm");
+    let seen = |values: &[f64]| seen(case, values);
+    let scale = scale(case, results);
 
     let first = vec![
-        labelled(panel(&wired(&rest), &face, angle), "template"),
-        labelled(panel(&wired(&rest), &lips(&rest).at_scale_of(open), View::Front), "its mouth"),
-        labelled(panel(&clay(&scan), &face, angle), "scan"),
-        labelled(panel(&clay(&scan), &open, View::Front), "its mouth"),
+        Panel::new(panel(&wired(&rest), &face, angle), "template"),
+        Panel::new(panel(&wired(&rest), &lips(&rest).at_scale_of(open), View::Front), "its mouth"),
+        Panel::new(panel(&clay(&scan), &face, angle), "scan"),
+        Panel::new(panel(&clay(&scan), &open, View::Front), "its mouth"),
     ];
     let mut sheet = Sheet::new("").colour_bar(&scale).row("", first);
     for (model, row, mesh, errors) in results {
@@ -144,10 +182,13 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[(&str, Score, Polygo
             )
         };
         let panels = vec![
-            labelled(panel(&clay(&mesh.triangulate()), &face, angle), &format!("{model} {:.2} mm", row.errors.rmse)),
-            labelled(panel(&wired(&mesh), &open, View::Front), "mouth"),
-            labelled(heat(&errors.normal), "normal"),
-            labelled(heat(&errors.tangential), "tangential"),
+            Panel::new(
+                panel(&clay(&mesh.triangulate()), &face, angle),
+                &format!("{model} {} mm", shown(row.errors.rmse)),
+            ),
+            Panel::new(panel(&wired(&mesh), &open, View::Front), "mouth"),
+            Panel::new(heat(&errors.normal), "normal"),
+            Panel::new(heat(&errors.tangential), "tangential"),
         ];
         sheet = sheet.row("", panels);
     }

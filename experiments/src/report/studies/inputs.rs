@@ -2,12 +2,13 @@
 
 use anyhow::Result;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 use nonrigid::rig::Family;
 
 use crate::report::data::upright;
-use crate::report::study::{Block, Section, Setting, Study, labelled};
-use crate::report::table::Table;
+use crate::report::study::{Block, Section, Setting, Study};
+use crate::report::table::{Table, counted};
+use crate::report::view3d::{View3d, ViewMesh};
 use crate::scan_bench::BenchCase;
 
 pub const STUDY: Study = Study {
@@ -51,9 +52,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             let mesh = TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() };
             let camera =
                 Camera::framing(&Frame::of(&stand(&case.truth)), View::Angles { yaw: 25.0, pitch: 4.0 }, PANEL);
-            labelled(render(&Scene::new().mesh(&mesh, Style::Clay), &camera, PANEL), &case.name)
+            Panel::new(render(&Scene::new().mesh(&mesh, Style::Clay), &camera, PANEL), &case.name)
         };
-        sheet = sheet.row("", cases.iter().map(panel).collect());
+        sheet = sheet.row("", cases.iter().map(panel));
     }
     blocks.push(setting.picture("scans", &sheet.render(), "Fig. 2: the scans that the template is registered to: irregular triangles, holes, noise, spikes, loose parts. Their true correspondences are known to the last digit.")?);
 
@@ -67,18 +68,35 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let chosen: Vec<(usize, f64)> =
         spread.map(|k| (k, 1.0)).chain(modes.iter().take(MODES).map(|k| (*k, 2.0))).collect();
     let camera = Camera::framing(&Frame::of(&template.positions), View::Angles { yaw: 15.0, pitch: 2.0 }, PANEL);
-    let panel = |&(k, weight): &(usize, f64)| {
+    let shape = |&(k, weight): &(usize, f64)| {
         let moved = template.positions.iter().zip(rig.deltas(k).chunks_exact(3));
         let positions = moved.map(|(p, d)| p + weight * Vec3::new(d[0].into(), d[1].into(), d[2].into())).collect();
-        let mesh = TriangleMesh { positions, triangles: template.triangulate().triangles };
-        labelled(render(&Scene::new().mesh(&mesh, Style::Clay), &camera, PANEL), &shapes[k].name)
+        TriangleMesh { positions, triangles: template.triangulate().triangles }
+    };
+    let panel = |chosen: &(usize, f64)| {
+        let mesh = shape(chosen);
+        Panel::new(render(&Scene::new().mesh(&mesh, Style::Clay), &camera, PANEL), &shapes[chosen.0].name)
     };
     let mut sheet = Sheet::new("");
     for row in chosen.chunks(ACROSS) {
-        sheet = sheet.row("", row.iter().map(panel).collect());
+        sheet = sheet.row("", row.iter().map(panel));
     }
     let caption = "Fig. 3: some of the rig's blendshapes: expressions at weight 1, then identity modes at two standard deviations.";
     blocks.push(setting.picture("blendshapes", &sheet.render(), caption)?);
+
+    let mut meshes =
+        vec![ViewMesh::of_polygons("template", format!("{} vertices", template.positions.len()), template)];
+    for case in &data.cases {
+        let (pose, scan) = (upright(case), &case.scan.mesh);
+        let positions = scan.positions.iter().map(|p| pose.apply_inverse(*p)).collect();
+        let said = counted(scan.triangles.len(), "triangle");
+        meshes.push(ViewMesh::new(&case.name, said, TriangleMesh { positions, ..scan.clone() }));
+    }
+    for of in &chosen {
+        meshes.push(ViewMesh::new(&shapes[of.0].name, format!("blendshape at weight {}", of.1), shape(of)));
+    }
+    let caption = "Template, scans and blendshapes of Figs. 1 to 3.".to_owned();
+    blocks.push(Block::View(View3d::of_shapes(meshes, caption)));
 
     let mut table = Table::new(&[
         "case",
@@ -100,7 +118,13 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     table.write(setting.out, "inputs")?;
     blocks.push(Block::Table { table, caption: "The cases.".into(), file: "inputs.csv".into() });
-    Ok(Section { blocks })
+    let finding = format!(
+        "{} of a template of {} vertices, with {} in the rig.",
+        counted(data.cases.len(), "scan"),
+        template.positions.len(),
+        counted(shapes.len(), "blendshape")
+    );
+    Ok(Section { finding, blocks })
 }
 
 fn wired(mesh: &PolygonMesh, frame: &Frame, view: View) -> RgbImage {

@@ -6,9 +6,9 @@ use nonrigid::morph::{
     Blur, BlurKind, Coordinates, MaskedDisplacement, MorphChange, MorphStep, Projector, Region, Sampling, Shape,
     Texture, Visibility, Weights,
 };
-use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 
-use crate::report::study::{Block, Section, Setting, Study, labelled};
+use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked};
 use crate::report::table::{Table, number};
 use crate::surgery::landmarks68;
 
@@ -59,7 +59,10 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     blocks.push(selections(setting, &picture, &landmarks)?);
     blocks.extend(table_1(setting)?);
     blocks.extend(figure_3(setting, &picture, &landmarks)?);
-    Ok(Section { blocks })
+    let jumps = Table::read(&setting.out.join("blurred-morphs.csv"))?;
+    let finding =
+        least_and_most("jump across an edge under a blur", &ranked(&jumps, &[], "blur", "largest_jump")?, " mm");
+    Ok(Section { finding, blocks })
 }
 
 /// The front view in which masks are drawn.
@@ -132,9 +135,9 @@ fn selections(setting: &Setting<'_>, picture: &Picture<'_>, landmarks: &[Vec3]) 
         let soft = Blur { kernel: 5, iterations: 6, ..Blur::default() }.apply(&hard)?;
         let weights = picture.weights(&soft)?.into_values();
         let panels = vec![
-            labelled(hard.overlay(&front, RED)?, name),
-            soft.picture(),
-            picture.side(&picture.mesh, Style::Overlay(weights, RED)),
+            Panel::new(hard.overlay(&front, RED)?, name),
+            soft.picture().into(),
+            picture.side(&picture.mesh, Style::Overlay(weights, RED)).into(),
         ];
         sheet = sheet.row("", panels);
     }
@@ -196,7 +199,7 @@ fn figure_3(setting: &Setting<'_>, picture: &Picture<'_>, landmarks: &[Vec3]) ->
         let numbers = [ASKED, change.reached, change.reached / ASKED, change.largest_jump, change.folded as f64];
         table.push(std::iter::once(name.to_owned()).chain(numbers.map(number)).collect());
         let mesh = TriangleMesh { positions: moved, ..picture.mesh.clone() };
-        panels.push(labelled(picture.side(&mesh, Style::Clay), name));
+        panels.push(Panel::new(picture.side(&mesh, Style::Clay), name));
     }
     table.write(setting.out, "blurred-morphs")?;
     let sheet = Sheet::new("").row("", panels[..3].to_vec()).row("", panels[3..].to_vec());

@@ -3,8 +3,8 @@
 use anyhow::{Result, bail};
 
 use crate::peers::{METHODS, OURS, plot, run_others};
-use crate::report::study::{Block, Section, Setting, Study, write_runs};
-use crate::report::table::{Table, number};
+use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, write_runs};
+use crate::report::table::{Table, counted, number};
 use crate::scan_bench::{CaseSource, Variant, measure, summarize};
 
 pub const STUDY: Study = Study {
@@ -46,10 +46,11 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let name = if s.group == "peer" { s.model } else { format!("nonrigid {}", s.model) };
         shown.push([&[name][..], &errors, &rest].concat());
     }
-    let cases = data.cases.len();
-    let caption = format!("Mean error against mean seconds over {cases} cases; the bars are the range of the error.");
+    let cases = counted(data.cases.len(), "case");
+    let caption = format!("Mean error against mean seconds over {cases}; the bars are the range of the error.");
     let figure = setting.plot("peers", &plot(&rows)?, caption)?;
-    let caption = format!("Means over {cases} cases, millimetres; the worst rmse; {threads} threads.");
+    let caption = format!("Means over {cases}, millimetres; the worst rmse; {threads} threads.");
+    let finding = least_and_most("rmse", &ranked(&shown, &[], "program", "rmse")?, " mm");
     let shown = Block::Table { table: shown, caption, file: "peers.csv and peers.timing.csv".into() };
-    Ok(Section { blocks: vec![figure, shown] })
+    Ok(Section { finding, blocks: vec![figure, shown] })
 }

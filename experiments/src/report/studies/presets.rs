@@ -5,7 +5,7 @@ use nonrigid::io::read_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, preset, preset_names};
 use nonrigid::registration::ModelKind;
-use nonrigid::render::{Camera, Frame, RgbImage, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 use nonrigid::rig::{Rig, ShapeBasis};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -13,8 +13,8 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::generated::Studio;
 use crate::real_scans::{Arguments, register_all};
-use crate::report::study::{Block, Section, Setting, Study, labelled, spread};
-use crate::report::table::{Table, number};
+use crate::report::study::{Block, Section, Setting, Study, spread};
+use crate::report::table::{Table, counted, number, shown};
 use crate::surgery::Patient;
 
 pub const STUDY: Study = Study {
@@ -83,7 +83,16 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     if patients.len() > 2 + RESOLUTIONS.len() {
         blocks.push(real(setting, &patients[2 + RESOLUTIONS.len()..])?);
     }
-    Ok(Section { blocks })
+    let (mean, [least, most]) = spread(&table.numbers(&[], "reached_over_asked")?);
+    let finding = format!(
+        "Over {} and {}, {} to {} of the displacement asked for is reached, {} on average.",
+        counted(recipes.len(), "preset"),
+        counted(patients.len(), "face"),
+        shown(least),
+        shown(most),
+        shown(mean)
+    );
+    Ok(Section { finding, blocks })
 }
 
 fn known(name: &str) -> Result<Recipe> {
@@ -159,8 +168,7 @@ fn figures(setting: &Setting<'_>, patient: &Patient) -> Result<Block> {
     for (title, presets) in FIGURES {
         let after = changed(patient, presets)?;
         let views = [View::Front, View::ThreeQuarter, View::Side];
-        let panels =
-            views.iter().flat_map(|view| [&patient.mesh, &after].map(|m| portrait(m, &frame, *view))).collect();
+        let panels = views.iter().flat_map(|view| [&patient.mesh, &after].map(|m| portrait(m, &frame, *view)));
         sheet = sheet.row(title, panels);
     }
     let spoken = |(title, presets): &(&str, &[(&str, f64)])| {
@@ -180,9 +188,9 @@ fn modules(setting: &Setting<'_>, patient: &Patient, outcomes: &[(&str, StepOutc
     for row in outcomes.chunks(5) {
         let panel = |(name, outcome): &(&str, StepOutcome)| {
             let style = Style::Overlay(outcome.coverage(), [255, 0, 0]);
-            labelled(render(&Scene::new().mesh(&mesh, style), &camera, [220, 240]), name)
+            Panel::new(render(&Scene::new().mesh(&mesh, style), &camera, [220, 240]), name)
         };
-        sheet = sheet.row("", row.iter().map(panel).collect());
+        sheet = sheet.row("", row.iter().map(panel));
     }
     setting.picture("presets", &sheet.render(), "The twenty presets: where each acts, in the paper's red.")
 }
@@ -190,20 +198,20 @@ fn modules(setting: &Setting<'_>, patient: &Patient, outcomes: &[(&str, StepOutc
 /// A row for each preset: the share reached on each face, then the worst of all faces.
 fn by_preset(table: &Table, patients: &[Patient]) -> Result<Table> {
     let faces: Vec<&str> = patients.iter().map(|p| p.name.as_str()).collect();
-    let mut shown = Table::new(&[&["preset", "asked"][..], &faces, &["folded", "shortest", "longest"]].concat());
+    let mut rows = Table::new(&[&["preset", "asked"][..], &faces, &["folded", "shortest", "longest"]].concat());
     for name in preset_names() {
         let of = |column: &str, face: &str| table.numbers(&[("preset", name), ("face", face)], column);
         let all = |column: &str| table.numbers(&[("preset", name)], column).map(|values| spread(&values).1);
         let mut cells = vec![name.to_owned(), number(of("asked", faces[0])?[0])];
         for face in &faces {
-            cells.push(format!("{:.2}", of("reached_over_asked", face)?[0]));
+            cells.push(number(of("reached_over_asked", face)?[0]));
         }
         cells.push(number(all("folded")?[1]));
-        cells.push(format!("{:.2}", all("stretch_min")?[0]));
-        cells.push(format!("{:.2}", all("stretch_max")?[1]));
-        shown.push(cells);
+        cells.push(number(all("stretch_min")?[0]));
+        cells.push(number(all("stretch_max")?[1]));
+        rows.push(cells);
     }
-    Ok(shown)
+    Ok(rows)
 }
 
 /// Real scans before and after the presets of the three figures.

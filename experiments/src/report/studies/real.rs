@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 
 use crate::real_scans::{Arguments, COLUMNS, numbers, register_all};
-use crate::report::study::{Block, Section, Setting, Study};
+use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked};
 use crate::report::table::Table;
 
 pub const STUDY: Study = Study {
@@ -44,5 +44,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let caption = "Each scan and what every model makes of it. The results are in the folder real, as OBJ.";
     let picture = setting.picture("real", &picture, caption)?;
     let caption = "The same in numbers, millimetres; median and share over vertices within 3 mm as well.";
-    Ok(Section { blocks: vec![picture, Block::Table { table, caption: caption.into(), file: "real.csv".into() }] })
+    let finding = least_and_most("median distance to the scan", &ranked(&table, &[], "model", "median")?, " mm");
+    Ok(Section {
+        finding,
+        blocks: vec![picture, Block::Table { table, caption: caption.into(), file: "real.csv".into() }],
+    })
 }

@@ -3,11 +3,11 @@
 use anyhow::Result;
 
 use crate::generated::Studio;
-use crate::plots::{Axis, Grid, Plot, Series};
+use crate::plots::{Axis, Grid, Plot};
 use crate::report::study::{
-    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
+    ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, model_line, ranked, register_variant,
 };
-use crate::report::table::Table;
+use crate::report::table::{Table, counted, shown};
 use crate::scan_bench::{LandmarkUse, Variant};
 use nonrigid::registration::ModelKind;
 
@@ -85,7 +85,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
                 let rows = [("study", study), ("size", &size.to_string()), ("name", &variant.name)];
                 points.push(mean_point(*size as f64, &table.numbers(&rows, "rmse")?));
             }
-            series.push(Series::line(&variant.name, points));
+            series.push(model_line(&variant.name, points));
         }
         Ok(Plot::new(title, Axis::log(x), Axis::linear("rmse / mm").from_zero()).series(series))
     };
@@ -93,9 +93,26 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         plot("template", &effort.resolutions, &models, "Finer templates", "vertices of the template")?,
         plot("scan", &SCAN_TRIANGLES, &distances, "Coarser scans, hybrid", "triangles of the scan")?,
     ];
-    let caption =
-        format!("Mean and range of the error over {} cases; landmarks give the start alone.", effort.resolution_cases);
-    Ok(Section { blocks: vec![setting.plot("resolution", &Grid { columns: 2, plots }.svg()?, caption)?] })
+    let caption = format!(
+        "Mean and range of the error over {}; landmarks give the start alone.",
+        counted(effort.resolution_cases, "case")
+    );
+    let sizes =
+        [effort.resolutions.first(), effort.resolutions.last()].map(|s| s.map_or_else(String::new, usize::to_string));
+    let [coarse, fine] =
+        sizes.each_ref().map(|size| ranked(&table, &[("study", "template"), ("size", size)], "name", "rmse"));
+    let (coarse, fine) = (coarse?, fine?);
+    let change = |(name, from): &(String, f64)| {
+        let to = fine.iter().find(|f| f.0 == *name).map_or_else(|| "none".to_owned(), |f| shown(f.1));
+        format!("{name} {} to {to}", shown(*from))
+    };
+    let finding = format!(
+        "Mean rmse in millimetres from {} to {} vertices: {}.",
+        sizes[0],
+        sizes[1],
+        coarse.iter().map(change).collect::<Vec<_>>().join(", ")
+    );
+    Ok(Section { finding, blocks: vec![setting.plot("resolution", &Grid { columns: 2, plots }.svg()?, caption)?] })
 }
 
 /// The hybrid with point-to-plane alone, and with point-to-point to the nearest scan vertex alone.

@@ -84,7 +84,17 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
          standard deviation of that share; {} results.",
         bands.iter().map(|b| b.2).sum::<usize>()
     );
+    let of = |[of, count]: [usize; 2]| format!("{count} of {of}");
+    let finding = format!(
+        "{} good results are doubted, {} bad ones silent, {} solvable runs refused.",
+        of(counts.good),
+        of(counts.bad),
+        of(counts.solvable)
+    );
     let figure = setting.plot("silence-diagram", &plot.svg()?, caption)?;
     let caption = "How many good results are doubted, bad ones silent, and runs refused that can be solved.".to_owned();
-    Ok(Section { blocks: vec![figure, Block::Table { table, caption, file: "silence-counts.csv".to_owned() }] })
+    Ok(Section {
+        finding,
+        blocks: vec![figure, Block::Table { table, caption, file: "silence-counts.csv".to_owned() }],
+    })
 }

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::plots::{Axis, Grid, Plot, Point, Series, StackedBars};
 use crate::report::study::{Section, Setting, Study};
-use crate::report::table::{Table, number};
+use crate::report::table::{Table, counted, number, shown};
 use crate::scaling::{Configuration, SolverRun, run_apart};
 
 pub const STUDY: Study = Study {
@@ -124,7 +124,18 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let caption = format!("The stages of an iteration against {}; our differentiation, one thread.", growth.axis);
         blocks.push(setting.plot(&format!("solver-stages-{}", growth.name), &bars.svg()?, caption)?);
     }
-    Ok(Section { blocks })
+    let of = |paper: &str| -> Result<f64> {
+        let times = table.numbers(&[("growth", "shapes"), ("differentiation", paper)], "seconds_per_iteration")?;
+        Ok(times.last().copied().unwrap_or(f64::NAN))
+    };
+    let finding = format!(
+        "With {} blendshapes an iteration takes {} ms on one thread, {} ms by the paper's differentiation; median of {}.",
+        setting.effort.solver_shapes.last().unwrap_or(&0),
+        shown(1e3 * of("ours")?),
+        shown(1e3 * of("paper")?),
+        counted(setting.effort.solver_repeats, "repetition")
+    );
+    Ok(Section { finding, blocks })
 }
 
 /// A line for each number of threads and each differentiation.

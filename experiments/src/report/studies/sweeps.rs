@@ -5,18 +5,18 @@ use nonrigid::mesh::Vec3;
 use nonrigid::registration::ModelKind;
 
 use crate::generated::{ScanOptions, Shot, Studio};
-use crate::plots::{Axis, Grid, Plot, Point, Series};
+use crate::plots::{Axis, Grid, Plot, Point};
 use crate::random_pose::random_pose;
 use crate::report::study::{
-    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, register_variant,
+    Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, mean_point, model_line,
 };
 use crate::report::table::{Table, number};
-use crate::scan_bench::{BenchCase, LandmarkUse, Score, Variant};
+use crate::scan_bench::{BenchCase, LandmarkUse, Score};
 
 pub const STUDY: Study = Study {
     name: "sweeps",
     title: "Where each model breaks",
-    about: "Varied, one at a time: how far the mouth is open, how wrong the start is turned, noise, the size of holes, outliers, and \
+    about: "Varied, one at a time: how far the mouth is open, how far the eyes are closed, how wrong the start is turned, noise, the size of holes, outliers, and \
             how many of the shown expressions the rig lacks; for every model. Held: everything else, at moderate values. \
             Landmarks give the start alone, as the paper uses none. (Per-vertex affine maps take part only with --full: ten seconds a \
             registration.) Measured: errors over the observed vertices; mean and range \
@@ -48,8 +48,14 @@ struct Trial {
     start_turned: f64,
 }
 
-const SWEEPS: [Sweep; 6] = [
-    Sweep { name: "jaw", axis: "jaw opening / %", range: [0.0, 100.0], set: |t, v| t.open_jaw_alone(v / 100.0) },
+const SWEEPS: [Sweep; 7] = [
+    Sweep { name: "jaw", axis: "jaw opening / %", range: [0.0, 100.0], set: |t, v| t.show_alone("jawOpen", v / 100.0) },
+    Sweep {
+        name: "eyes",
+        axis: "eyes closed / %",
+        range: [0.0, 100.0],
+        set: |t, v| t.show_alone("eyeBlink", v / 100.0),
+    },
     Sweep { name: "start", axis: "start turned by / degrees", range: [0.0, 60.0], set: |t, v| t.start_turned = v },
     Sweep { name: "noise", axis: "noise / mm", range: [0.0, 2.0], set: |t, v| t.shot.scan.noise = v },
     Sweep {
@@ -85,8 +91,8 @@ impl Trial {
         Self { shot: Shot { name: String::new(), scan, known: true, withheld: Vec::new(), seed }, start_turned: 0.0 }
     }
 
-    fn open_jaw_alone(&mut self, weight: f64) {
-        self.shot.scan.expressions = Some(vec![("jawOpen".to_owned(), weight)]);
+    fn show_alone(&mut self, expression: &str, weight: f64) {
+        self.shot.scan.expressions = Some(vec![(expression.to_owned(), weight)]);
     }
 
     /// Withholds a share of the shown expressions, from the first.
@@ -116,8 +122,7 @@ const TOP: f64 = 8.0;
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let effort = setting.effort;
     let studio = Studio::new(effort.sweep_vertices)?;
-    let mut variants = Variant::models(&effort.sweep_models)?;
-    variants.iter_mut().for_each(|v| v.landmarks = LandmarkUse::Align);
+    let entrants = setting.entrants(&effort.sweep_models)?;
     let last = (effort.sweep_values - 1).max(1) as f64;
     let values = |s: &Sweep| -> Vec<f64> {
         (0..effort.sweep_values).map(|k| s.range[0] + (s.range[1] - s.range[0]) * k as f64 / last).collect()
@@ -134,14 +139,15 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let mut trial = Trial::moderate(effort.sweep_triangles, setting.seed + scan);
         (SWEEPS[sweep].set)(&mut trial, value);
         let case = trial.make(&studio)?;
-        Ok(variants.iter().map(|v| register_variant(v, &case).map(|r| r.0)).collect())
+        Ok(entrants.iter().map(|e| e.register(&case, LandmarkUse::Align).map(|r| r.0)).collect())
     });
 
     let columns = [&["sweep", "value", "model", "scan"][..], &ERROR_COLUMNS, &["error"]].concat();
     let mut table = Table::new(&columns);
     for (&(sweep, value, scan), rows) in jobs.iter().zip(outcomes) {
-        for (variant, row) in variants.iter().zip(rows?) {
-            let mut cells = vec![SWEEPS[sweep].name.to_owned(), number(value), variant.name.clone(), scan.to_string()];
+        for (entrant, row) in entrants.iter().zip(rows?) {
+            let mut cells =
+                vec![SWEEPS[sweep].name.to_owned(), number(value), entrant.name().to_owned(), scan.to_string()];
             cells.extend(error_cells(row.as_ref().ok()));
             cells.push(error_text(&row));
             table.push(cells);
@@ -151,17 +157,17 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 
     let mut plots = Vec::new();
     let mut breaks = Table::new(&[&["model"][..], &SWEEPS.map(|s| s.axis)].concat());
-    let mut broken: Vec<Vec<String>> = variants.iter().map(|v| vec![v.name.clone()]).collect();
+    let mut broken: Vec<Vec<String>> = entrants.iter().map(|e| vec![e.name().to_owned()]).collect();
     for sweep in &SWEEPS {
         let mut series = Vec::new();
-        for (variant, broken) in variants.iter().zip(&mut broken) {
+        for (entrant, broken) in entrants.iter().zip(&mut broken) {
             let mut points = Vec::new();
             for value in values(sweep) {
-                let rows = [("sweep", sweep.name), ("value", &number(value)), ("model", &variant.name)];
+                let rows = [("sweep", sweep.name), ("value", &number(value)), ("model", entrant.name())];
                 points.push(mean_point(value, &table.numbers(&rows, "rmse")?));
             }
             broken.push(breaks_at(&points));
-            series.push(Series::line(&variant.name, points));
+            series.push(model_line(entrant.name(), points));
         }
         let y = Axis::linear("rmse / mm").from_zero();
         plots.push(Plot::new(sweep.name, Axis::linear(sweep.axis), y).series(series).top(TOP));
@@ -169,9 +175,9 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     broken.into_iter().for_each(|row| breaks.push(row));
     breaks.write(setting.out, "breaks")?;
     let caption = format!(
-        "Error against one difficulty at a time; mean and range over {} people. Above {TOP} mm: off the plot. Landmarks give \
+        "Error against one difficulty at a time; mean and range over {}. Above {TOP} mm: off the plot. Landmarks give \
          the start alone.",
-        effort.sweep_scans
+        people(effort.sweep_scans)
     );
     let figure = setting.plot("sweeps", &Grid { columns: 2, plots }.svg()?, caption)?;
     let caption = format!(
@@ -179,7 +185,17 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
          value. 'never' within the range; 'at once': its error is above {} mm from the start.",
         2.0 * WHOLE
     );
-    Ok(Section { blocks: vec![figure, Block::Table { table: breaks, caption, file: "breaks.csv".into() }] })
+    let breaking = |row: &Vec<String>| format!("{} in {}", row[0], row[1..].iter().filter(|c| *c != "never").count());
+    let finding = format!(
+        "Of {} difficulties each model breaks: {}.",
+        SWEEPS.len(),
+        breaks.rows.iter().map(breaking).collect::<Vec<_>>().join(", ")
+    );
+    Ok(Section { finding, blocks: vec![figure, Block::Table { table: breaks, caption, file: "breaks.csv".into() }] })
+}
+
+fn people(count: usize) -> String {
+    if count == 1 { "one person".to_owned() } else { format!("n = {count} people") }
 }
 
 fn breaks_at(points: &[Point]) -> String {

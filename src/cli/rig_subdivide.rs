@@ -1,0 +1,48 @@
+//! `nonrigid rig subdivide`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::inputs::{ShapeKindArgument, read_rig};
+use super::rig_convert::RigOutput;
+use super::units::UnitArguments;
+use super::{Failure, warn};
+use crate::registration::MOST_ROUNDS;
+
+/// Arguments of `nonrigid rig subdivide`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Catmull and Clark's rules, for the neutral and all shapes alike: what `nonrigid register --subdivide` writes has the\n\
+    vertices of the rig divided as often.\n\n\
+    Example, on what `data-gen --seed 7 --out out/data` makes:\n  \
+    nonrigid rig subdivide --rig out/data/rig --rounds 1 --out fine"
+)]
+pub struct Arguments {
+    /// The rig, with polygons: a folder, .npz, .glb or .gltf
+    #[arg(long, value_name = "DIR|FILE")]
+    rig: PathBuf,
+    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
+    #[arg(long, value_enum)]
+    shape_kind: Option<ShapeKindArgument>,
+    /// How often: each makes four quads of one
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=MOST_ROUNDS as i64))]
+    rounds: u8,
+    #[command(flatten)]
+    units: UnitArguments,
+    #[command(flatten)]
+    output: RigOutput,
+}
+
+/// Runs the command.
+pub fn run(a: &Arguments) -> Result<(), Failure> {
+    a.output.check(&a.rig, &[])?;
+    let mut units = a.units.of(&["rig"])?;
+    let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
+    a.output.check_shapes(&a.rig, &[], &rig)?;
+    units.say();
+    let divided = rig.subdivided(a.rounds).map_err(|e| Failure::loading(format!("{}: {e}", a.rig.display())));
+    let (fine, warnings) = divided?;
+    warnings.iter().for_each(warn);
+    a.output.write(&fine)
+}

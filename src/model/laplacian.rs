@@ -1,0 +1,553 @@
+//! Laplacian surface editing (O. Sorkine, D. Cohen-Or, Y. Lipman, M. Alexa, C. Roessl, H.-P. Seidel, "Laplacian surface editing", SGP
+//! 2004): every vertex keeps its differential coordinate, up to a similarity that follows from the positions themselves.
+//!
+//! ```text
+//!     delta_i = L(n)_i = sum_j w_ij (n_i - n_j)                                     n at rest; their eq. (1)
+//!     E_smooth = lambda sum_i (1 / a_i) |T_i(v) delta_i - L(v)_i|^2                 v the parameters; their eq. (4)
+//!     T_i = s_i + h_i^  minimises  sum_(k in i and N(i)) |T_i n_k + t_i - v_k|^2    eqs. (5), (6)
+//! ```
+//!
+//! `T_i` is linear in `v`, so the energy is quadratic, and large turns it gets wrong, as the paper says: that is `frames = "rest"`. With `frames = "current"` every star is turned first by its best rotation for `v`, and `T_i` is taken round that:
+//! then the energy is a function of `v` that no similarity of the whole changes, however large, and its derivatives are still exact.
+//! The algebra of `T_i` is in `star_similarity.rs`.
+//!
+//! `a_i` is the area of a vertex in units of that of a template of the schedule's reference size, as for the bi-Laplacian of free
+//! vertices, and with cotangent weights the slope at the open boundary is taken out of `delta` as there (at a cut the paper's `delta`
+//! grows against all others as triangles shrink): the energy is
+//! `integral |T Laplace n - Laplace v|^2` times an area, whatever the resolution.
+
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::edge_weights::{EdgeWeights, WeightedEdges};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::free::take_out_slope;
+use super::on_patch::{PatchFactory, PatchInput};
+use super::star_similarity::{Frames, Star, StarFit};
+use super::vertex_assembly::{CHUNK, VertexAssembly};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::nlls::{Assembly, BlockStructure, NormalEquations};
+
+/// `[model]` of Laplacian surface editing.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LaplacianOptions {
+    /// How edges weigh in the differential coordinates: `cotangent` (default) or `uniform`.
+    pub weights: EdgeWeights,
+    /// What the similarities are linearised round: every star as it is turned now (`current`, default), or the rest shape (`rest`).
+    pub frames: Frames,
+}
+
+impl Default for LaplacianOptions {
+    fn default() -> Self {
+        Self { weights: EdgeWeights::Cotangent, frames: Frames::Current }
+    }
+}
+
+impl OptionTable for LaplacianOptions {}
+
+/// A surface that keeps its differential coordinates.
+pub struct Laplacian {
+    /// `lambda` of the regulariser.
+    pub lambda_smooth: f64,
+    frames: Frames,
+    vertices: VertexAssembly,
+    stars: Vec<Star>,
+    rows: Vec<Row>,
+    /// The rows as items of the assembler.
+    assembly: Assembly,
+    fitted: Fit,
+}
+
+/// Three residuals, `T delta - sum_k c_k v_k`.
+struct Row {
+    star: u32,
+    delta: Vec3,
+    /// Every vertex that takes part, ascending.
+    entries: Vec<Entry>,
+}
+
+struct Entry {
+    vertex: u32,
+    /// Which member of the star it is, if it is one.
+    member: Option<u32>,
+    /// `c_k`.
+    coefficient: f64,
+}
+
+/// Everything that follows from `x` alone, kept until `x` changes.
+#[derive(Default)]
+struct Fit {
+    x: Vec<f64>,
+    positions: Vec<Vec3>,
+    stars: Vec<StarFit>,
+    residuals: Vec<Vec3>,
+}
+
+impl Laplacian {
+    /// The surface at rest on `mesh` (millimetres). `reference_vertices` is the number of vertices of the template that `lambda` is
+    /// meant for.
+    ///
+    /// Vertices that no triangle refers to follow the nearest one that has triangles, turning and growing with its star. Parts without
+    /// data stay where they are if the solver damps (`Options::with_damping_floor`); without damping the normal equations are
+    /// singular, which is an error there.
+    ///
+    /// # Errors
+    /// When a position is not finite or a triangle indexes past the vertices.
+    ///
+    /// # Panics
+    /// If `reference_vertices` is not positive.
+    pub fn new(
+        mesh: &TriangleMesh,
+        options: LaplacianOptions,
+        reference_vertices: f64,
+        lambda_smooth: f64,
+    ) -> Result<Self, MeshError> {
+        assert!(reference_vertices > 0.0, "reference_vertices must be positive");
+        let edges = WeightedEdges::new(mesh, options.weights, false)?;
+        let n = &mesh.positions;
+        let mut neighbours = edges.without_ties().stars(n.len());
+        let areas = edges.areas(mesh, options.weights, reference_vertices);
+        let stars: Vec<Star> = neighbours.iter().enumerate().map(|(i, star)| Star::new(i, star, n)).collect();
+        let mut rows = Vec::new();
+        for (i, star) in neighbours.iter_mut().enumerate().filter(|(_, star)| !star.is_empty()) {
+            if edges.boundary[i] && options.weights == EdgeWeights::Cotangent {
+                take_out_slope(i, star, n);
+            }
+            rows.push(Row::new(&stars, i, i as u32, (1.0 / areas[i]).sqrt(), star, n));
+        }
+        for (&[loose, anchor], weight) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
+            rows.push(Row::new(&stars, anchor as usize, loose, weight.sqrt(), &[(anchor, 1.0)], n));
+        }
+        Ok(Self {
+            lambda_smooth,
+            frames: options.frames,
+            vertices: VertexAssembly::new(n.clone(), n.len(), &edges.joined()),
+            stars,
+            rows,
+            assembly: Assembly::default(),
+            fitted: Fit::default(),
+        })
+    }
+
+    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    #[must_use]
+    pub fn with_held(self, held: &[bool]) -> Self {
+        let rest = self.vertices.rest.clone();
+        self.with_held_at(held, &rest)
+    }
+
+    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
+    ///
+    /// # Panics
+    /// If there is not one mark and one position per vertex.
+    #[must_use]
+    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
+        self.vertices.hold(held, positions);
+        self.fitted = Fit::default();
+        self
+    }
+
+    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
+    #[must_use]
+    pub fn unobserved_shifts(&self) -> usize {
+        self.vertices.unobserved_shifts()
+    }
+
+    fn fit(&mut self, x: &[f64]) {
+        let Fit { x: last, positions, stars: fits, residuals } = &mut self.fitted;
+        if last == x && !positions.is_empty() {
+            return;
+        }
+        last.clear();
+        last.extend_from_slice(x);
+        self.vertices.positions(x, positions, |_, v| v);
+        let (stars, rows, frames, v) = (&self.stars, &self.rows, self.frames, &*positions);
+        fits.resize_with(stars.len(), StarFit::identity);
+        fits.par_chunks_mut(CHUNK).zip(stars.par_chunks(CHUNK)).for_each(|(fits, stars)| {
+            fits.iter_mut().zip(stars).for_each(|(fit, star)| fit.update(star, frames, v));
+        });
+        let fits = &*fits;
+        residuals.resize(rows.len(), Vec3::zeros());
+        residuals.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK)).for_each(|(residuals, rows)| {
+            for (residual, row) in residuals.iter_mut().zip(rows) {
+                let laplacian: Vec3 = row.entries.iter().map(|e| v[e.vertex as usize] * e.coefficient).sum();
+                *residual = fits[row.star as usize].apply(row.delta) - laplacian;
+            }
+        });
+    }
+}
+
+impl Row {
+    /// `scale sum_j w_j (. - n_j)` for vertex `i`, which moves as the star does.
+    fn new(stars: &[Star], star: usize, i: u32, scale: f64, others: &[(u32, f64)], n: &[Vec3]) -> Self {
+        let members = stars[star].members.iter().enumerate();
+        let member = |(k, &vertex): (usize, &u32)| Entry { vertex, member: Some(k as u32), coefficient: 0.0 };
+        let mut entries: Vec<Entry> = members.map(member).collect();
+        if entries.iter().all(|e| e.vertex != i) {
+            entries.push(Entry { vertex: i, member: None, coefficient: 0.0 });
+        }
+        entries.sort_unstable_by_key(|e| e.vertex);
+        let mut delta = Vec3::zeros();
+        for &(j, w) in others {
+            delta += (n[i as usize] - n[j as usize]) * (scale * w);
+            for entry in &mut entries {
+                let sign = f64::from(u8::from(entry.vertex == i)) - f64::from(u8::from(entry.vertex == j));
+                entry.coefficient += sign * scale * w;
+            }
+        }
+        Self { star: star as u32, delta, entries }
+    }
+
+    /// Its free blocks, ascending, each with its entry.
+    fn free<'a>(&'a self, vertices: &'a VertexAssembly) -> impl Iterator<Item = (u32, &'a Entry)> + 'a {
+        self.entries.iter().filter_map(|e| Some((vertices.block(e.vertex)? as u32, e)))
+    }
+}
+
+impl DeformationModel for Laplacian {
+    fn name(&self) -> &'static str {
+        "laplacian"
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.vertices.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.vertices.parameter_len()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        self.vertices.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.vertices.rest[v as usize])).collect()
+    }
+
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+        let cliques: Vec<Vec<u32>> =
+            self.rows.iter().map(|row| row.entries.iter().map(|e| e.vertex).collect()).collect();
+        let structure = self.vertices.analyse(samples, cliques.iter().map(Vec::as_slice));
+        let items: Vec<Vec<u32>> =
+            self.rows.iter().map(|row| row.free(&self.vertices).map(|free| free.0).collect()).collect();
+        self.assembly = Assembly::new(items.iter().map(Vec::as_slice), &structure, |_| 3);
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        self.vertices.positions(x, out, |_, v| v);
+    }
+
+    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        self.vertices.pull_back(field, equations);
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.fit(x);
+        let sum: f64 = self.fitted.residuals.iter().map(Vec3::norm_squared).sum();
+        out.push(("differential coordinates", self.lambda_smooth * sum));
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.fit(x);
+        let (rows, stars, fitted, vertices) = (&self.rows, &self.stars, &self.fitted, &self.vertices);
+        let (frames, root) = (self.frames, self.lambda_smooth.sqrt());
+        self.assembly.linearize(
+            0,
+            |_| 3,
+            |item, out| {
+                let row = &rows[item];
+                let (star, fit) = (&stars[row.star as usize], &fitted.stars[row.star as usize]);
+                let by_member = fit.derivative(star, frames, row.delta * root);
+                for (slot, (_, entry)) in row.free(vertices).enumerate() {
+                    let mut m = Matrix3::from_diagonal_element(-root * entry.coefficient);
+                    if let Some(member) = entry.member {
+                        m += by_member(member as usize);
+                    }
+                    for a in 0..3 {
+                        for b in 0..3 {
+                            out.of_block(slot, a)[b] = m[(a, b)];
+                        }
+                    }
+                }
+                out.set_residuals((fitted.residuals[item] * root).as_slice());
+            },
+        );
+        self.assembly.add_to(equations);
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        VertexAssembly::retract(x, step, out);
+    }
+}
+
+impl RegistrationModel for Laplacian {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+
+    fn unobserved_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}
+
+pub(super) struct Factory;
+
+impl ModelFactory for Factory {
+    fn name(&self) -> &'static str {
+        "laplacian"
+    }
+
+    fn default_schedule(&self) -> &'static str {
+        include_str!("schedules/laplacian.toml")
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        given.filled::<LaplacianOptions>()
+    }
+
+    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+        Ok(Box::new(Laplacian::new(input.rest, input.options.read()?, input.reference_vertices, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (options, lambda) = (LaplacianOptions::default(), input.gradient_weight().powi(2));
+        let surface = Laplacian::new(input.mesh, options, input.mesh.positions.len() as f64, lambda)?;
+        Ok(Box::new(surface.with_held_at(input.held, input.places)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::{DMatrix, DVector, Rotation3};
+
+    use super::*;
+    use crate::energy::{DataTerm, Deformation};
+    use crate::mesh::adjacency::EdgeGraph;
+    use crate::mesh::testing::{noise, sheet, side_by_side};
+    use crate::model::vertex_assembly::testing::pins;
+    use crate::model::{Free, FreeOptions, Smoothness};
+    use crate::nlls::{Minimizer, Options, Problem};
+
+    const REFERENCE: f64 = 500.0;
+
+    fn ways() -> impl Iterator<Item = LaplacianOptions> {
+        let weights = [EdgeWeights::Cotangent, EdgeWeights::Uniform].into_iter();
+        weights.flat_map(|weights| [Frames::Current, Frames::Rest].map(|frames| LaplacianOptions { weights, frames }))
+    }
+
+    fn bumpy() -> TriangleMesh {
+        sheet(9, 8, |c, r| {
+            let k = (9.0 * r + c) as usize;
+            Vec3::new(c + 0.3 * noise(k), r + 0.3 * noise(k + 100), 0.4 * noise(k + 200))
+        })
+    }
+
+    type Surface = Deformation<Laplacian, Box<dyn DataTerm>>;
+
+    fn problem(mesh: &TriangleMesh, options: LaplacianOptions) -> Surface {
+        let model = Laplacian::new(mesh, options, REFERENCE, 0.8).unwrap();
+        Deformation::new(model, Samples::vertices(mesh.positions.len()))
+    }
+
+    fn flat(positions: &[Vec3]) -> Vec<f64> {
+        positions.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect()
+    }
+
+    fn turn() -> Rotation3<f64> {
+        Rotation3::from_euler_angles(0.4, -2.0, 2.5)
+    }
+
+    #[test]
+    fn similarities_cost_nothing() {
+        let mut mesh = bumpy();
+        mesh.positions.push(Vec3::new(20.0, 3.0, 1.0)); // in no triangle
+        let shift = Vec3::new(30.0, -8.0, 1.0);
+        // A similarity to first order in its turn: what the paper's T_i can be.
+        let linear = Matrix3::identity() * 1.4 + Vec3::new(0.3, -0.5, 0.2).cross_matrix();
+        for options in ways() {
+            let similarity = match options.frames {
+                Frames::Current => turn().into_inner() * 1.7,
+                Frames::Rest => linear,
+            };
+            let moved: Vec<Vec3> = mesh.positions.iter().map(|p| similarity * p + shift).collect();
+            let mut problem = problem(&mesh, options);
+            let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+            for x in [&mesh.positions, &moved] {
+                let energy = problem.linearize(&flat(x), &mut equations);
+                assert!(energy < 1e-17, "{options:?}: {energy}");
+                assert!(equations.gradient.iter().all(|g| g.abs() < 1e-7), "{options:?}");
+            }
+        }
+    }
+
+    /// The paper's way: the unknowns of eq. (5) by the pseudo-inverse of its matrix A_i, eq. (6).
+    #[test]
+    fn the_papers_energy_is_that_of_its_pseudo_inverses() {
+        let mesh = bumpy();
+        let n = &mesh.positions;
+        let moved: Vec<Vec3> = n.iter().enumerate().map(|(i, p)| Vec3::new(p.y, -p.x, noise(i + 9) - p.z)).collect();
+        let graph = EdgeGraph::of(&mesh);
+        let weight = 1.0 / 3f64.sqrt();
+        let mut expected = 0.0;
+        for i in 0..n.len() {
+            let members: Vec<usize> =
+                std::iter::once(i).chain(graph.neighbours(i).iter().map(|&j| j as usize)).collect();
+            let a = DMatrix::from_fn(3 * members.len(), 7, |row, column| {
+                let p = n[members[row / 3]];
+                [
+                    [p.x, 0.0, p.z, -p.y, 1.0, 0.0, 0.0],
+                    [p.y, -p.z, 0.0, p.x, 0.0, 1.0, 0.0],
+                    [p.z, p.y, -p.x, 0.0, 0.0, 0.0, 1.0],
+                ][row % 3][column]
+            });
+            let b = DVector::from_fn(3 * members.len(), |row, _| moved[members[row / 3]][row % 3]);
+            let found = a.pseudo_inverse(1e-12).unwrap() * b;
+            let t = Matrix3::identity() * found[0] + Vec3::new(found[1], found[2], found[3]).cross_matrix();
+            let laplacian = |v: &[Vec3]| -> Vec3 { members[1..].iter().map(|&j| (v[i] - v[j]) * weight).sum() };
+            expected += (t * laplacian(n) - laplacian(&moved)).norm_squared() * n.len() as f64 / REFERENCE;
+        }
+        let options = LaplacianOptions { weights: EdgeWeights::Uniform, frames: Frames::Rest };
+        approx::assert_relative_eq!(problem(&mesh, options).energy(&flat(&moved)), 0.8 * expected, max_relative = 1e-7);
+    }
+
+    #[test]
+    fn gradients_are_those_of_differences_and_the_papers_system_is_linear() {
+        let mesh = bumpy();
+        let strained: Vec<f64> = flat(&mesh.positions.iter().map(|p| turn() * p * 1.2).collect::<Vec<_>>())
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x + 0.3 * noise(k + 31))
+            .collect();
+        let d: Vec<f64> = (0..strained.len()).map(noise).collect();
+        for options in ways() {
+            let mut problem = problem(&mesh, options);
+            let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+            problem.linearize(&strained, &mut equations);
+            let mut at = |t: f64| problem.energy(&strained.iter().zip(&d).map(|(x, d)| x + t * d).collect::<Vec<_>>());
+            let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+            let found: f64 = 2.0 * equations.gradient.iter().zip(&d).map(|(g, d)| g * d).sum::<f64>();
+            approx::assert_relative_eq!(found, slope, max_relative = 1e-6);
+            if options.frames == Frames::Rest {
+                let curvature = 0.5 * (at(1.0) - 2.0 * at(0.0) + at(-1.0));
+                approx::assert_relative_eq!(equations.quadratic_form(&d), curvature, max_relative = 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn on_a_plane_it_is_the_bending_of_free_vertices() {
+        // Inside a plane delta vanishes, and so does every T delta; at the boundary it does not, so that is held still.
+        let mesh = sheet(9, 7, |c, r| Vec3::new(c + 0.3 * r, r, 0.0));
+        let bump = |i: usize| if (2..7).contains(&(i % 9)) && (2..5).contains(&(i / 9)) { noise(i) } else { 0.0 };
+        let d: Vec<Vec3> = (0..63).map(|i| Vec3::z() * bump(i)).collect();
+        let moved: Vec<Vec3> = mesh.positions.iter().zip(&d).map(|(p, d)| p + d).collect();
+        for weights in [EdgeWeights::Cotangent, EdgeWeights::Uniform] {
+            let kind = Smoothness::BiLaplacian;
+            let mut free = Free::new(&mesh, FreeOptions { kind, weights, reference_vertices: REFERENCE }, 0.8).unwrap();
+            let mut bending = Vec::new();
+            free.regulariser_energy(&flat(&d), &mut bending);
+            let options = LaplacianOptions { weights, frames: Frames::Rest };
+            let energy = problem(&mesh, options).energy(&flat(&moved));
+            approx::assert_relative_eq!(energy, bending[0].1, max_relative = 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_fold_costs_the_same_whatever_the_resolution_and_the_unit() {
+        let energy = |n: usize, unit: f64, options: LaplacianOptions| {
+            let at = |c: f64, r: f64| [c, r].map(|k| k / (n - 1) as f64);
+            let place = |x: f64, y: f64| Vec3::new(x, y, 0.2 * (3.0 * x).sin() * (2.0 * y).cos()) * 10.0 * unit;
+            let mesh = sheet(n, n, |c, r| {
+                let [x, y] = at(c, r);
+                place(x, y)
+            });
+            let bend = |p: &Vec3| {
+                let q = p / (10.0 * unit);
+                Vec3::new(q.x.sin(), q.y + 0.1 * (2.0 * q.x).sin(), q.z + q.x.cos()) * 10.0 * unit
+            };
+            let moved: Vec<Vec3> = mesh.positions.iter().map(bend).collect();
+            problem(&mesh, options).energy(&flat(&moved))
+        };
+        let options = LaplacianOptions::default();
+        let found = [33, 65].map(|n| energy(n, 1.0, options));
+        approx::assert_relative_eq!(found[0], found[1], max_relative = 0.1);
+        for options in ways() {
+            approx::assert_relative_eq!(energy(9, 1e-3, options) * 1e6, energy(9, 1.0, options), max_relative = 1e-6);
+        }
+    }
+
+    #[test]
+    fn broken_stars_loose_vertices_and_parts_without_data_stay_finite() {
+        let mut mesh = side_by_side(&bumpy(), &sheet(3, 3, |c, r| Vec3::new(c + 30.0, r, 0.0)));
+        let n = mesh.positions.len() as u32;
+        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::y() * 5.0].map(|p| p + Vec3::z() * 50.0));
+        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::x() * 5.0].map(|p| p + Vec3::z() * 9.0));
+        mesh.positions.extend([Vec3::new(1.0, 2.0, 30.0); 3]);
+        mesh.positions.push(mesh.positions[40] + Vec3::new(0.1, 0.2, 0.5));
+        mesh.triangles.extend([[n, n + 1, n + 2], [n + 3, n + 4, n + 5], [n + 6, n + 7, n + 8], [3, 3, 4]]);
+        let small = Rotation3::from_euler_angles(0.2, -0.5, 0.3);
+        let targets: Vec<Vec3> = (0..72).map(|i| small * mesh.positions[i] * 1.1 + Vec3::z()).collect();
+        for options in ways() {
+            let mut problem = problem(&mesh, options);
+            problem.terms = pins(&(0..72).collect::<Vec<_>>(), &targets);
+            let mut x = problem.model.rest_parameters();
+            let minimizer = Options::gauss_newton().with_max_iterations(100).with_damping_floor(1e-9);
+            let summary = Minimizer::new(minimizer.with_energy_tolerance(0.0)).unwrap().minimize(&mut problem, &mut x);
+            assert!(summary.final_energy < 0.1 * summary.initial_energy, "{options:?} {summary}");
+            assert_eq!(problem.model.unobserved_shifts(), 12, "{options:?}");
+            let vertices = problem.vertices(&x).to_vec();
+            assert!(vertices.iter().all(|v| v.iter().all(|c| c.is_finite())));
+            for (v, n) in vertices.iter().zip(&mesh.positions).skip(72).take(12) {
+                approx::assert_abs_diff_eq!(*v, *n, epsilon = 1e-5);
+            }
+            if options.frames == Frames::Current {
+                let loose = small * mesh.positions[90] * 1.1 + Vec3::z();
+                approx::assert_abs_diff_eq!(vertices[90], loose, epsilon = 1e-3);
+            }
+        }
+        mesh.positions[4].y = f64::INFINITY;
+        assert!(Laplacian::new(&mesh, LaplacianOptions::default(), REFERENCE, 1.0).is_err());
+    }
+
+    #[test]
+    fn held_vertices_are_no_parameters_and_the_papers_minimum_is_one_step_away() {
+        let mesh = bumpy();
+        let held: Vec<bool> = (0..72).map(|i| i % 9 == 0 || i == 40).collect();
+        for options in ways() {
+            let model = Laplacian::new(&mesh, options, REFERENCE, 0.8).unwrap().with_held(&held);
+            assert_eq!(model.parameter_len(), 3 * (72 - 9));
+            let mut problem: Surface = Deformation::new(model, Samples::vertices(72));
+            problem.terms = pins(&[8, 71], &[Vec3::new(9.0, -1.0, 2.0), Vec3::new(8.0, 9.0, 3.0)]);
+            let mut x = problem.model.rest_parameters();
+            let one = options.frames == Frames::Rest;
+            let steps = Options::gauss_newton().with_max_iterations(if one { 1 } else { 100 });
+            let summary = Minimizer::new(steps).unwrap().minimize(&mut problem, &mut x);
+            assert!(summary.final_energy < 0.9 * summary.initial_energy, "{summary}");
+            for (v, held) in held.iter().enumerate() {
+                assert_eq!(problem.vertices(&x)[v] == mesh.positions[v], *held, "vertex {v}");
+            }
+            if one {
+                let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+                problem.linearize(&x, &mut equations);
+                assert!(equations.gradient.iter().all(|g| g.abs() < 1e-9));
+            }
+        }
+    }
+}

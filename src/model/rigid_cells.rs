@@ -1,0 +1,450 @@
+//! Cells of edges that should move rigidly: what as-rigid-as-possible surfaces and gradient-domain deformation share. A model of this
+//! kind says which edges each of its cells has, and how they weigh.
+//!
+//! ```text
+//!     E_smooth = lambda sum_c sum_(a,b in c) w_ab |(v_a - v_b) - R_c (n_a - n_b)|^2
+//! ```
+//!
+//! `v` are the parameters, `n` the rest positions. The rotations are not parameters: for any `v` each `R_c` is the best one, so
+//! `E_smooth` is a function of `v` alone, and by the envelope theorem its gradient is that at fixed `R_c`.
+//!
+//! Two Hessians go with it. **Local/global** keeps the rotations: `L`, the Laplacian of all edges of all cells; the energy never
+//! rises. **Joint** linearises positions and rotations together, `r_ab = v_a - v_b - exp(omega_c^) R_c (n_a - n_b)`, and
+//! eliminates each `omega_c` by its 3 x 3 block:
+//!
+//! ```text
+//!     p_ab = R_c (n_a - n_b)      D_c = sum w_ab (|p_ab|^2 1 - p_ab p_ab')
+//!     C_c v = sum w_ab p_ab x (v_b - v_a)
+//!     H = lambda L - lambda sum_c C_c' D_c^-1 C_c
+//! ```
+//!
+//! It joins all members of a cell, and needs far fewer steps where rotations are large.
+
+use std::marker::PhantomData;
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::edge_weights::WeightedEdges;
+use super::factory::{RegistrationModel, SmoothLevel};
+use super::rotation_fit::closest_rotation;
+use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
+use crate::energy::{DeformationModel, NamedEnergy, Options, OptionsError, QuadricField, Samples};
+use crate::mesh::Vec3;
+use crate::nlls::{BlockStructure, NormalEquations};
+
+/// What a step knows of the rotations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ArapSolver {
+    /// They stay while the positions move (Sorkine and Alexa's alternation).
+    #[default]
+    LocalGlobal,
+    /// They turn along: Gauss-Newton over positions and rotations, the rotations eliminated.
+    Joint,
+}
+
+/// Part of the trace of `D_c` added to its diagonal: cells on a line turn freely round it.
+const TURN_FLOOR: f64 = 1e-9;
+
+/// A kind of cells: [`Spokes`](super::Spokes) or [`Patches`](super::Patches).
+pub trait CellKind: Send + Sync + 'static {
+    /// Name of the model in reports.
+    const NAME: &'static str;
+    /// Name of its energy.
+    const ENERGY: &'static str;
+    /// Cells of fewer members stay as they are turned while a joint step is found.
+    const FEWEST_TURNING: usize = 0;
+}
+
+/// A surface whose cells should move rigidly: [`Arap`](super::Arap) or [`Poisson`](super::Poisson).
+pub struct RigidCells<K> {
+    /// `lambda` of the regulariser.
+    pub lambda_smooth: f64,
+    /// `None` for rotations that are the identity.
+    solver: Option<ArapSolver>,
+    assembly: VertexAssembly,
+    cells: Cells,
+    fitted: Fit,
+    /// `L`, a scalar for every stored block.
+    stiffness: Vec<f64>,
+    rows: CellRows,
+    /// What each member of each cell adds to half the gradient, but for `lambda`.
+    pulls: Vec<Vec3>,
+    /// `C_c` and `D_c^-1 C_c` for every member; joint only.
+    coupling: Vec<[Matrix3<f64>; 2]>,
+    kind: PhantomData<K>,
+}
+
+/// The edges of every cell, and its members: the vertices that they join.
+#[derive(Default)]
+pub(super) struct Cells {
+    member_starts: Vec<u32>,
+    members: Vec<u32>,
+    edge_starts: Vec<u32>,
+    edges: Vec<CellEdge>,
+}
+
+#[derive(Clone, Copy)]
+struct CellEdge {
+    /// Its ends a and b among the members of the cell.
+    ends: [u32; 2],
+    weight: f64,
+    /// `n_a - n_b`.
+    rest: Vec3,
+}
+
+impl Cells {
+    pub fn new() -> Self {
+        Self { member_starts: vec![0], edge_starts: vec![0], ..Self::default() }
+    }
+
+    /// Adds the cell of the given edges, `(a, b, w_ab)`. Those without weight are left out.
+    pub fn push(&mut self, rest: &[Vec3], edges: impl IntoIterator<Item = (u32, u32, f64)>) {
+        let first = self.members.len();
+        for (a, b, weight) in edges.into_iter().filter(|e| e.2 != 0.0) {
+            let ends = [a, b].map(|v| {
+                let known = self.members[first..].iter().position(|m| *m == v);
+                known.unwrap_or_else(|| {
+                    self.members.push(v);
+                    self.members.len() - 1 - first
+                }) as u32
+            });
+            self.edges.push(CellEdge { ends, weight, rest: rest[a as usize] - rest[b as usize] });
+        }
+        self.member_starts.push(self.members.len() as u32);
+        self.edge_starts.push(self.edges.len() as u32);
+    }
+
+    fn len(&self) -> usize {
+        self.member_starts.len() - 1
+    }
+
+    fn member_range(&self, c: usize) -> Range<usize> {
+        self.member_starts[c] as usize..self.member_starts[c + 1] as usize
+    }
+
+    fn members(&self, c: usize) -> &[u32] {
+        &self.members[self.member_range(c)]
+    }
+
+    fn edges(&self, c: usize) -> &[CellEdge] {
+        &self.edges[self.edge_starts[c] as usize..self.edge_starts[c + 1] as usize]
+    }
+
+    /// The edges of a cell, each with `v_a - v_b`.
+    fn at<'a>(&'a self, c: usize, v: &'a [Vec3]) -> impl Iterator<Item = (&'a CellEdge, Vec3)> + 'a {
+        let members = self.members(c);
+        let place = move |end: u32| v[members[end as usize] as usize];
+        self.edges(c).iter().map(move |edge| (edge, place(edge.ends[0]) - place(edge.ends[1])))
+    }
+}
+
+/// Everything that follows from `x` alone, kept until `x` changes.
+#[derive(Default)]
+struct Fit {
+    x: Vec<f64>,
+    positions: Vec<Vec3>,
+    rotations: Vec<UnitQuaternion<f64>>,
+    cells: Vec<CellFit>,
+}
+
+#[derive(Clone, Copy)]
+struct CellFit {
+    rotation: Matrix3<f64>,
+    energy: f64,
+}
+
+/// Per block, the cells that its vertex is a member of.
+#[derive(Default)]
+struct CellRows {
+    starts: Vec<u32>,
+    uses: Vec<MemberUse>,
+    targets: Vec<Target>,
+}
+
+/// A cell at one of its members. Joint: the members that come no later in the row are its targets.
+struct MemberUse {
+    member: u32,
+    targets: Range<u32>,
+}
+
+struct Target {
+    member: u32,
+    /// Where the block starts in the row.
+    start: u32,
+}
+
+impl<K: CellKind> RigidCells<K> {
+    /// The surface at rest. `edges` say which vertices hang together.
+    pub(super) fn of(
+        rest: &[Vec3],
+        edges: &WeightedEdges,
+        cells: Cells,
+        solver: Option<ArapSolver>,
+        lambda_smooth: f64,
+    ) -> Self {
+        Self {
+            lambda_smooth,
+            solver,
+            assembly: VertexAssembly::new(rest.to_vec(), rest.len(), &edges.joined()),
+            cells,
+            fitted: Fit::default(),
+            stiffness: Vec::new(),
+            rows: CellRows::default(),
+            pulls: Vec::new(),
+            coupling: Vec::new(),
+            kind: PhantomData,
+        }
+    }
+
+    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    #[must_use]
+    pub fn with_held(self, held: &[bool]) -> Self {
+        let rest = self.assembly.rest.clone();
+        self.with_held_at(held, &rest)
+    }
+
+    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
+    ///
+    /// # Panics
+    /// If there is not one mark and one position per vertex.
+    #[must_use]
+    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
+        self.assembly.hold(held, positions);
+        self.fitted = Fit::default();
+        self
+    }
+
+    /// The best rotation of every cell at `x`.
+    pub fn rotations(&mut self, x: &[f64]) -> impl Iterator<Item = Rotation3<f64>> + '_ {
+        self.fit(x);
+        self.fitted.rotations.iter().map(|q| q.to_rotation_matrix())
+    }
+
+    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
+    #[must_use]
+    pub fn unobserved_shifts(&self) -> usize {
+        self.assembly.unobserved_shifts()
+    }
+
+    /// The local step.
+    fn fit(&mut self, x: &[f64]) {
+        let Fit { x: last, positions, rotations, cells: fits } = &mut self.fitted;
+        if last == x && !positions.is_empty() {
+            return;
+        }
+        last.clear();
+        last.extend_from_slice(x);
+        self.assembly.positions(x, positions, |_, v| v);
+        let (cells, v, turning) = (&self.cells, &*positions, self.solver.is_some());
+        rotations.resize(cells.len(), UnitQuaternion::identity());
+        fits.resize(cells.len(), CellFit { rotation: Matrix3::identity(), energy: 0.0 });
+        let chunks = fits.par_chunks_mut(CHUNK).zip(rotations.par_chunks_mut(CHUNK)).enumerate();
+        chunks.for_each(|(chunk, (fits, rotations))| {
+            for (k, (fit, rotation)) in fits.iter_mut().zip(rotations).enumerate() {
+                let c = chunk * CHUNK + k;
+                if turning {
+                    let a = cells.at(c, v).map(|(edge, e)| e * edge.weight * edge.rest.transpose()).sum();
+                    *rotation = closest_rotation(&a, rotation);
+                    fit.rotation = rotation.to_rotation_matrix().into_inner();
+                }
+                let strain = |(edge, e): (&CellEdge, Vec3)| edge.weight * (e - fit.rotation * edge.rest).norm_squared();
+                fit.energy = cells.at(c, v).map(strain).sum();
+            }
+        });
+    }
+
+    /// Where members and, for the joint solver, their pairs lie in the equations.
+    fn analyse_rows(&mut self, structure: &BlockStructure) {
+        let joint = self.solver == Some(ArapSolver::Joint);
+        let mut uses: Vec<(usize, MemberUse)> = Vec::new();
+        let mut targets = Vec::new();
+        for c in 0..self.cells.len() {
+            let block = |m| self.assembly.block(self.cells.members[m]).map(|block| (m as u32, block));
+            let free = self.cells.member_range(c).filter_map(block);
+            for (member, row) in free.clone() {
+                let first = targets.len() as u32;
+                let others = free.clone().filter(|other| joint && other.1 <= row);
+                let target = |(member, column)| Target { member, start: row_position(structure, row, column) };
+                targets.extend(others.map(target));
+                uses.push((row, MemberUse { member, targets: first..targets.len() as u32 }));
+            }
+        }
+        uses.sort_by_key(|u| u.0);
+        let mut starts = vec![0; structure.block_count() + 1];
+        uses.iter().for_each(|u| starts[u.0 + 1] += 1);
+        for i in 0..structure.block_count() {
+            starts[i + 1] += starts[i];
+        }
+        self.rows = CellRows { starts, uses: uses.into_iter().map(|u| u.1).collect(), targets };
+        self.pulls = vec![Vec3::zeros(); self.cells.members.len()];
+        self.coupling = vec![[Matrix3::zeros(); 2]; if joint { self.cells.members.len() } else { 0 }];
+    }
+
+    /// Pulls of all members, and their `C_c` and `D_c^-1 C_c` if there are any.
+    fn linearize_cells(&mut self) {
+        let (cells, fits, v) = (&self.cells, &self.fitted.cells, &self.fitted.positions);
+        split_cells(&cells.member_starts, 0, &mut self.pulls, &|c, pulls| {
+            pulls.fill(Vec3::zeros());
+            for (edge, e) in cells.at(c, v) {
+                let pull = (e - fits[c].rotation * edge.rest) * edge.weight;
+                pulls[edge.ends[0] as usize] += pull;
+                pulls[edge.ends[1] as usize] -= pull;
+            }
+        });
+        if self.coupling.is_empty() {
+            return;
+        }
+        split_cells(&cells.member_starts, 0, &mut self.coupling, &|c, coupling| {
+            coupling.fill([Matrix3::zeros(); 2]);
+            let mut d = Matrix3::zeros();
+            for edge in cells.edges(c) {
+                let p = fits[c].rotation * edge.rest;
+                d += (Matrix3::from_diagonal_element(p.norm_squared()) - p * p.transpose()) * edge.weight;
+                let cross = p.cross_matrix() * edge.weight;
+                coupling[edge.ends[0] as usize][0] -= cross;
+                coupling[edge.ends[1] as usize][0] += cross;
+            }
+            // Where D is not positive definite (negative weights) the rotation stays, as in local/global.
+            let alone = coupling.len() < K::FEWEST_TURNING;
+            let floor = TURN_FLOOR * d.trace();
+            let factor = (d + Matrix3::from_diagonal_element(floor)).cholesky().filter(|_| !alone);
+            for [c, y] in coupling {
+                *y = factor.as_ref().map_or_else(Matrix3::zeros, |factor| factor.solve(c));
+            }
+        });
+    }
+}
+
+/// Calls `fill(c, what belongs to the members of cell c)` for every cell, in parallel.
+fn split_cells<T: Send>(starts: &[u32], first: usize, of_members: &mut [T], fill: &(impl Fn(usize, &mut [T]) + Sync)) {
+    let count = starts.len() - 1;
+    if count <= CHUNK {
+        let mut rest = of_members;
+        for (k, cell) in starts.windows(2).enumerate() {
+            let (own, others) = rest.split_at_mut((cell[1] - cell[0]) as usize);
+            fill(first + k, own);
+            rest = others;
+        }
+        return;
+    }
+    let middle = count / 2;
+    let (left, right) = of_members.split_at_mut((starts[middle] - starts[0]) as usize);
+    rayon::join(
+        || split_cells(&starts[..=middle], first, left, fill),
+        || split_cells(&starts[middle..], first + middle, right, fill),
+    );
+}
+
+impl<K: CellKind> DeformationModel for RigidCells<K> {
+    fn name(&self) -> &'static str {
+        K::NAME
+    }
+
+    fn vertex_count(&self) -> usize {
+        self.assembly.rest.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.assembly.parameter_len()
+    }
+
+    fn rest_parameters(&self) -> Vec<f64> {
+        self.assembly.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.assembly.rest[v as usize])).collect()
+    }
+
+    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+        let cells = &self.cells;
+        let structure = match self.solver {
+            Some(ArapSolver::Joint) => self.assembly.analyse(samples, (0..cells.len()).map(|c| cells.members(c))),
+            Some(ArapSolver::LocalGlobal) | None => {
+                let of = |c| cells.edges(c).iter().map(move |e| e.ends.map(|end| cells.members(c)[end as usize]));
+                let edges: Vec<[u32; 2]> = (0..cells.len()).flat_map(of).collect();
+                self.assembly.analyse(samples, edges.iter().map(|e| &e[..]))
+            }
+        };
+        self.stiffness = vec![0.0; structure.slot_count()];
+        for c in 0..cells.len() {
+            for edge in cells.edges(c) {
+                let ends = edge.ends.map(|end| self.assembly.block(cells.members(c)[end as usize]));
+                for row in ends.into_iter().flatten() {
+                    self.stiffness[structure.row_slots(row).end - 1] += edge.weight;
+                }
+                if let [Some(a), Some(b)] = ends {
+                    let slot = structure.row_slots(a.max(b)).start;
+                    self.stiffness[slot + row_position(&structure, a.max(b), a.min(b)) as usize / 9] -= edge.weight;
+                }
+            }
+        }
+        self.analyse_rows(&structure);
+        structure
+    }
+
+    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
+        self.assembly.positions(x, out, |_, v| v);
+    }
+
+    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
+        self.assembly.pull_back(field, equations);
+    }
+
+    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
+        self.fit(x);
+        let sum: f64 = self.fitted.cells.iter().map(|c| c.energy).sum();
+        out.push((K::ENERGY, self.lambda_smooth * sum));
+    }
+
+    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
+        self.fit(x);
+        self.linearize_cells();
+        let structure = equations.structure().clone();
+        let (stiffness, rows, pulls, coupling, lambda) =
+            (&self.stiffness, &self.rows, &self.pulls, &self.coupling, self.lambda_smooth);
+        equations.for_each_block_row(&|i, mut row| {
+            add_scalars(&mut row, &stiffness[structure.row_slots(i)], lambda);
+            let uses = &rows.uses[rows.starts[i] as usize..rows.starts[i + 1] as usize];
+            let gradient: Vec3 = uses.iter().map(|u| pulls[u.member as usize]).sum();
+            row.gradient.iter_mut().zip(&gradient).for_each(|(g, r)| *g += lambda * r);
+            if !coupling.is_empty() {
+                rows.subtract_turns(uses, coupling, row.blocks, lambda);
+            }
+        });
+    }
+
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        VertexAssembly::retract(x, step, out);
+    }
+}
+
+impl CellRows {
+    /// Subtracts `lambda C_c' D_c^-1 C_c` of all cells from one block row.
+    fn subtract_turns(&self, uses: &[MemberUse], coupling: &[[Matrix3<f64>; 2]], blocks: &mut [f64], lambda: f64) {
+        for cell in uses {
+            let own = coupling[cell.member as usize][0] * lambda;
+            for target in &self.targets[cell.targets.start as usize..cell.targets.end as usize] {
+                let product = own.tr_mul(&coupling[target.member as usize][1]);
+                let block = &mut blocks[target.start as usize..target.start as usize + 9];
+                for (k, h) in block.iter_mut().enumerate() {
+                    *h -= product[(k / 3, k % 3)];
+                }
+            }
+        }
+    }
+}
+
+impl<K: CellKind> RegistrationModel for RigidCells<K> {
+    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
+        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
+        Ok(())
+    }
+
+    fn unobserved_directions(&self) -> Option<usize> {
+        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
+    }
+}

@@ -1,0 +1,152 @@
+//! `nonrigid animate`: one file of the frames of a sequence.
+
+use crate::support::Bench;
+use nonrigid::io::{read_gltf, read_obj, write_obj};
+use nonrigid::mesh::{Pose, Vec3};
+use serde_json::Value;
+
+/// Three frames: the rig's template, with its first shape at a half and turned, and pulled where no shape goes.
+fn frames(bench: &Bench) -> Vec<Vec<Vec3>> {
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    bench.done("rig convert --rig rig --out rig.glb");
+    let targets = read_gltf(&bench.path("rig.glb")).unwrap();
+    let shape = &targets.target_deltas[..3 * template.positions.len()];
+    let turn = Pose::rigid(Vec3::new(0.1, 0.2, -0.1), Vec3::new(5.0, -3.0, 2.0));
+    let half = |(p, d): (&Vec3, &[f32])| turn.apply(p + Vec3::new(d[0].into(), d[1].into(), d[2].into()) * 0.5);
+    let second: Vec<Vec3> = template.positions.iter().zip(shape.chunks_exact(3)).map(half).collect();
+    let third = second.iter().map(|p| p + Vec3::new(0.0, 0.2 * (0.1 * p.x).sin(), 0.0)).collect();
+    let frames = vec![template.positions.clone(), second, third];
+    std::fs::create_dir(bench.path("frames")).unwrap();
+    for (k, frame) in frames.iter().enumerate() {
+        write_obj(&bench.path(&format!("frames/f{k}.obj")), &template.with_positions(frame.clone())).unwrap();
+    }
+    frames
+}
+
+/// Greatest distance between frames.
+fn farthest(a: &[Vec3], b: &[Vec3]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_point_cache_has_every_frame() {
+    let bench = Bench::new();
+    let frames = frames(&bench);
+    let printed = bench.done("animate --meshes frames --out face.pc2");
+    assert!(printed.starts_with("3 frames of "), "{printed}");
+    let bytes = bench.read("face.pc2");
+    assert_eq!(&bytes[..12], b"POINTCACHE2\0");
+    let word = |k: usize| i32::from_le_bytes(bytes[12 + 4 * k..16 + 4 * k].try_into().unwrap());
+    assert_eq!((word(0), word(1) as usize, word(4)), (1, frames[0].len(), 3));
+    let values: Vec<f64> =
+        bytes[32..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect();
+    let points: Vec<Vec3> = values.chunks_exact(3).map(Vec3::from_column_slice).collect();
+    for (k, frame) in frames.iter().enumerate() {
+        assert!(farthest(&points[k * frame.len()..(k + 1) * frame.len()], frame) < 1e-4);
+    }
+}
+
+#[test]
+fn a_stage_has_every_frame_and_what_the_mesh_has() {
+    let bench = Bench::new();
+    let frames = frames(&bench);
+    bench.done("animate --meshes frames --fps 25 --out face.usda");
+    let text = String::from_utf8(bench.read("face.usda")).unwrap();
+    for part in [
+        "endTimeCode = 2",
+        "timeCodesPerSecond = 25",
+        "metersPerUnit = 0.001",
+        "upAxis = \"Y\"",
+        "primvars:st:indices",
+        "GeomSubset",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+    let points = &text[text.find("points.timeSamples").unwrap()..];
+    for (k, frame) in frames.iter().enumerate() {
+        let line = points.lines().find(|l| l.trim_start().starts_with(&format!("{k}: "))).unwrap();
+        let numbers: Vec<f64> = line[line.find('[').unwrap()..]
+            .split(|c: char| !(c.is_ascii_digit() || "+-.e".contains(c)))
+            .filter_map(|n| n.parse().ok())
+            .collect();
+        let found: Vec<Vec3> = numbers.chunks_exact(3).map(Vec3::from_column_slice).collect();
+        assert!(farthest(&found, frame) < 1e-4, "frame {k}");
+    }
+}
+
+/// The numbers of an accessor of 32 bit floats.
+fn floats(document: &Value, binary: &[u8], accessor: &Value) -> Vec<f64> {
+    let accessor = &document["accessors"][accessor.as_u64().unwrap() as usize];
+    let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+    let (start, length) =
+        (view["byteOffset"].as_u64().unwrap() as usize, view["byteLength"].as_u64().unwrap() as usize);
+    binary[start..start + length].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()).into()).collect()
+}
+
+#[test]
+fn shapes_a_pose_and_what_is_left_give_every_frame() {
+    let bench = Bench::new();
+    let frames = frames(&bench);
+    for rig in ["", "--rig rig"] {
+        bench.done(&format!("animate --meshes frames --fps 10 {rig} --out face.glb"));
+        let mesh = read_gltf(&bench.path("face.glb")).unwrap();
+        let bytes = bench.read("face.glb");
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+        let binary = &bytes[28 + length..];
+        let animation = &document["animations"][0];
+        let track = |path: &str| {
+            let channel =
+                animation["channels"].as_array().unwrap().iter().find(|c| c["target"]["path"] == path).unwrap();
+            let sampler = &animation["samplers"][channel["sampler"].as_u64().unwrap() as usize];
+            (floats(&document, binary, &sampler["input"]), floats(&document, binary, &sampler["output"]))
+        };
+        let (times, weights) = track("weights");
+        assert!(farthest(&[Vec3::from_column_slice(&times)], &[Vec3::new(0.0, 0.1, 0.2)]) < 1e-7);
+        let (translations, turns) = (track("translation").1, track("rotation").1);
+        let targets = weights.len() / 3;
+        if !rig.is_empty() {
+            assert!(
+                (weights[targets] - 0.5).abs() < 0.02,
+                "the first shape explains the second frame: {}",
+                weights[targets]
+            );
+        }
+        for (k, frame) in frames.iter().enumerate() {
+            let q = nalgebra::Quaternion::from_vector(nalgebra::Vector4::from_column_slice(&turns[4 * k..4 * k + 4]));
+            let q = nalgebra::UnitQuaternion::from_quaternion(q);
+            let t = Vec3::from_column_slice(&translations[3 * k..3 * k + 3]) * 1000.0;
+            let count = frame.len();
+            let at = |v: usize| {
+                let moved = |j: usize| {
+                    let d = &mesh.target_deltas[3 * (j * count + v)..][..3];
+                    Vec3::new(d[0].into(), d[1].into(), d[2].into()) * weights[k * targets + j]
+                };
+                q * (mesh.mesh.positions[v] + (0..targets).map(moved).sum::<Vec3>()) + t
+            };
+            let found: Vec<Vec3> = (0..count).map(at).collect();
+            assert!(farthest(&found, frame) < 2e-3, "{rig} frame {k}: {}", farthest(&found, frame));
+        }
+    }
+}
+
+#[test]
+fn frames_that_are_no_sequence_are_refused() {
+    let bench = Bench::new();
+    frames(&bench);
+    let fails = |line: &str, code: i32, says: &str| {
+        let run = bench.run(line);
+        assert_eq!(run.code, code, "{line}: {}", run.stderr);
+        assert!(run.stderr.contains(says), "{line}: {}", run.stderr);
+    };
+    fails("animate --meshes frames --rig rig --out a.usda", 1, "only .glb has weights");
+    fails("animate --meshes frames --out a.obj", 1, ".usda");
+    fails("animate --meshes frames --fps 0 --out a.usda", 1, "fps");
+    fails("animate --meshes case/none --out a.usda", 4, "none");
+    std::fs::create_dir(bench.path("empty")).unwrap();
+    fails("animate --meshes empty --out a.usda", 4, "found no .obj or .ply");
+    bench.write("frames/z.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    fails("animate --meshes frames --unit mm --out a.pc2", 4, "z.obj: has other vertices");
+    assert!(!bench.path("a.pc2").exists());
+}
