@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::elements::Elements;
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::rotation_fit::closest_rotation;
 use super::vertex_assembly::{CHUNK, VertexAssembly};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
@@ -336,5 +337,20 @@ impl ModelFactory for Factory {
         let options: TissueOptions = input.options.read()?;
         let options = TissueOptions { thickness: input.length(options.thickness), ..options };
         Ok(Box::new(Fem::new(input.rest, options, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let tissue = Fem::new(input.mesh, TissueOptions::default(), input.gradient_weight())?;
+        Ok(Box::new(tissue.with_held_at(input.held, input.places)))
     }
 }

@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::elements::Elements;
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::vertex_assembly::{CHUNK, VertexAssembly};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -274,5 +275,20 @@ impl ModelFactory for Factory {
         let SpringOptions { thickness } = input.options.read()?;
         let options = SpringOptions { thickness: input.length(thickness) };
         Ok(Box::new(MassSpring::new(input.rest, options, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+impl PatchFactory for Factory {
+    fn by_vertex(&self) -> bool {
+        true
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let tissue = MassSpring::new(input.mesh, SpringOptions::default(), input.gradient_weight())?;
+        Ok(Box::new(tissue.with_held_at(input.held, input.places)))
     }
 }

@@ -18,7 +18,10 @@ const HYBRID: MorphModel = MorphModel::Energy(ModelKind::Hybrid);
 const POISSON: MorphModel = MorphModel::Energy(ModelKind::Poisson);
 const LAPLACIAN: MorphModel = MorphModel::Energy(ModelKind::Laplacian);
 const GPMM: MorphModel = MorphModel::Energy(ModelKind::Gpmm);
-const ENERGIES: [MorphModel; 8] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM];
+const SPRINGS: MorphModel = MorphModel::Energy(ModelKind::MassSpring);
+const TISSUE: MorphModel = MorphModel::Energy(ModelKind::Fem);
+const ENERGIES: [MorphModel; 10] =
+    [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM, SPRINGS, TISSUE];
 
 /// A generated face, its first identity modes, and a soft round mask on the tip of its nose.
 struct Face {
