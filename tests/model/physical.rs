@@ -232,8 +232,7 @@ fn the_lattice_bends_by_the_thin_plates_energy_whatever_its_spacing_and_triangul
     // d = c x^2 / 2: the integral of |grad grad d|^2 is c^2 times the area.
     let (c, size) = (0.01, 118.0);
     let bent = |cells: usize, spacing: f64, unit: f64| {
-        // Rising a little: on a side of the cells the third layer of control points would have no weight, and relax.
-        let mesh = sheet(size * unit, cells, |x, y| Vec3::new(x, y, y / size));
+        let mesh = sheet(size * unit, cells, |x, y| Vec3::new(x, y, 0.0));
         let mut model = Ffd::new(&mesh, LatticeOptions { spacing: spacing * unit }, 500.0, 1.0).unwrap();
         let count = mesh.positions.len();
         let mut body: Body = Deformation::new(Box::new(model), Samples::vertices(count));
@@ -253,7 +252,9 @@ fn the_lattice_bends_by_the_thin_plates_energy_whatever_its_spacing_and_triangul
         let n = f64::ceil(size / spacing);
         let (area, covered) = (size * size, n * (n + 2.0) * spacing * spacing);
         println!("{cells} cells, spacing {spacing}: {found}, {} of the sheet is covered", covered / area);
-        approx::assert_relative_eq!(found, area / 500.0 * c * c * covered, max_relative = 1e-3);
+        // The sheet lies on a side of the cells, where the third layer of control points has no weight: it relaxes at its rim.
+        let all = area / 500.0 * c * c * covered;
+        assert!(found < (1.0 + 1e-9) * all && found > 0.96 * all, "{found}, {all}");
     }
     approx::assert_relative_eq!(bent(30, 12.0, 1.0 / 1024.0), bent(30, 12.0, 1.0), max_relative = 1e-6);
 }

@@ -20,8 +20,7 @@ const LAPLACIAN: MorphModel = MorphModel::Energy(ModelKind::Laplacian);
 const GPMM: MorphModel = MorphModel::Energy(ModelKind::Gpmm);
 const SPRINGS: MorphModel = MorphModel::Energy(ModelKind::MassSpring);
 const TISSUE: MorphModel = MorphModel::Energy(ModelKind::Fem);
-const ENERGIES: [MorphModel; 10] =
-    [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM, SPRINGS, TISSUE];
+const ENERGIES: [MorphModel; 10] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM, SPRINGS, TISSUE];
 
 /// A generated face, its first identity modes, and a soft round mask on the tip of its nose.
 struct Face {

@@ -304,7 +304,7 @@ impl MorphEnergy {
         };
         let shapes = if model.uses_shapes() { shapes.masked(&patch.vertices, mask) } else { ShapeBasis::none() };
         let (mut held, mut places) = (patch.held.clone(), patch.mesh.positions.clone());
-        for (v, target) in &pinned {
+        for (v, target) in pinned.iter().filter(|_| by_vertex) {
             if let Some(k) = patch.find(*v) {
                 (held[k as usize], places[k as usize]) = (true, *target);
             }
