@@ -13,7 +13,7 @@ use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
-/// claims, compares all models, and puts everything on one page, in at most thirteen minutes on two cores.
+/// claims, compares all models, and puts everything on one page, in about a quarter of an hour on two cores.
 #[derive(Parser)]
 #[command(name = "experiments", version, max_term_width = 110, args_conflicts_with_subcommands = true)]
 #[command(

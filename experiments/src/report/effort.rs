@@ -58,6 +58,9 @@ pub struct Effort {
     pub solver_repeats: usize,
 }
 
+/// Models that take seconds where others take tenths: in sweeps with `--full` alone.
+const SLOW: [ModelKind; 4] = [ModelKind::Affine, ModelKind::MassSpring, ModelKind::Fem, ModelKind::Ffd];
+
 impl Effort {
     /// At most two minutes on two cores.
     #[must_use]
@@ -68,7 +71,7 @@ impl Effort {
             triangles: 30_000,
             cases: vec!["same_open", "new_open"],
             kernels_and_terms: false,
-            models: models_without(&[ModelKind::Affine]),
+            models: models_without(&SLOW),
             components: vec![5, 50, 100, 150],
             components_of_paper: vec![5, 50, 100, 150],
             scans: 2,
@@ -77,13 +80,22 @@ impl Effort {
             ablation_cases: 1,
             sweep_values: 3,
             sweep_scans: 1,
-            sweep_models: models_without(&[
-                ModelKind::Affine,
-                ModelKind::Sumner,
-                ModelKind::Similarity,
-                ModelKind::Klimov2020,
-                ModelKind::Flame,
-            ]),
+            sweep_models: models_without(
+                &[
+                    &SLOW[..],
+                    &[
+                        ModelKind::Sumner,
+                        ModelKind::Similarity,
+                        ModelKind::Klimov2020,
+                        ModelKind::Flame,
+                        ModelKind::Poisson,
+                        ModelKind::Laplacian,
+                        ModelKind::Gpmm,
+                        ModelKind::GpmmRig,
+                    ],
+                ]
+                .concat(),
+            ),
             sweep_vertices: 1000,
             sweep_triangles: 10_000,
             resolutions: vec![1250, 5000],
@@ -96,7 +108,7 @@ impl Effort {
         }
     }
 
-    /// At most thirteen minutes on two cores.
+    /// About a quarter of an hour on two cores.
     #[must_use]
     pub fn usual() -> Self {
         Self {
@@ -114,7 +126,7 @@ impl Effort {
             ablation_cases: 3,
             sweep_values: 4,
             sweep_scans: 3,
-            sweep_models: models_without(&[ModelKind::Affine, ModelKind::Flame]),
+            sweep_models: models_without(&[&SLOW[..], &[ModelKind::Flame]].concat()),
             sweep_vertices: 1500,
             sweep_triangles: 15_000,
             resolutions: vec![1250, 2500, 5000, 10_000],
