@@ -17,7 +17,7 @@ use nonrigid::registration::TERMS;
 use nonrigid::registration::{
     self, DetailReport, InputFile, ModelFactory as _, ModelKind, Quality, RegistrationError, RegistrationInput,
     RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord,
-    VertexColors, add_detail, detail_schedule, register_with, scan_colors,
+    VertexColors, add_detail, register_with, scan_colors,
 };
 use nonrigid::render::{registration_sheet, save_png};
 use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection};
@@ -407,7 +407,7 @@ fn register(
         let result =
             register_with(&input_of, &model, &TERMS, &schedule.schedule, observer).map_err(registration_error)?;
         let rounds = Some(subdivide).filter(|n| *n > 0 && result.stop == RegistrationStop::Finished);
-        let detail = rounds.map(|n| add_detail(&input_of, &result, n, &detail_schedule(), observer)).transpose();
+        let detail = rounds.map(|n| add_detail(&input_of, &result, n, observer)).transpose();
         let detail = detail.map_err(registration_error)?;
         let (faced, normals) = result.scan_facing.apply(&target, scan.file.normals.as_deref());
         let input_of = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input_of };

@@ -22,8 +22,7 @@ use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip,
-    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, detail_schedule, register,
-    scan_colors,
+    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::texture::{BakeInput, Baked};
@@ -205,7 +204,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let result = register(&input, &a.model, &schedule, &mut progress).map_err(failed)?;
     let rounds = a.subdivide.filter(|_| result.stop == RegistrationStop::Finished);
-    let detail = rounds.map(|n| add_detail(&input, &result, n, &detail_schedule(), &mut progress)).transpose();
+    let detail = rounds.map(|n| add_detail(&input, &result, n, &mut progress)).transpose();
     let detail = detail.map_err(failed)?;
     progress.bar.finish_and_clear();
     let registering = clock.elapsed().as_secs_f64() - reading;

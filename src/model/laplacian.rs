@@ -224,7 +224,7 @@ impl DeformationModel for Laplacian {
     }
 
     fn rest_parameters(&self) -> Vec<f64> {
-        self.vertices.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.vertices.rest[v as usize])).collect()
+        self.vertices.rest_parameters()
     }
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {

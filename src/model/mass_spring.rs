@@ -195,7 +195,7 @@ impl DeformationModel for MassSpring {
     }
 
     fn rest_parameters(&self) -> Vec<f64> {
-        self.assembly.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.assembly.rest[v as usize])).collect()
+        self.assembly.rest_parameters()
     }
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {

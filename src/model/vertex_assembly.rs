@@ -111,6 +111,11 @@ impl VertexAssembly {
         3 * self.vertices.len()
     }
 
+    /// Where free vertices rest: the parameters of models whose parameters are positions.
+    pub fn rest_parameters(&self) -> Vec<f64> {
+        self.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.rest[v as usize])).collect()
+    }
+
     /// Block of a vertex that is free.
     pub fn block(&self, vertex: u32) -> Option<usize> {
         let block = self.blocks[vertex as usize];

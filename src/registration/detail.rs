@@ -5,9 +5,8 @@ use serde::Serialize;
 
 use super::{
     ModelKind, Quality, QualityError, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    Schedule, TERMS, WITHIN_MM, WarmStart, register,
+    Schedule, WITHIN_MM, WarmStart, register,
 };
-use crate::correspondence::ScanFlip;
 use crate::mesh::{PolygonMesh, Pose, Subdivision, TriangleMesh, Vec3};
 
 /// Rounds of subdivision at most: each makes four quads of one.
@@ -44,18 +43,8 @@ impl Detail {
     }
 }
 
-/// The schedule of a finer mesh: free vertices, and the data terms of the last level of the default.
-///
-/// # Panics
-/// Never: it is part of the crate.
-#[must_use]
-pub fn detail_schedule() -> Schedule {
-    let schedule = Schedule::from_toml(include_str!("detail.toml"));
-    schedule.and_then(|s| s.resolved(&ModelKind::Free, &TERMS)).expect("the crate's own schedule is read in its tests")
-}
-
-/// Divides a result `rounds` times and registers the finer mesh, from where it is, by `schedule`, whose model is free vertices:
-/// [`detail_schedule`].
+/// Divides a result `rounds` times and registers the finer mesh, from where it is, with free vertices and the data terms of the last
+/// level of the default: `detail.toml`.
 ///
 /// # Errors
 /// As [`register`]; and when the finer mesh has more vertices than can be held.
@@ -63,7 +52,6 @@ pub fn add_detail(
     input: &RegistrationInput<'_>,
     result: &RegistrationResult,
     rounds: u8,
-    schedule: &Schedule,
     observer: &mut dyn RegistrationObserver,
 ) -> Result<Detail, RegistrationError> {
     let mut template = input.template.with_positions(input.rest_positions().to_vec());
@@ -96,8 +84,7 @@ pub fn add_detail(
         warm_start: Some(&here),
         ..RegistrationInput::new(&posed, &scan)
     };
-    let mut schedule = schedule.clone();
-    schedule.scan.flip = ScanFlip::No;
+    let schedule = Schedule::from_toml(include_str!("detail.toml"))?;
     let result = register(&finer, &ModelKind::Free, &schedule, observer)?;
     Ok(Detail { template, base, mask, free_mask, result })
 }
@@ -142,15 +129,5 @@ impl std::fmt::Display for DetailReport {
              {:.3} mm",
             self.vertices, after.0, after.1, self.steps, before.0, before.1
         )
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_schedule_is_one_of_free_vertices() {
-        assert_eq!(detail_schedule().levels.len(), 1);
     }
 }

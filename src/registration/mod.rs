@@ -21,7 +21,7 @@ mod warm_start;
 
 pub use builder::Registration;
 pub use colour::{UNSEEN_COLOR, VertexColors, scan_colors};
-pub use detail::{Detail, DetailReport, MOST_ROUNDS, add_detail, detail_schedule};
+pub use detail::{Detail, DetailReport, MOST_ROUNDS, add_detail};
 pub use doubt::Doubt;
 pub use driver::{find_start, register, register_with};
 pub use error::RegistrationError;

@@ -62,7 +62,7 @@ pub struct Effort {
 const SLOW: [ModelKind; 4] = [ModelKind::Affine, ModelKind::MassSpring, ModelKind::Fem, ModelKind::Ffd];
 
 impl Effort {
-    /// At most two minutes on two cores.
+    /// About two and a half minutes on two cores.
     #[must_use]
     pub fn quick() -> Self {
         Self {
