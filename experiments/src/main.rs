@@ -19,7 +19,7 @@ use nonrigid::registration::RegistrationError;
 #[command(
     after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading. In a checkout, `experiments` is\n\
     `cargo run --release -p experiments --`.\n\n\
-    Examples: the report in two minutes; what it would take; some of its studies\n  \
+    Examples: the report in two and a half minutes; what it would take; some of its studies\n  \
     experiments --quick\n  experiments --list\n  experiments --only sweeps,ablations --out out/some"
 )]
 struct Cli {

@@ -38,7 +38,7 @@ use crate::tables::write_json;
 /// What to run.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Options {
-    /// Less of everything: at most two minutes on two cores
+    /// Less of everything: about two and a half minutes on two cores
     #[arg(long, conflicts_with = "full")]
     pub quick: bool,
     /// More of everything, however long it takes
