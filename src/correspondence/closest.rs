@@ -14,13 +14,15 @@ pub struct Correspondences {
     pub points: Vec<Vec3>,
     /// Unit normal of the scan there, interpolated between its vertices.
     pub normals: Vec<Vec3>,
-    /// One for an accepted correspondence, zero for a rejected one, less where a mask says so.
+    /// One for an accepted correspondence and each vertex that it speaks for, zero for a rejected one, less where a mask says so.
     pub weights: Vec<f64>,
     /// Share of each vertex that nothing holds: one where nothing was accepted, less where a mask says so.
     pub unseen: Vec<f64>,
     /// Unit normal of the template at each vertex.
     pub template_normals: Vec<Vec3>,
     found: Vec<Found>,
+    /// Vertices that a correspondence was accepted for, and those that it could be.
+    inliers: usize,
     counted: usize,
 }
 
@@ -41,7 +43,7 @@ impl Default for Found {
 
 impl Correspondences {
     /// Finds the correspondences of `positions`, whose triangles are those of `template`. The last ones serve as hints.
-    /// Vertices take none on the rim and where their data weigh nothing.
+    /// Vertices take none on the rim, where their data weigh nothing, and where another speaks for them.
     pub fn find(
         &mut self,
         scan: &ScanSurface,
@@ -56,19 +58,26 @@ impl Correspondences {
         let cosine = accept.angle.to_radians().cos();
         let normals = &self.template_normals;
         self.found.par_iter_mut().with_min_len(64).enumerate().for_each(|(i, found)| {
-            found.update(scan, positions[i], normals[i], accept, cosine);
+            if masks.speaker(i) == i {
+                found.update(scan, positions[i], normals[i], accept, cosine);
+            }
         });
         self.points.clear();
         self.points.extend(self.found.iter().map(|f| f.point));
         self.normals.clear();
         self.normals.extend(self.found.iter().map(|f| f.normal));
-        self.weights.clear();
         for ((found, data), on_rim) in self.found.iter_mut().zip(&masks.data).zip(&masks.rim) {
             found.accepted &= !on_rim && *data > 0.0;
-            self.weights.push(if found.accepted { *data } else { 0.0 });
         }
+        let found = &self.found;
+        let accepted = |i: &usize| found[masks.speaker(*i)].accepted;
+        let weight = |i: usize| if masks.speaker(i) == i && found[i].accepted { masks.weight(i) } else { 0.0 };
+        let seen = |i: usize| if accepted(&i) { masks.data[i] } else { 0.0 };
+        self.weights.clear();
+        self.weights.extend((0..positions.len()).map(weight));
         self.unseen.clear();
-        self.unseen.extend(masks.bound.iter().zip(&self.weights).map(|(bound, weight)| bound - weight));
+        self.unseen.extend((0..positions.len()).map(|i| masks.bound[i] - seen(i)));
+        self.inliers = (0..positions.len()).filter(|&i| seen(i) > 0.0).count();
         self.counted = masks.counted();
     }
 
@@ -90,7 +99,7 @@ impl Correspondences {
     /// Share of accepted correspondences, of the vertices that no mask takes out.
     #[must_use]
     pub fn inlier_share(&self) -> f64 {
-        self.weights.iter().filter(|&&w| w > 0.0).count() as f64 / self.counted.max(1) as f64
+        self.inliers as f64 / self.counted.max(1) as f64
     }
 }
 

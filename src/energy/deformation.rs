@@ -37,6 +37,11 @@ impl<M: DeformationModel, T: DataTerm> Deformation<M, T> {
         }
     }
 
+    /// Analyses the samples anew, after the model has changed what its parameters are.
+    pub fn analyse(&mut self) {
+        self.structure = Arc::new(self.model.analyse(&self.samples));
+    }
+
     /// The points on which terms act.
     #[must_use]
     pub fn samples(&self) -> &Samples {

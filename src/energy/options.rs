@@ -129,6 +129,12 @@ impl Options {
         value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
     }
 
+    /// Whether an option is set to `true`.
+    #[must_use]
+    pub fn flag(&self, key: &str) -> bool {
+        self.0.get(key).and_then(Value::as_bool).unwrap_or(false)
+    }
+
     /// The options as `T`, checked; those that are not set have their defaults.
     ///
     /// # Errors

@@ -18,6 +18,12 @@ pub trait RegistrationModel: DeformationModel {
     /// For what it does not know or cannot take.
     fn set_level(&mut self, options: &Options, unit: f64) -> Result<(), OptionsError>;
 
+    /// Goes over to the resolution that a level's `[level.model]` asks for, and returns the parameters that stand there for the shape at
+    /// `x`: the samples are analysed anew then. `None` where it stays as it is.
+    fn set_resolution(&mut self, _options: &Options, _x: &[f64]) -> Option<Vec<f64>> {
+        None
+    }
+
     /// Takes which vertices have no correspondence, 0 to 1 each, for a model that is stiffer there. Called before every step.
     fn set_unseen(&mut self, _unseen: &[f64]) {}
 

@@ -230,6 +230,21 @@ impl NodeGraph {
         &self.edges
     }
 
+    /// Of each node, the vertex at its place: the nearest by the rest positions of those that it moves; none if it moves none.
+    #[must_use]
+    pub fn own_vertices(&self, rest: &[Vec3]) -> Vec<Option<usize>> {
+        let mut nearest = vec![(f64::INFINITY, None); self.nodes.len()];
+        for (i, n) in rest.iter().enumerate() {
+            for &(j, _) in self.influences(i) {
+                let distance = (n - self.nodes[j as usize]).norm_squared();
+                if distance < nearest[j as usize].0 {
+                    nearest[j as usize] = (distance, Some(i));
+                }
+            }
+        }
+        nearest.into_iter().map(|n| n.1).collect()
+    }
+
     /// Mean squared distance between a vertex and the nodes that move it, `sum_ij omega_ij |n_i - x_j|^2 / N`, for the rest
     /// positions `n_i`; in their unit, squared. Zero without vertices.
     #[must_use]

@@ -16,6 +16,8 @@ use crate::rig::ShapeBasis;
 pub struct GraphOptions {
     /// Number of nodes; at most one for three vertices.
     pub nodes: usize,
+    /// Number of nodes at levels that say `coarse`; 0 for as many as at the others.
+    pub coarse_nodes: usize,
     /// Nodes that move each vertex, `K`.
     pub influences: usize,
     /// How distances are measured.
@@ -37,6 +39,7 @@ impl Default for GraphOptions {
     fn default() -> Self {
         Self {
             nodes: 400,
+            coarse_nodes: 0,
             influences: 4,
             distance: GraphDistance::Surface,
             node: NodeKind::Rigid,
@@ -89,6 +92,18 @@ impl GraphDistance {
     }
 }
 
+impl GraphDistance {
+    /// The graph of coarse levels, if they have one of their own.
+    pub(super) fn coarse_graph(
+        self,
+        input: &ModelInput<'_>,
+        nodes: usize,
+        influences: usize,
+    ) -> Result<Option<NodeGraph>, ModelError> {
+        if nodes == 0 { Ok(None) } else { Ok(Some(self.graph(input, nodes, influences)?)) }
+    }
+}
+
 /// The motion of a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -132,6 +147,9 @@ pub struct GraphLevel {
     /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph` and the square of a node's reach
     /// ([`NodeGraph::squared_reach`]): dimensionless, and a ratio to (7), so that softening `lambda_graph` softens both.
     pub lambda_rotation: f64,
+    /// Whether the graph has [`GraphOptions::coarse_nodes`] at this level, which is faster and enough where it is stiff. Not where a
+    /// registration goes on from another one's end, whose nodes it keeps.
+    pub coarse: bool,
 }
 
 impl OptionTable for GraphLevel {
@@ -158,6 +176,7 @@ pub(super) fn build(
         let mut model = Hybrid::<T, W>::named(name, rest, nodes, shapes.clone(), Stiffness::default());
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
+        model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
         Ok(Box::new(model))
     }
     let options = input.options.read::<GraphOptions>()?;
@@ -198,6 +217,17 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
             blend: lambda("lambda_blend") * unit * unit,
         };
         Ok(())
+    }
+
+    fn set_resolution(&mut self, options: &Options, x: &[f64]) -> Option<Vec<f64>> {
+        if options.flag("coarse") == self.coarse {
+            return None;
+        }
+        let other = self.other_graph.take()?;
+        let (before, parameters) = self.exchange_graph(other, x);
+        self.other_graph = Some(before);
+        self.coarse = !self.coarse;
+        Some(parameters)
     }
 
     fn set_unseen(&mut self, unseen: &[f64]) {

@@ -27,6 +27,8 @@ pub fn sumner(rest: Vec<Vec3>, nodes: NodeGraph, lambda_graph: f64, lambda_rotat
 pub struct SumnerOptions {
     /// Number of nodes.
     pub nodes: usize,
+    /// As [`GraphOptions::coarse_nodes`].
+    pub coarse_nodes: usize,
     /// Nodes that move each vertex, `K`.
     pub influences: usize,
     /// How distances are measured.
@@ -39,8 +41,9 @@ pub struct SumnerOptions {
 
 impl Default for SumnerOptions {
     fn default() -> Self {
-        let GraphOptions { nodes, influences, distance, lambda_unseen, linearisation, .. } = GraphOptions::default();
-        Self { nodes, influences, distance, lambda_unseen, linearisation }
+        let GraphOptions { nodes, coarse_nodes, influences, distance, lambda_unseen, linearisation, .. } =
+            GraphOptions::default();
+        Self { nodes, coarse_nodes, influences, distance, lambda_unseen, linearisation }
     }
 }
 
@@ -77,6 +80,7 @@ impl ModelFactory for Factory {
         let mut model = sumner(input.rest.positions.clone(), nodes, 0.0, 0.0);
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
+        model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
         Ok(Box::new(model))
     }
 }

@@ -1,5 +1,8 @@
 //! The motions a node can make, each stated once for any dual number.
 
+use nalgebra::{Matrix3, UnitQuaternion as Rotation};
+
+use super::rotation_fit::closest_rotation;
 use crate::nlls::{Euclidean, Manifold, QuaternionSe3, Scalar, Se3, Sim3, UnitQuaternion, so3};
 
 /// An affine map `q -> A q + t` with entries of any number type.
@@ -22,6 +25,22 @@ impl<D: Scalar> AffineMap<D> {
     }
 }
 
+impl AffineMap<f64> {
+    fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::from_fn(|r, c| self.linear[r][c])
+    }
+
+    /// The rotation nearest to `A`.
+    fn rotation(&self) -> Rotation<f64> {
+        closest_rotation(&self.matrix(), &Rotation::identity())
+    }
+}
+
+/// The entries of a matrix by rows, and those that follow.
+fn by_rows(matrix: &Matrix3<f64>, then: impl IntoIterator<Item = f64>) -> Vec<f64> {
+    matrix.transpose().iter().copied().chain(then).collect()
+}
+
 /// A family of affine node motions. `W` is its tangent dimension: the width of the dual numbers that differentiate the twelve
 /// entries of `A` and `t`.
 pub trait NodeTransform<const W: usize>: Clone + Send + Sync + 'static {
@@ -33,6 +52,9 @@ pub trait NodeTransform<const W: usize>: Clone + Send + Sync + 'static {
 
     /// The map of a point of the manifold.
     fn map<D: Scalar>(point: &[D]) -> AffineMap<D>;
+
+    /// The point whose map has the `A` nearest to that of `map`, and its `t`.
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64>;
 
     /// How far a map's `A` is from a rotation, `E_rot` being the sum of squares: for motions that are free to leave the
     /// rotations; `None` for those that cannot or should not be held near them.
@@ -57,6 +79,10 @@ impl NodeTransform<6> for RigidMotion {
             translation: [p[9], p[10], p[11]],
         }
     }
+
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64> {
+        by_rows(map.rotation().to_rotation_matrix().matrix(), map.translation)
+    }
 }
 
 /// [`RigidMotion`] with the rotation as a unit quaternion: the same tangent and so, but for rounding, the same steps.
@@ -70,6 +96,11 @@ impl NodeTransform<6> for QuaternionMotion {
     #[inline(always)]
     fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
         AffineMap { linear: UnitQuaternion::matrix(&[p[0], p[1], p[2], p[3]]), translation: [p[4], p[5], p[6]] }
+    }
+
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64> {
+        let q = map.rotation();
+        [q.w, q.i, q.j, q.k].into_iter().chain(map.translation).collect()
     }
 }
 
@@ -88,6 +119,10 @@ impl NodeTransform<6> for AngleAxisMotion {
     fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
         AffineMap { linear: so3::exp([p[0], p[1], p[2]]), translation: [p[3], p[4], p[5]] }
     }
+
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64> {
+        map.rotation().scaled_axis().iter().copied().chain(map.translation).collect()
+    }
 }
 
 /// Rotation, translation and uniform scale, `s R q + t`.
@@ -104,6 +139,12 @@ impl NodeTransform<7> for SimilarityMotion {
         let scale = p[12].exp();
         AffineMap { linear: rigid.linear.map(|row| row.map(|e| e * scale)), ..rigid }
     }
+
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64> {
+        let rotation = map.rotation().to_rotation_matrix();
+        let scale = rotation.matrix().tr_mul(&map.matrix()).trace() / 3.0;
+        by_rows(rotation.matrix(), map.translation.into_iter().chain([scale.max(f64::MIN_POSITIVE).ln()]))
+    }
 }
 
 /// Any affine map, `A q + t` (Sumner et al. 2007); `E_rot` keeps `A` near the rotations.
@@ -117,6 +158,10 @@ impl NodeTransform<12> for AffineMotion {
     #[inline(always)]
     fn map<D: Scalar>(p: &[D]) -> AffineMap<D> {
         RigidMotion::map(p)
+    }
+
+    fn nearest(map: &AffineMap<f64>) -> Vec<f64> {
+        by_rows(&map.matrix(), map.translation)
     }
 
     /// `c_1.c_2, c_1.c_3, c_2.c_3, c_1.c_1 - 1, c_2.c_2 - 1, c_3.c_3 - 1` of the columns of `A`: Sumner et al. 2007, `Rot(A)`.

@@ -151,6 +151,7 @@ impl Run {
         let later = schedule.levels_by_name().skip(schedule.levels.len()).map(|(_, level)| level.steps);
         observer.on_start(self.level_names.len(), first.chain(later).sum());
         let mut flow = self.stage(schedule, most_steps, observer)?;
+        self.set_resolution(&Options::new()); // whatever the last level, or the observer, left it at
         self.first_stage = (self.x.clone(), weights(&mut self.problem, &self.x, &mut self.workspace));
         let mut next = schedule.next_stage();
         while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
@@ -197,10 +198,13 @@ impl Run {
         let name = self.level_names[self.levels_done].clone();
         let misfit = |error| RegistrationError::Options { level: name.clone(), error };
         self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit)?;
+        if most_steps == usize::MAX {
+            self.set_resolution(&level.model);
+        }
         if level.scale == KernelScale::Fixed {
             self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit)?;
         }
-        self.template.reject_rim(level.reject_rim);
+        self.template.set_level(level);
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps.min(most_steps) {
             let at = At { level: &name, step: step + 1 };
@@ -227,6 +231,16 @@ impl Run {
             }
         }
         Ok(ControlFlow::Continue(()))
+    }
+
+    /// Lets the model have the resolution that a level asks for.
+    fn set_resolution(&mut self, options: &Options) {
+        if let Some(x) = self.problem.model.set_resolution(options, &self.x) {
+            self.problem.analyse();
+            self.x = x;
+            self.workspace = Workspace::new();
+            self.vertices.copy_from_slice(self.problem.vertices(&self.x));
+        }
     }
 
     /// Tells all terms what they weigh.

@@ -1,8 +1,8 @@
 //! The template as a registration uses it.
 
 use super::RegistrationInput;
-use super::Schedule;
 use super::facing;
+use super::{Level, Schedule};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
@@ -16,6 +16,7 @@ pub(super) struct Rest {
     pub masks: VertexMasks,
     /// Vertices that take no correspondence at levels that reject the rim.
     rim: Vec<bool>,
+    edges: EdgeGraph,
     pub centre: Vec3,
     /// Length of one of the schedule's millimetres.
     pub unit: f64,
@@ -36,15 +37,21 @@ impl Rest {
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
         let unit = size / schedule.reference_size;
         let finer = (count / schedule.reference_vertices).sqrt();
-        let rim = rim(&mesh, (schedule.scan.template_rim * finer).round() as usize);
+        let edges = EdgeGraph::of(&mesh);
+        let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
         let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).of_surface(&used);
         let density = schedule.reference_vertices / count;
-        Self { mesh, used, masks, rim, centre, unit, density }
+        Self { mesh, used, masks, rim, edges, centre, unit, density }
     }
 
-    /// Whether correspondences on the rim are rejected from now on.
-    pub fn reject_rim(&mut self, reject: bool) {
-        self.masks.rim.iter_mut().zip(&self.rim).for_each(|(now, on_rim)| *now = reject && *on_rim);
+    /// Which vertices take correspondences from now on.
+    pub fn set_level(&mut self, level: &Level) {
+        self.masks.rim.iter_mut().zip(&self.rim).for_each(|(now, on_rim)| *now = level.reject_rim && *on_rim);
+        if level.thinned {
+            self.masks.thin(&self.edges);
+        } else {
+            self.masks.let_all_speak();
+        }
     }
 
     /// Whether the scan faces inwards, by its normals near vertices of the model.
@@ -64,9 +71,9 @@ const FACING_VERTICES: usize = 1000;
 const FACING_REACH: f64 = 20.0;
 
 /// The vertices within `rings` rings of the open boundary; the boundary itself is the first.
-fn rim(mesh: &TriangleMesh, rings: usize) -> Vec<bool> {
-    let edges = EdgeGraph::of(mesh);
-    let mut marked = if rings > 0 { edges.boundary_vertices() } else { vec![false; mesh.positions.len()] };
+fn rim(edges: &EdgeGraph, rings: usize) -> Vec<bool> {
+    let mut marked = edges.boundary_vertices();
+    marked.iter_mut().for_each(|m| *m &= rings > 0);
     for _ in 1..rings {
         let grown = (0..marked.len()).map(|i| marked[i] || edges.neighbours(i).iter().any(|&j| marked[j as usize]));
         marked = grown.collect();
@@ -83,7 +90,7 @@ mod tests {
     fn the_rim_grows_ring_by_ring() {
         let mesh = sheet(9, 7, |c, r| Vec3::new(c, r, 0.0));
         for (rings, marked) in [(0, 0), (1, 28), (2, 48), (3, 60), (4, 63), (9, 63)] {
-            let rim = rim(&mesh, rings);
+            let rim = rim(&EdgeGraph::of(&mesh), rings);
             assert_eq!(rim.iter().filter(|m| **m).count(), marked, "{rings} rings");
             for (p, in_rim) in mesh.positions.iter().zip(rim) {
                 let depth = p.x.min(8.0 - p.x).min(p.y).min(6.0 - p.y);
@@ -96,8 +103,8 @@ mod tests {
     fn a_closed_surface_has_no_rim() {
         let positions = vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::z()];
         let closed = TriangleMesh { positions, triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]] };
-        assert_eq!(rim(&closed, 3), [false; 4]);
+        assert_eq!(rim(&EdgeGraph::of(&closed), 3), [false; 4]);
         let opened = TriangleMesh { triangles: closed.triangles[..3].to_vec(), ..closed };
-        assert_eq!(rim(&opened, 1), [true, false, true, true]);
+        assert_eq!(rim(&EdgeGraph::of(&opened), 1), [true, false, true, true]);
     }
 }

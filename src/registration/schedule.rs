@@ -259,6 +259,10 @@ pub struct Level {
     /// scan gain by it.
     #[serde(default = "yes")]
     pub reject_rim: bool,
+    /// Whether only about every fourth vertex takes a correspondence, no two of them neighbours, each for itself and for neighbours that
+    /// take none: faster, and enough where the model is stiff.
+    #[serde(default)]
+    pub thinned: bool,
     /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
     pub kernel: Kernel,
     /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
@@ -285,6 +289,7 @@ impl Default for Level {
             distance_cap: 5.0,
             normal_angle: 60.0,
             reject_rim: true,
+            thinned: false,
             kernel: Kernel::None,
             scale: KernelScale::Fixed,
             model: Options::new(),

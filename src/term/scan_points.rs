@@ -89,6 +89,7 @@ impl ScanPoints {
             let (nearest, _) = corners.into_iter().zip(hit.barycentric).max_by(|a, b| a.1.total_cmp(&b.1))?;
             let nearest = nearest as usize;
             let weight = if masks.rim[nearest] { 0.0 } else { masks.data[nearest] };
+            let nearest = masks.speaker(nearest);
             (weight > 0.0).then(|| (nearest, q + (positions[nearest] - hit.point), normal, self.weight * weight))
         };
         let all: Vec<_> = self.points.par_iter().zip(hints).with_min_len(64).map(search).collect();

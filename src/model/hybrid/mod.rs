@@ -32,6 +32,7 @@
 mod moments;
 mod reference;
 mod regulariser;
+mod resolution;
 mod samples;
 
 use std::marker::PhantomData;
@@ -102,6 +103,10 @@ pub struct Hybrid<T = RigidMotion, const W: usize = 6> {
     pub linearisation: Linearisation,
     /// [`GraphOptions::lambda_unseen`](super::GraphOptions::lambda_unseen).
     pub lambda_unseen: f64,
+    /// The graph of the other kind of levels: of the coarse ones, at a fine one. None if all have the same.
+    pub(super) other_graph: Option<NodeGraph>,
+    /// Whether the graph is that of coarse levels.
+    pub(super) coarse: bool,
     placed: Placement,
     samples: NodeSamples,
     assembly: Assembly,
@@ -169,6 +174,8 @@ impl<T: NodeTransform<W>, const W: usize> Hybrid<T, W> {
             stiffness,
             linearisation: Linearisation::default(),
             lambda_unseen: 0.0,
+            other_graph: None,
+            coarse: false,
             placed: Placement::default(),
             samples: NodeSamples::default(),
             assembly: Assembly::default(),
@@ -503,6 +510,8 @@ pub struct HybridLevel {
     pub lambda_blend: f64,
     /// As [`GraphLevel::lambda_rotation`](super::GraphLevel::lambda_rotation).
     pub lambda_rotation: f64,
+    /// As [`GraphLevel::coarse`](super::GraphLevel::coarse).
+    pub coarse: bool,
 }
 
 impl OptionTable for HybridLevel {
