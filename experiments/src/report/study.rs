@@ -4,8 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use anyhow::{Context as _, Result, bail};
-use cpu_time::ThreadTime;
+use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use nonrigid::console::Failure;
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationResult, Schedule, TERMS};
@@ -17,6 +16,7 @@ use super::effort::Effort;
 use super::table::{Table, number, shown};
 use super::view3d::View3d;
 use crate::plots::{Point, Series, write_svg};
+pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
 
 /// One figure, table or group of them on the page.
@@ -194,19 +194,6 @@ impl<'a> Setting<'a> {
 /// When it cannot be started.
 pub fn one_thread() -> Result<rayon::ThreadPool> {
     rayon::ThreadPoolBuilder::new().num_threads(1).build().context("a pool of one thread")
-}
-
-/// What some work on this thread alone returns, and the seconds of processor time that it took.
-///
-/// # Errors
-/// When the system does not say, or the work is not on one thread.
-pub fn cpu_seconds<R>(work: impl FnOnce() -> R) -> Result<(R, f64)> {
-    if rayon::current_num_threads() != 1 {
-        bail!("processor time is measured on one thread, not on {}", rayon::current_num_threads());
-    }
-    let begin = ThreadTime::try_now().context("processor time")?;
-    let result = work();
-    Ok((result, begin.try_elapsed().context("processor time")?.as_secs_f64()))
 }
 
 /// Registers a case with a variant: score, result, seconds.
