@@ -27,7 +27,9 @@ images = page.parent / "images"
 
 def keep(picture, kept, width=1000):
     picture.thumbnail((width, 6000), Image.Resampling.LANCZOS)
-    picture.quantize(128, dither=Image.Dither.NONE).save(kept, optimize=True)
+    # Rare colours, those of a scale, count as much as skin.
+    colours = picture.quantize(256, method=Image.Quantize.MAXCOVERAGE)
+    picture.quantize(palette=colours, dither=Image.Dither.FLOYDSTEINBERG).save(kept, optimize=True)
 
 
 for kept, made in re.findall(r"\(images/(gallery/\S+)\)\n<!-- picture: (\S+) -->", page.read_text(encoding="utf-8")):

@@ -286,11 +286,23 @@ pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
     (mean, [least, greatest])
 }
 
+/// Models that are compared most often: each has a colour of its own, which the others share, with other markers.
+const OWN_COLOURS: [ModelKind; 7] = [
+    ModelKind::Hybrid,
+    ModelKind::Sequential,
+    ModelKind::Blendshape,
+    ModelKind::Graph,
+    ModelKind::Arap,
+    ModelKind::Free,
+    ModelKind::Rigid,
+];
+
 /// A line of a model, which looks the same in every plot.
 #[must_use]
 pub fn model_line(model: &str, points: Vec<Point>) -> Series {
     let line = Series::line(model, points);
-    match ModelKind::ALL.iter().position(|m| m.to_string() == model) {
+    let others = ModelKind::ALL.iter().filter(|m| !OWN_COLOURS.contains(m));
+    match OWN_COLOURS.iter().chain(others).position(|m| m.to_string() == model) {
         Some(look) => line.with_look(look),
         None => line,
     }

@@ -123,8 +123,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     }
     table.write(setting.out, "solver.timing")?;
     let caption = format!(
-        "Time of an iteration: processor time on one thread, wall time on several; in the legend the exponent of the power law through \
-         the points. Points: median of n = {}; bars: their range.",
+        "Time of an iteration: processor time on one thread, wall time on several; in the legend, from three points on, the exponent of the \
+         power law through them. Points: median of n = {}; bars: their range.",
         counted(setting.effort.solver_repeats, "repetition")
     );
     let figure = setting.plot("solver", &Grid { columns: 2, plots }.svg()?, caption)?;
