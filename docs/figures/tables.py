@@ -107,7 +107,7 @@ def ict_scans(run):
 
 @table("ict-intersections", needs="data")
 def ict_intersections(run):
-    "Pairs of triangles that pass through each other on these eight scans: in the truth and in the hybrid's result."
+    "Pairs of triangles that pass through each other on the eight scans of the ICT-FaceKit rig: in the truth and in the hybrid's result."
     bench(run, "bench-ict-hybrid", *ICT, "--models hybrid")
     measured = {}
     for case in sorted(path.parent.name for path in Path(run.data, "scanner-bench").glob("*/case.json")):
@@ -207,7 +207,7 @@ def silence(run):
 
 @table("calibration")
 def calibration(run):
-    "Share of bad results by the probability of error that was stated, on the same runs, %."
+    "Share of bad results by the probability of error that was stated, on the runs of `silence`, %."
     rows = [r for r in silence_rows(run, "silence-test", "--set test") if r["probability"] and r["rmse"]]
     bands = {"below-2": (0.0, 0.02), "2-10": (0.02, 0.1), "10-30": (0.1, 0.3), "30-60": (0.3, 0.6), "60-90": (0.6, 0.9), "above-90": (0.9, 1.01)}
     of = lambda low, high: [float(r["rmse"]) > 3.0 for r in rows if low <= float(r["probability"]) < high]
@@ -216,7 +216,7 @@ def calibration(run):
 
 @table("silence-design", needs="data")
 def silence_design(run):
-    "The same on the design set, on generated faces and on scans of the ICT-FaceKit rig."
+    "Scans with all that can be wrong with them, design set, on generated faces and on scans of the ICT-FaceKit rig."
     return {"all": outcomes(silence_rows(run, "silence-design", f"--set design --runs 20 --cases {ICT[0]} --rig {ICT[1]}"))}
 
 
@@ -287,7 +287,7 @@ def artist(run):
 
 @table("artist-error")
 def artist_error(run):
-    "Its error against the truth, mm."
+    "Error of the first registration of the artist's tutorial against the truth, mm."
     wrapped(run)
     truth = json.loads(run(f"nonrigid eval --json --result wrapped.obj --template seed7/rig/template.obj --truth {DEMO}/truth.npy --observed {DEMO}/observed.npy"))
     return {"wrapped": {key: truth[key] for key in ["rmse", "normal", "tangential"]}}

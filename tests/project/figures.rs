@@ -57,8 +57,10 @@ fn a_figure_that_is_changed_by_hand_is_found() {
     let in_prose = |text: &str| another_digit(text, text.find("<!-- six-scans.hybrid").unwrap() - 1);
     let in_a_table = |text: &str| another_digit(text, text.find(" |\n| klimov2020").unwrap() - 1);
     let in_a_block = |text: &str| another_digit(text, text.find(" % of the vertices").unwrap() - 1);
-    let cases: [(&str, &str, &dyn Fn(&str) -> String); 5] = [
+    let no_number = |text: &str| text.replacen("<!-- six-scans.hybrid", "about <!-- six-scans.hybrid", 1);
+    let cases: [(&str, &str, &dyn Fn(&str) -> String); 6] = [
         ("docs/src/explanation/sliding.md", "its table says", &in_prose),
+        ("docs/src/explanation/sliding.md", "stands behind no number", &no_number),
         ("README.md", "its table says", &in_a_table),
         ("docs/src/tutorials/artist.md", "its table says", &in_a_block),
         ("docs/src/introduction.md", "comes from no table", &|text| format!("{text}\nIt is wrong by 0.5 mm.\n")),
