@@ -172,7 +172,7 @@ def closed(run):
     measured = {}
     for subject, rig in [("femur", "$NONRIGID_DATA/femur/rig"), ("bodies", "$NONRIGID_DATA/bodies/rig")]:
         for scanner, seed in [("fused", 101), ("frame", 102)]:
-            cases, _ = generated(run, f"{subject}-{scanner}", f"--rig {rig} --seed {seed} --scanner {scanner}")
+            cases, _ = generated(run, f"{subject}-{scanner}", f"--rig {rig} --seed {seed} --scanner {scanner} --cases 6")
             measured[f"{subject}-{scanner}"] = bench(run, f"bench-{subject}-{scanner}", cases, rig, f"--models {','.join(models)}")
         measured[subject] = bench(run, f"bench-{subject}", f"$NONRIGID_DATA/{subject}/cases", rig, f"--models {','.join(models)}")
     return {name: {model: of[model]["mean_rmse"] for model in models} for name, of in measured.items()}

@@ -210,8 +210,7 @@ fn register_scan(run: &RegistrationRun) -> Result<Value> {
     let (mut stages, mut steps) = (<[Vec<f64>; 4]>::default(), 0);
     for _ in 0..run.repeats {
         let mut watch = Watch::new();
-        let (result, busy) =
-            busy_share(|| register(&case.input(), &ModelKind::Hybrid, &schedule, &mut watch))?;
+        let (result, busy) = busy_share(|| register(&case.input(), &ModelKind::Hybrid, &schedule, &mut watch))?;
         let result = result?;
         let end = Instant::now();
         let whole = (end - watch.begin).as_secs_f64();

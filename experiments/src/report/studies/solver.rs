@@ -57,7 +57,8 @@ fn growths(setting: &Setting<'_>) -> Vec<Growth> {
     let all = rayon::current_num_threads();
     let mut vertices = Vec::new();
     for threads in if all > 1 { vec![1, all] } else { vec![1] } {
-        let sized = |&v: &usize| SolverRun { rig: None, vertices: v, nodes: (v / 100).max(50), threads, ..base.clone() };
+        let sized =
+            |&v: &usize| SolverRun { rig: None, vertices: v, nodes: (v / 100).max(50), threads, ..base.clone() };
         vertices.extend(effort.solver_sizes.iter().map(sized));
     }
     // A rig of one's own may have fewer.
