@@ -22,7 +22,7 @@ class Run:
         self.data = os.environ.get("NONRIGID_DATA", str(beside or ""))
         self.ceres = root / "build/ceres/ceres_case"
         self.environment = {**os.environ, "PATH": f"{root}/target/release:{os.environ['PATH']}", "NONRIGID_DATA": self.data}
-        self.said: dict[str, tuple[str, float]] = {}
+        self.said: dict[str, tuple[str, str, float]] = {}
         # Of the table that is being made: its commands, and the seconds that they took.
         self.commands: list[str] = []
         self.seconds = 0.0
@@ -35,17 +35,17 @@ class Run:
             return f"as {self.ceres} is not built"
         return ""
 
-    def __call__(self, command: str) -> str:
+    def __call__(self, command: str, with_remarks: bool = False) -> str:
         self.commands.append(command)
         if command not in self.said:
             begin = time.monotonic()
             done = subprocess.run(["bash", "-c", command], cwd=self.folder, env=self.environment, capture_output=True, text=True)
             if done.returncode:
-                raise SystemExit(f"error: {command}\n{done.stderr}")
-            self.said[command] = done.stdout, time.monotonic() - begin
-        said, seconds = self.said[command]
+                raise RuntimeError(f"{command}\n{done.stderr}")
+            self.said[command] = done.stdout, done.stderr, time.monotonic() - begin
+        said, remarks, seconds = self.said[command]
         self.seconds += seconds
-        return said
+        return remarks + said if with_remarks else said
 
     def cpu_seconds(self, command: str) -> float:
         """Processor time of a command, which is not among those that are listed."""
@@ -248,8 +248,8 @@ def nist(run):
 @table("ceres", needs="ceres")
 def ceres(run):
     "Time of an iteration of Ceres Solver over ours, with the fastest of its linear solvers, by numbers of blendshapes."
-    run(f"experiments ceres --program {run.ceres}")
-    said = run.json("out/ceres/ceres.json")
+    run("experiments ceres --program ../../build/ceres/ceres_case --out ceres")
+    said = run.json("ceres/ceres.json")
     ratios: dict[str, dict] = {}
     for row in said["rows"]:
         of = ratios.setdefault(row["derivatives"], {})
@@ -276,7 +276,7 @@ DEMO = "seed7/cases/same_open"
 def wrapped(run: Run) -> str:
     generated(run, "seed7", "--seed 7")
     return run("nonrigid register --template seed7/rig/template.obj --rig seed7/rig --identity-modes 40 "
-               f"--target {DEMO}/scan.ply --landmarks {DEMO}/landmarks.json --out wrapped.obj --report wrapped.json 2>&1")
+               f"--target {DEMO}/scan.ply --landmarks {DEMO}/landmarks.json --out wrapped.obj --report wrapped.json", with_remarks=True)
 
 
 @table("artist")
