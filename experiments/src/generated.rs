@@ -197,6 +197,12 @@ pub fn shapes_at_most() -> usize {
     all.expression_names().len() + all.identity_modes()
 }
 
+/// Displaces points smoothly, by up to `bump` along each axis.
+pub fn bend(points: &mut [Vec3], bump: f64, rng: &mut ChaCha8Rng) {
+    let [frequency, direction] = [0.05, 1.0].map(|s| Vec3::from_fn(|_, _| rng.random_range(-s..s)));
+    points.iter_mut().for_each(|p| *p += direction * (bump * frequency.dot(p).sin()));
+}
+
 /// Makes a face of about `vertices` vertices (1,000 to 500,000) with `shapes` shapes and a goal drawn from `seed`.
 #[must_use]
 pub fn face(vertices: usize, shapes: usize, bump: f64, seed: u64) -> Face {
@@ -205,9 +211,8 @@ pub fn face(vertices: usize, shapes: usize, bump: f64, seed: u64) -> Face {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut weights = vec![0.0; expressions];
     (0..3).for_each(|_| weights[rng.random_range(0..expressions)] = rng.random_range(0.3..0.8));
-    let [frequency, direction] = [0.05, 1.0].map(|s| Vec3::from_fn(|_, _| rng.random_range(-s..s)));
     let mut goal = face.pose(&weights, &[]);
-    goal.iter_mut().for_each(|p| *p += direction * (bump * frequency.dot(p).sin()));
+    bend(&mut goal, bump, &mut rng);
 
     let named = face.expressions.iter().map(|(name, d)| (name.clone(), Family::Expression, d));
     let modes = face.identities.iter().enumerate().map(|(k, d)| (format!("identity{k:03}"), Family::Identity, d));

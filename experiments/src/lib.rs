@@ -12,6 +12,7 @@ pub mod output;
 pub mod peers;
 pub mod plots;
 pub mod process;
+mod processor_time;
 pub mod random_pose;
 pub mod real_scans;
 pub mod report;

@@ -2,10 +2,13 @@
 
 #[path = "../support/generated_page.rs"]
 mod generated_page;
+#[path = "../support/skip.rs"]
+mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 
 mod architecture;
 mod corpus;
+mod figures;
 mod guide;
 mod reference;

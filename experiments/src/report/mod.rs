@@ -255,7 +255,7 @@ fn about(options: &Options, effort: &Effort, data: &Data) -> String {
     let of = if data.generated {
         format!("generated from seed {}", options.seed)
     } else {
-        "your own rig and scans; sweeps, resolution and the solver's growth on generated faces".to_owned()
+        "your own rig and scans; sweeps, resolution and the solver's growth with vertices on generated faces".to_owned()
     };
     format!(
         "{} cases on a template of {} vertices, {of}. Effort: {}.",

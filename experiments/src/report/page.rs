@@ -83,9 +83,8 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
          <p class=\"about\">K. V. Klimov, <i>A hybrid deformation model for the non-rigid registration of 3D scans</i>, 2020, and \
          J. Li et al., <i>Mesh morphing process for facial plastic surgery simulation</i>, 2018: their figures and their claims, on data \
          whose truth is known. {}</p>\n\
-         <p>Of {} claims <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, <span \
-         class=\"waiting\">{undecided} are undecided</span>: a bound lies within what another choice of scans would do; {open} are not \
-         measured{}.</p>\n",
+         <p>Of {} claims: <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, <span \
+         class=\"waiting\">{undecided} undecided</span>: a bound lies within what another choice of scans would do; {open} not measured{}.</p>\n",
         escaped(page.about),
         page.verdicts.len(),
         if unfinished { " yet" } else { "" },

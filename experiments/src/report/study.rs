@@ -4,8 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use anyhow::{Context as _, Result, bail};
-use cpu_time::ThreadTime;
+use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use nonrigid::console::Failure;
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationResult, Schedule, TERMS};
@@ -17,6 +16,7 @@ use super::effort::Effort;
 use super::table::{Table, number, shown};
 use super::view3d::View3d;
 use crate::plots::{Point, Series, write_svg};
+pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
 
 /// One figure, table or group of them on the page.
@@ -196,19 +196,6 @@ pub fn one_thread() -> Result<rayon::ThreadPool> {
     rayon::ThreadPoolBuilder::new().num_threads(1).build().context("a pool of one thread")
 }
 
-/// What some work on this thread alone returns, and the seconds of processor time that it took.
-///
-/// # Errors
-/// When the system does not say, or the work is not on one thread.
-pub fn cpu_seconds<R>(work: impl FnOnce() -> R) -> Result<(R, f64)> {
-    if rayon::current_num_threads() != 1 {
-        bail!("processor time is measured on one thread, not on {}", rayon::current_num_threads());
-    }
-    let begin = ThreadTime::try_now().context("processor time")?;
-    let result = work();
-    Ok((result, begin.try_elapsed().context("processor time")?.as_secs_f64()))
-}
-
 /// Registers a case with a variant: score, result, seconds.
 ///
 /// # Errors
@@ -299,11 +286,23 @@ pub fn spread(values: &[f64]) -> (f64, [f64; 2]) {
     (mean, [least, greatest])
 }
 
+/// Models that are compared most often: each has a colour of its own, which the others share, with other markers.
+const OWN_COLOURS: [ModelKind; 7] = [
+    ModelKind::Hybrid,
+    ModelKind::Sequential,
+    ModelKind::Blendshape,
+    ModelKind::Graph,
+    ModelKind::Arap,
+    ModelKind::Free,
+    ModelKind::Rigid,
+];
+
 /// A line of a model, which looks the same in every plot.
 #[must_use]
 pub fn model_line(model: &str, points: Vec<Point>) -> Series {
     let line = Series::line(model, points);
-    match ModelKind::ALL.iter().position(|m| m.to_string() == model) {
+    let others = ModelKind::ALL.iter().filter(|m| !OWN_COLOURS.contains(m));
+    match OWN_COLOURS.iter().chain(others).position(|m| m.to_string() == model) {
         Some(look) => line.with_look(look),
         None => line,
     }

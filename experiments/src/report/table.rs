@@ -18,12 +18,12 @@ pub struct Table {
     pub rows: Vec<Vec<String>>,
 }
 
-/// A number as tables hold it: six decimals, none for whole numbers, nothing where there is no number.
+/// A number as tables hold it: six decimals, none where they would be zeros, nothing where there is no number.
 #[must_use]
 pub fn number(value: f64) -> String {
     match value {
         v if !v.is_finite() => String::new(),
-        v if v == v.trunc() && v.abs() < 1e15 => format!("{v:.0}"),
+        v if v == 0.0 || (v.abs() > 0.5 && (v - v.round()).abs() < 5e-7) => format!("{v:.0}"),
         v if v.abs() < 1e-3 => format!("{v:.6e}"),
         v => format!("{v:.6}"),
     }
@@ -211,6 +211,7 @@ mod tests {
 
     #[test]
     fn numbers_are_short_and_whole() {
-        assert_eq!([0.0, 12.0, 0.25, 1e-7, f64::INFINITY].map(number), ["0", "12", "0.250000", "1.000000e-7", ""]);
+        let numbers = [0.0, 12.0, 1.999_999_99, 0.25, 1e-7, f64::INFINITY].map(number);
+        assert_eq!(numbers, ["0", "12", "2", "0.250000", "1.000000e-7", ""]);
     }
 }

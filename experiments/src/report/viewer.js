@@ -66,7 +66,7 @@ class Viewer {
     this.canvas = figure.querySelector("canvas");
     this.gl = this.canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
     if (!this.gl || !this.gl.getExtension("OES_element_index_uint")) {
-      figure.querySelector("output").textContent = "This browser has no WebGL.";
+      figure.classList.add("flat");
       return;
     }
     this.angles = [0.45, 0.08];
@@ -220,9 +220,5 @@ class Viewer {
   }
 }
 
-// Each is made when it comes into sight: a browser keeps few WebGL contexts.
-const seen = new IntersectionObserver((entries) => entries.filter((e) => e.isIntersecting).forEach((e) => {
-  seen.unobserve(e.target);
-  new Viewer(e.target);
-}), { rootMargin: "300px" });
-document.querySelectorAll("figure.view3d").forEach((figure) => seen.observe(figure));
+// All at once: a page has few, and what waits to come into sight is missing in print and in pictures of the page.
+document.querySelectorAll("figure.view3d").forEach((figure) => new Viewer(figure));

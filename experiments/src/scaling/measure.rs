@@ -2,23 +2,30 @@
 
 use std::fs;
 use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
+use nonrigid::mesh::Vec3;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness};
 use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, Options, Silent, Workspace};
 use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
+use nonrigid::rig::ShapeBasis;
 use nonrigid::term::PointToPlane;
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::generated::{face, first_standard_case};
+use crate::generated::{Face, bend, face, first_standard_case};
+use crate::processor_time::busy_share;
+use crate::scan_bench::BenchRig;
 
 /// What a run does.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "study", rename_all = "snake_case")]
 pub enum Configuration {
     /// Gauss-Newton iterations of the hybrid with fixed correspondences.
@@ -28,8 +35,10 @@ pub enum Configuration {
 }
 
 /// A solve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SolverRun {
+    /// A rig folder whose template and first shapes take part, instead of a generated face of `vertices` vertices.
+    pub rig: Option<PathBuf>,
     /// Vertices of the template, about.
     pub vertices: usize,
     /// Nodes of the graph.
@@ -106,7 +115,10 @@ const DAMPING_FLOOR: f64 = 1e-9;
 
 fn solve(run: &SolverRun) -> Result<Value> {
     let clock = Instant::now();
-    let face = face(run.vertices, run.shapes, BUMP, run.seed);
+    let face = match &run.rig {
+        Some(folder) => face_of_rig(folder, run.shapes, run.seed)?,
+        None => face(run.vertices, run.shapes, BUMP, run.seed),
+    };
     let generate = clock.elapsed().as_secs_f64();
     reset_peak();
 
@@ -132,17 +144,18 @@ fn solve(run: &SolverRun) -> Result<Value> {
     for _ in 0..run.repeats {
         let mut x = problem.model.rest_parameters();
         let clock = Instant::now();
-        let summary = minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent);
+        let (summary, busy) =
+            busy_share(|| minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent))?;
         let seconds = clock.elapsed().as_secs_f64();
         if !summary.stop.was_successful() || summary.iterations == 0 {
             return Err(Failure::computation(summary.stop).into());
         }
         let [linearise, solve, energy] =
             [summary.times.linearize, summary.times.solve, summary.times.energy].map(|t| t.as_secs_f64());
-        let each = [linearise, solve, energy, linearise + solve + energy].map(|s| s / summary.iterations as f64);
+        let each = [linearise, solve, energy, linearise + solve + energy].map(|s| busy * s / summary.iterations as f64);
         stages.iter_mut().zip(each).for_each(|(all, s)| all.push(s));
         // Choosing and analysing is what the first repetition does besides the stages.
-        first.get_or_insert((seconds - linearise - solve - energy).max(0.0));
+        first.get_or_insert(busy * (seconds - linearise - solve - energy).max(0.0));
     }
     let summary = workspace.summary();
     let [linearise, solve, energy, iteration] = stages.map(|all| Spread::of(&all));
@@ -170,6 +183,24 @@ fn solve(run: &SolverRun) -> Result<Value> {
     }))
 }
 
+/// As [`face`], of the template and the first shapes of a rig: three of its shapes are the goal, and what no shape is.
+fn face_of_rig(folder: &Path, shapes: usize, seed: u64) -> Result<Face> {
+    let read = BenchRig::read(folder).map_err(|e| Failure::loading(format!("{e:#}")))?;
+    let (rig, mesh) = (read.rig(), read.template().triangulate());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut goal = mesh.positions.clone();
+    for _ in 0..if rig.shapes().is_empty() { 0 } else { 3 } {
+        let (k, weight) = (rng.random_range(0..rig.shapes().len()), rng.random_range(0.3..0.8));
+        for (p, d) in goal.iter_mut().zip(rig.deltas(k).chunks_exact(3)) {
+            *p += weight * Vec3::new(d[0].into(), d[1].into(), d[2].into());
+        }
+    }
+    bend(&mut goal, BUMP, &mut rng);
+    let count = shapes.min(rig.shapes().len());
+    let slab = (0..3 * goal.len()).flat_map(|row| (0..count).map(move |k| rig.deltas(k)[row])).collect();
+    Ok(Face { mesh, shapes: ShapeBasis::new(rig.shapes()[..count].to_vec(), slab), goal })
+}
+
 fn register_scan(run: &RegistrationRun) -> Result<Value> {
     let clock = Instant::now();
     let case = first_standard_case(run.template, run.triangles, run.seed).map_err(Failure::computation)?;
@@ -179,14 +210,15 @@ fn register_scan(run: &RegistrationRun) -> Result<Value> {
     let (mut stages, mut steps) = (<[Vec<f64>; 4]>::default(), 0);
     for _ in 0..run.repeats {
         let mut watch = Watch::new();
-        let result = register(&case.input(), &ModelKind::Hybrid, &schedule, &mut watch)?;
+        let (result, busy) = busy_share(|| register(&case.input(), &ModelKind::Hybrid, &schedule, &mut watch))?;
+        let result = result?;
         let end = Instant::now();
         let whole = (end - watch.begin).as_secs_f64();
         let setup = (watch.started - watch.begin).as_secs_f64();
         let stepping = (watch.stepped - watch.started).as_secs_f64();
         steps = result.history.len();
         let each = [setup, stepping, (end - watch.stepped).as_secs_f64(), whole];
-        stages.iter_mut().zip(each).for_each(|(all, s)| all.push(s));
+        stages.iter_mut().zip(each).for_each(|(all, s)| all.push(busy * s));
     }
     let [setup, stepping, finish, whole] = stages.map(|all| Spread::of(&all));
     Ok(json!({

@@ -172,6 +172,7 @@ fn configurations(a: &Arguments) -> Result<Vec<Configuration>, String> {
                 all.extend(threads.iter().map(|&threads| {
                     let (shapes, seed) = (a.shapes, a.seed);
                     Configuration::Solver(SolverRun {
+                        rig: None,
                         vertices,
                         nodes,
                         shapes,

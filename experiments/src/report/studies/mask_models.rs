@@ -7,7 +7,7 @@ use nonrigid::morph::{
     Region, ReplayOptions, Sampling, Shape, Texture, Visibility, preset,
 };
 use nonrigid::registration::ModelKind;
-use nonrigid::render::{Camera, ColourMap, ColourScale, Frame, Scene, Sheet, Style, View, render};
+use nonrigid::render::{Camera, ColourMap, ColourScale, Frame, Panel, Scene, Sheet, Style, View, render};
 use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
 use crate::generated::face;
@@ -43,7 +43,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     blocks.extend(one_thread()?.install(|| speed(setting))?);
     let reached = Table::read(&setting.out.join("mask-models.csv"))?;
     let reached = ranked(&reached, &[], "model", "reached_over_asked")?;
-    let finding = least_and_most("displacement reached, of 1 asked,", &reached, "");
+    let finding = least_and_most("share of the displacement asked for that is reached", &reached, "");
     Ok(Section { finding, blocks })
 }
 
@@ -63,8 +63,7 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
 
     let columns = ["moving", "reached_over_asked", "largest_jump", "folded", "stretch_min", "stretch_max", "steps"];
     let mut table = Table::new(&[&["mask", "model"][..], &columns].concat());
-    let headings: Vec<_> = all.iter().map(MorphModel::name).collect();
-    let mut sheet = Sheet::new("").columns(&headings);
+    let mut sheet = Sheet::new("");
     let (mut shaded, mut coloured) = (Vec::new(), Vec::new());
     let scale = ColourScale::new(ColourMap::Viridis, 0.0, 1.0, "displacement", "of asked");
     for ((name, _, model), outcome) in jobs.iter().zip(outcomes) {
@@ -92,14 +91,18 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
         let moved = Style::Values(moved.collect(), scale.clone());
         let mesh = patient.mesh.with_positions(outcome.positions).triangulate();
         let picture = |style| render(&Scene::new().mesh(&mesh, style), &camera, [PANEL; 2]);
-        shaded.push(picture(Style::Clay));
-        coloured.push(picture(moved));
+        shaded.push(Panel::new(picture(Style::Clay), model.name()));
+        coloured.push(Panel::new(picture(moved), ""));
     }
     table.write(setting.out, "mask-models")?;
     let count = all.len();
     for (m, (name, amount)) in MASKS.iter().enumerate() {
-        let row = m * count..(m + 1) * count;
-        sheet = sheet.row(&format!("{name} {amount} mm"), shaded[row.clone()].to_vec()).row("", coloured[row].to_vec());
+        let of_mask = m * count..(m + 1) * count;
+        let rows = shaded[of_mask.clone()].chunks(ACROSS).zip(coloured[of_mask].chunks(ACROSS));
+        for (k, (shaded, coloured)) in rows.enumerate() {
+            let caption = if k == 0 { format!("{name} {amount} mm") } else { String::new() };
+            sheet = sheet.row(&caption, shaded.to_vec()).row("", coloured.to_vec());
+        }
     }
     let caption =
         "The same mask on every model, and how far each vertex went of what was asked. Direct is the paper's own.";
@@ -108,8 +111,9 @@ fn models(setting: &Setting<'_>) -> Result<Vec<Block>> {
     Ok(vec![picture, Block::Table { table, caption: caption.into(), file: "mask-models.csv".into() }])
 }
 
-/// Side of a panel, pixels.
+/// Side of a panel, pixels, and how many lie side by side.
 const PANEL: u32 = 250;
+const ACROSS: usize = 6;
 
 /// Milliseconds of each stage over the number of vertices.
 fn speed(setting: &Setting<'_>) -> Result<Vec<Block>> {

@@ -12,7 +12,7 @@ pub const STUDY: Study = Study {
     title: "Does a bad result say so?",
     about: "Varied: what is wrong with scan, landmarks or rig, one kind at a time; people and expressions. Held: the hybrid's schedule, \
             and the calibration of the probability of error, which has seen neither these seeds nor the kinds marked so. Measured: \
-            the error over the observed vertices, more than 3 mm being bad, and whether the result is doubted. (`experiments silence` \
+            the error over the observed vertices, more than 3 mm being bad, and whether the result is doubted. (The command experiments silence \
             runs more of them, and scans of your own with ground truth.)",
     tables: &["silence", "silence-counts", "silence-diagram"],
     seconds: |effort| 0.8 * effort.silence_runs as f64,

@@ -13,8 +13,9 @@ pub const STUDY: Study = Study {
     name: "solver",
     title: "The solver: growth with vertices, shapes, nodes, threads",
     about: "Varied, one at a time: vertices (with one node for each hundred), blendshapes (by the paper's differentiation and by \
-            ours), nodes, threads. Held: 5,000 vertices, 400 nodes, 50 shapes, fixed correspondences, one thread where threads are \
-            not varied. Measured: seconds of an iteration by stage, greatest memory, each run in a process of its own.",
+            ours), nodes, threads. Held: 5,000 vertices or your own template, 400 nodes, 50 shapes, fixed correspondences, one thread \
+            where threads are not varied. Measured: time of an iteration by stage, greatest memory, each run in a process of its own. On \
+            one thread that is processor time, on several wall time.",
     tables: &["solver.timing"],
     seconds: |effort| {
         let vertices: usize = effort.solver_sizes.iter().sum();
@@ -42,6 +43,7 @@ struct Growth {
 fn growths(setting: &Setting<'_>) -> Vec<Growth> {
     let effort = setting.effort;
     let base = SolverRun {
+        rig: (!setting.data.generated).then(|| setting.data.rig_folder.clone()),
         vertices: VERTICES,
         nodes: NODES,
         shapes: SHAPES,
@@ -53,16 +55,20 @@ fn growths(setting: &Setting<'_>) -> Vec<Growth> {
         seed: setting.seed,
     };
     let all = rayon::current_num_threads();
-    let sized = |threads| {
-        effort.solver_sizes.iter().map(move |&v| SolverRun { vertices: v, nodes: (v / 100).max(50), threads, ..base })
-    };
-    let mut vertices: Vec<SolverRun> = sized(1).collect();
-    if all > 1 {
-        vertices.extend(sized(all));
+    let mut vertices = Vec::new();
+    for threads in if all > 1 { vec![1, all] } else { vec![1] } {
+        let sized =
+            |&v: &usize| SolverRun { rig: None, vertices: v, nodes: (v / 100).max(50), threads, ..base.clone() };
+        vertices.extend(effort.solver_sizes.iter().map(sized));
     }
-    let shaped = |reference| effort.solver_shapes.iter().map(move |&shapes| SolverRun { shapes, reference, ..base });
-    let shapes = shaped(false).chain(shaped(true)).collect();
-    let nodes = effort.solver_nodes.iter().map(|&nodes| SolverRun { nodes, ..base }).collect();
+    // A rig of one's own may have fewer.
+    let most = if setting.data.generated { usize::MAX } else { setting.data.rig.rig().shapes().len() };
+    let mut shapes = Vec::new();
+    for reference in [false, true] {
+        let numbers = effort.solver_shapes.iter().filter(|shapes| **shapes <= most);
+        shapes.extend(numbers.map(|&shapes| SolverRun { shapes, reference, ..base.clone() }));
+    }
+    let nodes = effort.solver_nodes.iter().map(|&nodes| SolverRun { nodes, ..base.clone() }).collect();
     let growth = |name, title, axis, column, runs| Growth { name, title, axis, column, runs };
     vec![
         growth("vertices", "Vertices", "vertices of the template", "vertices", vertices),
@@ -100,7 +106,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     for growth in &growths {
         let mut measured: Vec<(&SolverRun, Value)> = Vec::new();
         for run in &growth.runs {
-            let row = run_apart(setting.program, &Configuration::Solver(*run))?;
+            let row = run_apart(setting.program, &Configuration::Solver(run.clone()))?;
             let differentiation = if run.reference { "paper" } else { "ours" };
             let stage = |key: &str, of: &str| row[key][of].as_f64().unwrap_or(f64::NAN);
             let mut cells = vec![growth.name.to_owned()];
@@ -117,7 +123,11 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         bars.push(stacked(growth, &measured));
     }
     table.write(setting.out, "solver.timing")?;
-    let caption = "Time of an iteration; in the legend the exponent of the power law through the points. Bars: range over the repetitions.";
+    let caption = format!(
+        "Time of an iteration: processor time on one thread, wall time on several; in the legend, from three points on, the exponent of the \
+         power law through them. Points: median of n = {}; bars: their range.",
+        counted(setting.effort.solver_repeats, "repetition")
+    );
     let figure = setting.plot("solver", &Grid { columns: 2, plots }.svg()?, caption)?;
     let mut blocks = vec![figure];
     for (growth, bars) in growths.iter().zip(bars) {
@@ -129,7 +139,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         Ok(times.last().copied().unwrap_or(f64::NAN))
     };
     let finding = format!(
-        "With {} blendshapes an iteration takes {} ms on one thread, {} ms by the paper's differentiation; median of {}.",
+        "With {} blendshapes an iteration takes {} ms of one core, {} ms by the paper's differentiation; median of {}.",
         setting.effort.solver_shapes.last().unwrap_or(&0),
         shown(1e3 * of("ours")?),
         shown(1e3 * of("paper")?),

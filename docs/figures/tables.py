@@ -1,0 +1,320 @@
+"""How the tables of this folder are made: a function for each, whose docstring says what it holds. `run(COMMAND)` runs a command with the
+programs of target/release in out/figures, once however many tables ask for it, and returns what it prints. A table is {row: {column: value}}, a
+string is a block of text."""
+
+import csv
+import json
+import os
+import re
+import statistics
+import subprocess
+import time
+from pathlib import Path
+
+MAKERS = {}
+
+
+class Run:
+    def __init__(self, root: Path) -> None:
+        self.folder = root / "out/figures"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        beside = next((p / "shared/data" for p in root.parents if (p / "shared/data").is_dir()), None)
+        self.data = os.environ.get("NONRIGID_DATA", str(beside or ""))
+        self.ceres = root / "build/ceres/ceres_case"
+        self.environment = {**os.environ, "PATH": f"{root}/target/release:{os.environ['PATH']}", "NONRIGID_DATA": self.data}
+        self.said: dict[str, tuple[str, str, float]] = {}
+        # Of the table that is being made: its commands, and the seconds that they took.
+        self.commands: list[str] = []
+        self.seconds = 0.0
+
+    def missing(self, maker) -> str:
+        """What a table needs and is not here, if anything."""
+        if maker.needs == "data" and not Path(self.data, "ict-facekit/narrow").is_dir():
+            return "as $NONRIGID_DATA is not there"
+        if maker.needs == "ceres" and not self.ceres.exists():
+            return f"as {self.ceres} is not built"
+        return ""
+
+    def __call__(self, command: str, with_remarks: bool = False) -> str:
+        self.commands.append(command)
+        if command not in self.said:
+            begin = time.monotonic()
+            done = subprocess.run(["bash", "-c", command], cwd=self.folder, env=self.environment, capture_output=True, text=True)
+            if done.returncode:
+                raise RuntimeError(f"{command}\n{done.stderr}")
+            self.said[command] = done.stdout, done.stderr, time.monotonic() - begin
+        said, remarks, seconds = self.said[command]
+        self.seconds += seconds
+        return remarks + said if with_remarks else said
+
+    def cpu_seconds(self, command: str) -> float:
+        """Processor time of a command, which is not among those that are listed."""
+        before, begin = os.times(), time.monotonic()
+        subprocess.run(["bash", "-c", command], cwd=self.folder, env=self.environment, capture_output=True, check=True)
+        after = os.times()
+        self.seconds += time.monotonic() - begin
+        return after.children_user + after.children_system - before.children_user - before.children_system
+
+    def csv(self, path: str) -> list[dict[str, str]]:
+        with (self.folder / path).open(encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+
+    def json(self, path: str):
+        return json.loads((self.folder / path).read_text(encoding="utf-8"))
+
+
+def table(name: str, needs: str = ""):
+    def known(maker):
+        maker.needs = needs
+        MAKERS[name] = maker
+        return maker
+
+    return known
+
+
+ICT = "$NONRIGID_DATA/scanner-bench", "$NONRIGID_DATA/ict-facekit/narrow"
+
+
+def generated(run: Run, name: str, options: str) -> tuple[str, str]:
+    """Cases that data-gen makes, and their rig."""
+    run(f"data-gen {options} --out {name}")
+    given = re.match(r"--rig (\S+)", options)
+    return f"{name}/cases", given[1] if given else f"{name}/rig"
+
+
+def bench(run: Run, out: str, cases: str, rig: str, options: str = "") -> dict[str, dict]:
+    """What scan-bench says of each model."""
+    run(f"experiments scan-bench {cases} --rig {rig} {options + ' ' if options else ''}--out {out}")
+    return {row["model"]: row for row in run.json(f"{out}/scan-bench.json")["summary"]}
+
+
+def errors(models: dict[str, dict]) -> dict[str, dict]:
+    keys = ["mean_rmse", "worst_rmse", "mean_normal", "mean_tangential", "worst_unobserved", "worst_self_intersections", "mean_lip_aperture"]
+    return {model: {key: row[key] for key in keys} for model, row in models.items()}
+
+
+@table("six-scans")
+def six_scans(run):
+    "Errors of every model on six generated scans, mm."
+    return errors(bench(run, "bench-six", *generated(run, "seed7", "--seed 7")))
+
+
+@table("ict-scans", needs="data")
+def ict_scans(run):
+    "Errors of every model on eight scans of the ICT-FaceKit rig, mm."
+    return errors(bench(run, "bench-ict", *ICT))
+
+
+@table("ict-intersections", needs="data")
+def ict_intersections(run):
+    "Pairs of triangles that pass through each other on the eight scans of the ICT-FaceKit rig: in the truth and in the hybrid's result."
+    bench(run, "bench-ict-hybrid", *ICT, "--models hybrid")
+    measured = {}
+    for case in sorted(path.parent.name for path in Path(run.data, "scanner-bench").glob("*/case.json")):
+        row = next(r for r in run.json("bench-ict-hybrid/scan-bench.json")["rows"] if r["case"] == case)
+        said = run(f"nonrigid eval --json --result {ICT[0]}/{case}/truth.npy --template {ICT[1]}/template.obj --target {ICT[0]}/{case}/scan.ply")
+        measured[case] = {"truth": json.loads(said)["self_intersections"], "hybrid": row["self_intersections"]}
+    return measured
+
+
+@table("seconds")
+def seconds(run):
+    "Processor time of `nonrigid register --threads 1` on the six generated scans: median over them, each the lower of two runs."
+    cases, rig = generated(run, "seed7", "--seed 7")
+    names = sorted(path.name for path in (run.folder / cases).iterdir())
+    command = (f"nonrigid register --threads 1 --template {rig}/template.obj --rig {rig} --identity-modes 40 --target {cases}/CASE/scan.ply "
+               f"--landmarks {cases}/CASE/landmarks.json --out seconds.obj --model MODEL")
+    run.commands.append(f"# {command}")
+    models = ["hybrid", "klimov2020", "sequential", "blendshape", "sumner", "graph", "arap"]
+    of = lambda model, case: min(run.cpu_seconds(command.replace("CASE", case).replace("MODEL", model)) for _ in range(2))
+    return {model: {"median": statistics.median(of(model, case) for case in names)} for model in models}
+
+
+SETS = {
+    "s101": ("--seed 101 --cases 10", ""),
+    "s102": ("--seed 102", ""),
+    "s102-fused": ("--seed 102 --scanner fused", ""),
+    "ict-fused": ("--rig $NONRIGID_DATA/ict-facekit/narrow --seed 101 --scanner fused", ""),
+    "ict-frame": ("--rig $NONRIGID_DATA/ict-facekit/narrow --seed 103 --scanner frame", ""),
+    "ict": (ICT, ""),
+    "ict-align": (ICT, "--landmarks align"),
+    "ict-none": (ICT, "--landmarks none"),
+    "s7": ("--seed 7", ""),
+    "s301": ("--seed 301 --cases 8", ""),
+    "s302": ("--seed 302 --cases 8", ""),
+}
+
+
+@table("sets", needs="data")
+def sets(run):
+    "Mean and worst rmse of the hybrid and of klimov2020 on the sets that are for design, validation and test, mm."
+    measured = {}
+    for name, (where, options) in SETS.items():
+        data = where if isinstance(where, tuple) else generated(run, name, where)
+        models = bench(run, f"bench-{name}", *data, f"--models hybrid,klimov2020 {options}".strip())
+        columns = {"hybrid": "mean_rmse", "hybrid_worst": "worst_rmse", "klimov2020": "mean_rmse", "klimov2020_worst": "worst_rmse"}
+        measured[name] = {column: models[column.split("_")[0]][key] for column, key in columns.items()}
+    return measured
+
+
+@table("identities", needs="data")
+def identities(run):
+    "Consistency over twelve real faces without landmarks: rms and worst face, and median distance to the scan, mm."
+    run("experiments consistency --population $NONRIGID_DATA/population/faces.npy --template-of-population $NONRIGID_DATA/population/template.ply "
+        "--rig $NONRIGID_DATA/ict-facekit/narrow --models hybrid,klimov2020 --out identities")
+    return {row["model"]: {key: row[key] for key in ["rms", "worst", "distance"]} for row in run.json("identities/consistency.json")["rows"]}
+
+
+@table("closed", needs="data")
+def closed(run):
+    "Mean rmse on bodies and femurs, mm."
+    models = ["hybrid", "graph", "blendshape", "sequential", "klimov2020"]
+    measured = {}
+    for subject, rig in [("femur", "$NONRIGID_DATA/femur/rig"), ("bodies", "$NONRIGID_DATA/bodies/rig")]:
+        for scanner, seed in [("fused", 101), ("frame", 102)]:
+            cases, _ = generated(run, f"{subject}-{scanner}", f"--rig {rig} --seed {seed} --scanner {scanner} --cases 6")
+            measured[f"{subject}-{scanner}"] = bench(run, f"bench-{subject}-{scanner}", cases, rig, f"--models {','.join(models)}")
+        measured[subject] = bench(run, f"bench-{subject}", f"$NONRIGID_DATA/{subject}/cases", rig, f"--models {','.join(models)}")
+    return {name: {model: of[model]["mean_rmse"] for model in models} for name, of in measured.items()}
+
+
+def outcomes(rows: list[dict]) -> dict[str, float]:
+    verdicts = [row["verdict"] for row in rows]
+    count = lambda *names: sum(verdict in names for verdict in verdicts)
+    solvable = [row["verdict"] for row in rows if row["solvable"] == "true"]
+    counts = {
+        "runs": len(rows),
+        "good": count("good", "good, doubted"), "good_doubted": count("good, doubted"),
+        "bad": count("bad, doubted", "bad, silent"), "bad_silent": count("bad, silent"),
+        "solvable": len(solvable), "refused": sum(verdict == "refused" for verdict in solvable),
+    }
+    share = lambda some, of: 100.0 * counts[some] / max(counts[of], 1)
+    return {**counts, "silent_percent": share("bad_silent", "bad"), "doubted_percent": share("good_doubted", "good"), "refused_percent": share("refused", "solvable")}
+
+
+def silence_rows(run: Run, out: str, options: str) -> list[dict]:
+    run(f"experiments silence {options} --out {out}")
+    return run.csv(f"{out}/silence.csv")
+
+
+@table("silence")
+def silence(run):
+    "Scans with all that can be wrong with them, test set: results that are bad and silent, good but doubted, solvable but refused."
+    rows = silence_rows(run, "silence-test", "--set test")
+    kinds = {"all": rows, "design-kinds": [r for r in rows if r["design_kind"] == "true"], "kept-apart": [r for r in rows if r["design_kind"] != "true"]}
+    return {name: outcomes(of) for name, of in kinds.items()}
+
+
+@table("calibration")
+def calibration(run):
+    "Share of bad results by the probability of error that was stated, on the runs of `silence`, %."
+    rows = [r for r in silence_rows(run, "silence-test", "--set test") if r["probability"] and r["rmse"]]
+    bands = {"below-2": (0.0, 0.02), "2-10": (0.02, 0.1), "10-30": (0.1, 0.3), "30-60": (0.3, 0.6), "60-90": (0.6, 0.9), "above-90": (0.9, 1.01)}
+    of = lambda low, high: [float(r["rmse"]) > 3.0 for r in rows if low <= float(r["probability"]) < high]
+    return {name: {"results": len(of(*ends)), "bad_percent": 100.0 * sum(of(*ends)) / max(len(of(*ends)), 1)} for name, ends in bands.items()}
+
+
+@table("silence-design", needs="data")
+def silence_design(run):
+    "Scans with all that can be wrong with them, design set, on generated faces and on scans of the ICT-FaceKit rig."
+    return {"all": outcomes(silence_rows(run, "silence-design", f"--set design --runs 20 --cases {ICT[0]} --rig {ICT[1]}"))}
+
+
+@table("rigs", needs="data")
+def rigs(run):
+    "The generated rig beside ICT-FaceKit."
+    generated(run, "seed7", "--seed 7")
+    real, made = json.loads(run(f"experiments compare-rigs {ICT[1]} seed7/rig --json"))
+    listed = lambda values, form: ", ".join(format(float(format(v, form)) + 0.0, form) for v in values)  # no negative zero
+    modes = lambda rig: [rig["identity_rms"][k - 1] for k in [1, 2, 5, 10, 20, 40, 100]]
+    of = {
+        "vertices": lambda rig: f"{rig['vertices']}, {rig['polygons']}",
+        "edges": lambda rig: listed(rig["edge_lengths"], ".1f"),
+        "curvature": lambda rig: listed(rig["curvature"], ".2f"),
+        "modes": lambda rig: listed(modes(rig), ".2g"),
+        "identity": lambda rig: f"{rig['identity_total']:.1f}",
+    }
+    return {name: {"ict": value(real), "generated": value(made)} for name, value in of.items()}
+
+
+@table("nist")
+def nist(run):
+    "Runs on NIST's 27 problems, two starts each, that reach six digits and more."
+    said = json.loads(run("experiments dev nist --json"))
+    return {"levenberg-marquardt": {"passed": said["passed"], "total": said["total"]},
+            "dogleg": {"passed": said["dogleg"]["passed"], "total": said["dogleg"]["total"]}}
+
+
+@table("ceres", needs="ceres")
+def ceres(run):
+    "Time of an iteration of Ceres Solver over ours, with the fastest of its linear solvers, by numbers of blendshapes."
+    run("experiments ceres --program ../../build/ceres/ceres_case --out ceres")
+    said = run.json("ceres/ceres.json")
+    ratios: dict[str, dict] = {}
+    for row in said["rows"]:
+        of = ratios.setdefault(row["derivatives"], {})
+        key = f"shapes_{row['shapes']}"
+        of[key] = min(of.get(key, row["ratio"]), row["ratio"])
+    for of in ratios.values():
+        of["registration"] = said["registration"]["ceres_iterations"]
+    return ratios
+
+
+@table("studies")
+def studies(run):
+    "What `experiments --list` expects of each study on two cores."
+    rows: dict[str, dict] = {}
+    for column, options in [("usual", ""), ("quick", "--quick ")]:
+        for name, minutes, secs in re.findall(r"^(\S+) +(?:(\d+) min )?(\d+) s ", run(f"experiments {options}--list"), re.M):
+            rows.setdefault(name, {})[column] = f"{minutes} min {secs} s" if minutes else f"{secs} s"
+    return rows
+
+
+DEMO = "seed7/cases/same_open"
+
+
+def wrapped(run: Run) -> str:
+    generated(run, "seed7", "--seed 7")
+    return run("nonrigid register --template seed7/rig/template.obj --rig seed7/rig --identity-modes 40 "
+               f"--target {DEMO}/scan.ply --landmarks {DEMO}/landmarks.json --out wrapped.obj --report wrapped.json", with_remarks=True)
+
+
+@table("artist")
+def artist(run):
+    "What the first registration of the artist's tutorial says."
+    return wrapped(run)
+
+
+@table("artist-error")
+def artist_error(run):
+    "Error of the first registration of the artist's tutorial against the truth, mm."
+    wrapped(run)
+    truth = json.loads(run(f"nonrigid eval --json --result wrapped.obj --template seed7/rig/template.obj --truth {DEMO}/truth.npy --observed {DEMO}/observed.npy"))
+    return {"wrapped": {key: truth[key] for key in ["rmse", "normal", "tangential"]}}
+
+
+@table("surgery")
+def surgery(run):
+    "What the presets of the surgeon's tutorial change."
+    generated(run, "seed7", "--seed 7")
+    case = "seed7/cases/new_neutral"
+    run(f"nonrigid register --template seed7/rig/template.obj --rig seed7/rig --identity-modes 40 --target {case}/scan.ply "
+        f"--landmarks {case}/landmarks.json --out patient.obj")
+    run("nonrigid morph --mesh patient.obj --rig seed7/rig --preset nose-bridge=2.5 --preset chin-forward=2 --out plan.obj --report plan")
+    run("nonrigid measure --mesh patient.obj --after plan.obj --rig seed7/rig --csv plan.csv")
+    changes = {row["name"]: float(row["difference"]) for row in run.csv("plan.csv") if row["group"] in ("angles", "profile")}
+    return {"chin": {"change": changes["chin_projection"]}, "mentolabial": {"change": changes["mentolabial"]}}
+
+
+@table("drag")
+def drag(run):
+    "Milliseconds of one core for a step of a handle that is dragged over some 10,000 vertices: median of five."
+    run("experiments --only mask-models --out masks")
+    rows = run.csv("masks/mask-speed.timing.csv")
+    measured = {}
+    for model in ["arap", "graph"]:
+        of = [r for r in rows if r["stage"] == f"dragged handle, {model}"]
+        nearest = min({int(r["moving"]) for r in of}, key=lambda moving: abs(moving - 10_000))
+        steps = [float(r["milliseconds"]) for r in of if int(r["moving"]) == nearest]
+        measured[model] = {"moving": nearest, "milliseconds": statistics.median(steps)}
+    return measured
