@@ -58,7 +58,8 @@ fn a_figure_that_is_changed_by_hand_is_found() {
     let in_a_table = |text: &str| another_digit(text, text.find(" |\n| klimov2020").unwrap() - 1);
     let in_a_block = |text: &str| another_digit(text, text.find(" % of the vertices").unwrap() - 1);
     let no_number = |text: &str| text.replacen("<!-- six-scans.hybrid", "about <!-- six-scans.hybrid", 1);
-    let cases: [(&str, &str, &dyn Fn(&str) -> String); 6] = [
+    type Change<'a> = &'a dyn Fn(&str) -> String;
+    let cases: [(&str, &str, Change<'_>); 6] = [
         ("docs/src/explanation/sliding.md", "its table says", &in_prose),
         ("docs/src/explanation/sliding.md", "stands behind no number", &no_number),
         ("README.md", "its table says", &in_a_table),
