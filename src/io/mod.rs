@@ -8,6 +8,7 @@ mod gltf;
 mod gzip;
 mod inputs;
 mod material;
+mod material_files;
 mod npy;
 mod npz;
 mod obj;
@@ -31,6 +32,7 @@ pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
+pub use material_files::MaterialFiles;
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};
@@ -40,7 +42,7 @@ pub use plan::{FilePlan, PlanError, check_files};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
 pub use unit::{BODY_EXTENT, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
-pub use usda::write_usda;
+pub use usda::{Clip, write_usda};
 pub use xyz::parse_xyz;
 
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
@@ -199,7 +201,10 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
         "obj" => obj::write_colored_obj(path, mesh, colors),
         "ply" => write_ply_polygons(path, mesh, PlyOptions { colors, precision: PlyPrecision::Double, normals: None }),
         "glb" => write_look(path, mesh, gltf::Look { colors, ..gltf::Look::default() }),
-        "usda" => write_usda(path, mesh, colors, std::slice::from_ref(&mesh.positions), 1.0),
+        "usda" => {
+            let frames = std::slice::from_ref(&mesh.positions);
+            write_usda(path, mesh, colors, &Clip { frames, frames_per_second: 1.0, lost: &[] }, None)
+        }
         found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }
@@ -210,6 +215,15 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
 /// As [`write_glb`].
 pub fn write_textured_glb(path: &Path, mesh: &PolygonMesh, png: &[u8]) -> Result<(), WriteError> {
     write_look(path, mesh, gltf::Look { png: Some(png), ..gltf::Look::default() })
+}
+
+/// Writes a mesh as `.usda`, whose materials show a texture: an image of this name in the same folder.
+///
+/// # Errors
+/// As [`write_usda`].
+pub fn write_textured_usda(path: &Path, mesh: &PolygonMesh, image: &str) -> Result<(), WriteError> {
+    let frames = std::slice::from_ref(&mesh.positions);
+    write_usda(path, mesh, None, &Clip { frames, frames_per_second: 1.0, lost: &[] }, Some(image))
 }
 
 fn write_look(path: &Path, mesh: &PolygonMesh, look: gltf::Look<'_>) -> Result<(), WriteError> {
