@@ -201,6 +201,6 @@ impl Batch {
             inputs.extend(first.inputs.iter().filter(|(role, _)| role == "rig").cloned());
         }
         let name = format!("{sequence}{ENDING}");
-        Job { name, arguments: Ok(arguments), settings, goes_on: false, sequence: None, inputs }
+        Job { name, arguments: Ok(arguments), settings, goes_on: false, sequence: None, beside: Vec::new(), inputs }
     }
 }

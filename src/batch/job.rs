@@ -23,6 +23,8 @@ pub struct Job {
     pub goes_on: bool,
     /// The sequence whose frame it is.
     pub sequence: Option<String>,
+    /// Names of files that it may write beside its results: images, materials.
+    pub beside: Vec<String>,
     /// Files that are read, with what they are read as.
     pub inputs: Vec<(String, PathBuf)>,
 }
@@ -226,6 +228,7 @@ mod tests {
             settings: vec![("model".into(), model.into()), ("identity-modes".into(), "4".into())],
             goes_on: true,
             sequence: None,
+            beside: Vec::new(),
             inputs: vec![("target".into(), scan)],
         };
         let key = |job: &Job, previous| job.key(previous, &Hashes::default());

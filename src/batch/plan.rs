@@ -89,8 +89,9 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
     };
     let writes = || {
         let of_jobs = jobs().flat_map(|job| {
-            let name = &job.borrow().name;
-            let names: Vec<String> = batch.names(name).collect();
+            let job = job.borrow();
+            let name = &job.name;
+            let names: Vec<String> = batch.names(name).chain(job.beside.iter().cloned()).collect();
             // those that it would replace by others
             let earlier = Record::read(&batch.record_of(name)).map(|record| record.outputs).unwrap_or_default();
             let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();

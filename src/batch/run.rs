@@ -512,8 +512,7 @@ impl<'a> Run<'a> {
     /// as listed counts as not done.
     pub(super) fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
         let folder = &self.batch.folder;
-        let mut names: Vec<String> = self.batch.outputs(&job.name).into_iter().chain(others(&job.name)).collect();
-        names.extend(record.outputs.keys().filter(|name| !names.contains(name)).cloned().collect::<Vec<_>>());
+        let names: Vec<String> = self.results(job).into_iter().chain(others(&job.name)).collect();
         let made = |name: &String| self.aside.join(name).exists();
         let of_known = |name: &str| known.is_some_and(|known| known.lists(name));
         let stranger =
@@ -551,7 +550,7 @@ impl<'a> Run<'a> {
     }
 
     pub(super) fn clear_results(&self, job: &Job) {
-        let names = self.batch.outputs(&job.name).into_iter().chain([format!("{}.timing.json", job.name)]);
+        let names = self.results(job).into_iter().chain([format!("{}.timing.json", job.name)]);
         for name in names {
             let _ = fs::remove_file(self.aside.join(name)); // usually there is none
         }
@@ -562,11 +561,9 @@ impl<'a> Run<'a> {
         serde_json::from_slice(&bytes).ok()
     }
 
-    /// Names of what a job has written: its results, and the files that its report says are beside them.
+    /// Names of a job's results, and of the files beside them.
     fn results(&self, job: &Job) -> Vec<String> {
-        let report = self.report(job).unwrap_or_default();
-        let beside = report["files"].as_array().into_iter().flatten().filter_map(|name| name.as_str());
-        self.batch.outputs(&job.name).into_iter().chain(beside.map(str::to_owned)).collect()
+        self.batch.outputs(&job.name).into_iter().chain(job.beside.iter().cloned()).collect()
     }
 
     fn is_doubtful(&self, job: &Job) -> bool {

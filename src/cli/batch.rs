@@ -235,14 +235,16 @@ pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)
     };
     let arguments: Vec<OsString> = settings.iter().map(argument).collect();
     // what the batch itself adds does not matter here
-    let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
+    let format = further.iter().find(|(option, _)| option == "format").map_or("obj", |(_, format)| format);
+    let out = PathBuf::from(format!("{}.{format}", row.name));
+    let line = [OsString::from("register"), "--out".into(), out.clone().into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
-    let (arguments, inputs) = match parsed {
-        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths()),
+    let (arguments, inputs, beside) = match parsed {
+        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths(), parsed.arguments.beside(&out)),
         // its files are not to be overwritten either
         Err(error) => {
             let paths = settings.iter().filter(|(long, _)| columns.paths.contains(long));
-            (Err(first_line(&error)), paths.map(|(long, path)| (&**long, path.into())).collect())
+            (Err(first_line(&error)), paths.map(|(long, path)| (&**long, path.into())).collect(), Vec::new())
         }
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
@@ -252,7 +254,8 @@ pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)
         of_text.map(|(long, value)| (long.clone(), value.to_string_lossy().into_owned())).collect();
     settings.extend(further.iter().cloned());
     let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
-    Job { name: row.name.clone(), arguments, settings, goes_on, sequence: row.sequence.clone(), inputs }
+    let beside = beside.into_iter().map(|(_, path)| path.to_string_lossy().into_owned()).collect();
+    Job { name: row.name.clone(), arguments, settings, goes_on, sequence: row.sequence.clone(), beside, inputs }
 }
 
 /// What clap has against an option, without advice on how to call the command, which is not the one that was called.

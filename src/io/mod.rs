@@ -135,12 +135,16 @@ pub fn files_of_painted_mesh(path: &Path) -> Vec<PathBuf> {
     if matches!(extension(path).as_str(), "glb" | "gltf") {
         files.extend(std::fs::read(path).map(|bytes| gltf::files_beside(&bytes, path, true)).unwrap_or_default());
     } else if gzip::inner_extension(path) == "obj" {
-        let bytes = gzip::read_unpacked(path).unwrap_or_default();
-        let lines = bytes.split(|b| *b == b'\n').filter_map(|line| line.trim_ascii().strip_prefix(b"mtllib"));
-        let named: Vec<String> = lines.map(|name| String::from_utf8_lossy(name.trim_ascii()).into_owned()).collect();
-        files.extend(material::files_of_paint(path, &named));
+        files.extend(material::files_of_paint(path, &libraries_named_in(path)));
     }
     files
+}
+
+/// What the `mtllib` statements of an OBJ file name; nothing if it cannot be read.
+fn libraries_named_in(path: &Path) -> Vec<String> {
+    let bytes = gzip::read_unpacked(path).unwrap_or_default();
+    let lines = bytes.split(|b| *b == b'\n').filter_map(|line| line.trim_ascii().strip_prefix(b"mtllib"));
+    lines.map(|name| String::from_utf8_lossy(name.trim_ascii()).into_owned()).collect()
 }
 
 impl From<PolygonMesh> for MeshFile {
