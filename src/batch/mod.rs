@@ -10,6 +10,7 @@
 //! Who has machines of its own for the jobs [takes](Held::take) the folder, has others [run them](run_jobs), and [writes](Held::finish)
 //! the summary.
 
+mod animate;
 mod animation;
 mod error;
 mod job;
