@@ -370,7 +370,7 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
         left(&bench, folder).into_iter().filter(|(name, _)| ours(name)).collect()
     };
     let finished = results("out");
-    assert_eq!(finished.len(), 3 * 4, "{:?}", finished.keys());
+    assert_eq!(finished.len(), 3 * 5, "{:?}", finished.keys());
     let all_done = || {
         let run = bench.run(&format!("{command} --pictures"));
         assert!(
