@@ -15,6 +15,7 @@
 //! - [`registration`]: non-rigid ICP on all of this. Start here with a template and a scan: [`registration::register`].
 //! - [`morph`]: grey masks that are drawn, blurred, projected on a mesh and move its vertices (Li et al. 2018).
 //! - [`measurement`]: distances, angles, symmetry, areas and volumes of a face, before and after; [`page`]: HTML for people.
+//! - [`motion`]: the frames of a sequence: lost ones found, flicker smoothed.
 //! - [`batch`]: many scans, each in a process of its own.
 //! - [`self_test`]: does this build compute what it should on this machine?
 //! - [`text`]: what came from a file, on its way into another one or onto a terminal.
@@ -37,6 +38,7 @@ pub mod mesh;
 pub mod model;
 #[cfg(feature = "pictures")]
 pub mod morph;
+pub mod motion;
 pub mod nlls;
 pub mod page;
 pub mod registration;

@@ -133,6 +133,10 @@ class Wrap:
     template: Surface
     scan: Surface
     model: str = "hybrid"
+    schedule: str | None = None
+    """A TOML file, in place of the model's own."""
+    flip: str | None = None
+    """Whether the scan is turned over, "auto", "yes" or "no"; as the schedule says unless stated."""
     rig: str | dict[str, np.ndarray] | None = None
     """A path, or displacements (V, 3) by name, of shape keys."""
     identity_modes: int = 0
@@ -251,7 +255,7 @@ def wrap(given: Wrap, job: Job[Wrapped]) -> Wrapped:
 def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
     rig = None if given.rig is None else read_rig(given.rig, given.template)
     template, scan = given.template.mesh(), given.scan.mesh()
-    schedule = nonrigid.Schedule(given.model)
+    schedule = nonrigid.Schedule.of(given.schedule, given.model)
     levels = schedule.to_dict()
     total, done = max(_step_count(levels), 1), 0
     share = 0.7 if rig is not None else 0.9
@@ -273,6 +277,7 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
         template_landmarks=given.template_landmarks if given.scan_landmarks else None,
         model=given.model,
         schedule=schedule,
+        flip=given.flip,
         mask=given.mask,
         free_mask=given.free_mask,
         free_regions=given.regions,

@@ -29,6 +29,8 @@ class NONRIGID_PT_wrap(_Tab, bpy.types.Panel):
         if chosen.rig_source != "NONE":
             layout.prop(chosen, "identity_modes")
         layout.prop(chosen, "model")
+        layout.prop(chosen, "schedule")
+        layout.prop(chosen, "flip")
         if chosen.template is not None:
             layout.prop_search(chosen, "mask", chosen.template, "vertex_groups")
             layout.prop_search(chosen, "free_mask", chosen.template, "vertex_groups")

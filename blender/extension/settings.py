@@ -7,8 +7,10 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty,
 
 MODELS = [
     ("hybrid", "Hybrid", "A graph of rigid nodes over blendshapes (Klimov 2020). The most accurate with a rig"),
+    ("klimov2020", "Klimov 2020", "The energy of the paper and nothing besides"),
     ("sequential", "Sequential", "Blendshapes first, then free vertices"),
     ("blendshape", "Blendshapes", "The rig's shapes alone"),
+    ("flame", "Linear model", "The rig's shapes as users of FLAME and other linear head models fit them"),
     ("gpmm_rig", "Blendshapes and a smooth process", "The rig's shapes and smooth ones (Luethi et al. 2018)"),
     ("sumner", "Graph of affine nodes", "Sumner et al. 2007. The best without a rig"),
     ("graph", "Graph of rigid nodes", "A graph of rigid nodes, without a rig"),
@@ -23,6 +25,13 @@ MODELS = [
     ("free", "Free vertices", "Smoothness alone"),
     ("rigid", "Rigid", "Turn and move only"),
     ("similarity", "Similarity", "Turn, move and scale only"),
+]
+
+FLIPS = [
+    ("SCHEDULE", "As the Schedule Says", "Usually where the scan fits the template better so"),
+    ("AUTO", "Where It Fits Better", "The scan is turned over if it fits the template better so"),
+    ("YES", "Yes", "The scan is inside out: its normals face inwards"),
+    ("NO", "No", "The scan is as it should be"),
 ]
 
 UNITS = [
@@ -44,6 +53,10 @@ class Settings(bpy.types.PropertyGroup):
     scan: PointerProperty(name="Scan", description="The mesh whose shape the result has", type=bpy.types.Object, poll=_is_mesh)
     unit: EnumProperty(name="Unit", description="What a Blender unit is", items=UNITS, default="MM")
     model: EnumProperty(name="Model", description="How the template may deform", items=MODELS, default="hybrid")
+    schedule: StringProperty(
+        name="Schedule", description="Levels and weights (.toml) instead of the model's own: 'nonrigid' documents the keys", subtype="FILE_PATH"
+    )
+    flip: EnumProperty(name="Inside Out", description="Whether the scan is turned over", items=FLIPS, default="SCHEDULE")
     rig_source: EnumProperty(
         name="Rig",
         description="Where the template's blendshapes are",

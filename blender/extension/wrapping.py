@@ -42,6 +42,8 @@ class Run:
             surface,
             target,
             model=chosen.model,
+            schedule=self._schedule(chosen),
+            flip=None if chosen.flip == "SCHEDULE" else chosen.flip.lower(),
             rig=self._rig(chosen, template, factor),
             identity_modes=chosen.identity_modes,
             template_landmarks={name: factor * scene.array(scene.local_point(template, empty)) for name, empty in on_template.items()},
@@ -64,6 +66,13 @@ class Run:
         if not chosen.rig_path or not os.path.exists(path):
             raise Problem(f"There is no rig at {path!r}: choose its folder or file, or no rig")
         return path
+
+    @staticmethod
+    def _schedule(chosen: bpy.types.PropertyGroup) -> str | None:
+        path = bpy.path.abspath(chosen.schedule)
+        if chosen.schedule and not os.path.isfile(path):
+            raise Problem(f"There is no schedule at {path!r}: choose a .toml file, or none for the model's own")
+        return path if chosen.schedule else None
 
     def poll(self, context: bpy.types.Context) -> tuple[bpy.types.Object, list[str]] | None:
         """The result and what is to be said of it, or None while the wrap is under way. Raises Problem, Cancelled."""

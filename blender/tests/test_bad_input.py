@@ -68,6 +68,10 @@ def flat(scene: Scene) -> None:
     scene.template.scale = (1.0, 0.0, 1.0)
 
 
+def no_schedule(scene: Scene) -> None:
+    scene.chosen.schedule = "/nowhere/levels.toml"
+
+
 def landmark_on_scan_alone(scene: Scene) -> None:
     bpy.ops.nonrigid.landmark_add(on="SCAN", name="left ear")
 
@@ -143,6 +147,7 @@ def scan_like_a_line(scene: Scene) -> None:
         (landmark_on_scan_alone, "without a partner: left ear only on scan"),
         (landmark_on_template_alone, "without a partner: left ear only on face"),
         (two_of_a_name, "two landmarks '"),
+        (no_schedule, "no schedule at '/nowhere/levels.toml'"),
         (missing_rig, "no rig at '/nowhere/rig'"),
         (no_rig_path, "no rig at ''"),
         (rig_of_another_mesh, r"The rig has 4 vertices and the template \d+"),

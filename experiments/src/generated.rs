@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Result;
 use data_gen::{
-    FaceModel, FaceOptions, FaceRig, StandardCase, Subject, resolve_shapes, simulate_scan, write_case, write_rig,
+    FaceModel, FaceOptions, FaceRig, Motion, StandardCase, Subject, resolve_shapes, simulate_scan, write_case,
+    write_rig,
 };
 pub use data_gen::{STANDARD_CASES, ScanOptions};
 use nonrigid::console::Failure;
@@ -118,6 +119,24 @@ impl Studio {
             withheld,
             seed: seed + k as u64,
         })
+    }
+
+    /// A sequence of so many frames, so many a second: an unknown person of this seed, moving smoothly, each frame scanned with noise and
+    /// landmarks of its own.
+    ///
+    /// # Errors
+    /// When there are too few triangles for a scan.
+    pub fn sequence(&self, frames: usize, fps: f64, triangles: usize, seed: u64) -> Result<Vec<BenchCase>> {
+        let options = ScanOptions { triangles, ..ScanOptions::default() };
+        let motion = Motion::new(&self.face, &options, frames as f64 / fps, seed)?;
+        let frame = |k: usize| Shot {
+            name: format!("frame_{k:04}"),
+            scan: motion.options(k as f64 / fps),
+            known: false,
+            withheld: Vec::new(),
+            seed: seed + k as u64,
+        };
+        (0..frames).map(|k| self.shoot(&frame(k))).collect()
     }
 
     /// Scans a face.

@@ -5,6 +5,7 @@ use nonrigid::io::{FaceUnit, LengthUnit, face_extent};
 pub mod ceres;
 pub mod compare_rigs;
 pub mod consistency;
+pub mod flicker;
 pub mod generated;
 pub mod more_garbow_hillstrom;
 pub mod nist;

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
-    ceres, compare_rigs, consistency, more_garbow_hillstrom, nist, peers, real_scans, report, scaling, scan_bench,
-    schedule_search, silence, solver_case, start_bench, this_program, unseen,
+    ceres, compare_rigs, consistency, flicker, more_garbow_hillstrom, nist, peers, real_scans, report, scaling,
+    scan_bench, schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
 use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
@@ -42,6 +42,8 @@ enum Command {
     RealScans(real_scans::Arguments),
     /// Register cases as crops, side views and covered scans show them: errors and folds of what is not seen
     Unseen(unseen::Arguments),
+    /// Register generated sequences: error and flicker of the frames, and of what smoothing in time makes of them
+    Flicker(flicker::Arguments),
     /// Register a population without truth and measure how well its faces agree on where a template vertex belongs
     Consistency(consistency::Arguments),
     /// Run what one would otherwise take on the same cases: time, memory and error beside ours
@@ -88,6 +90,7 @@ fn main() -> ExitCode {
         Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
         Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
         Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
+        Some(Command::Flicker(a)) => on_threads(a.threads, || flicker::run(a)),
         Some(Command::Peers(a)) => on_threads(a.threads, || peers::run(a)),
         Some(Command::Ceres(a)) => ceres::run(a),
         Some(Command::Consistency(a)) => on_threads(a.threads, || consistency::run(a)),

@@ -225,11 +225,12 @@ class Mesh:
         return self._of(self._native.with_positions(array, painted))
 
     def write(self, path: PathLike) -> None:
-        """Writes .obj (everything), .glb (everything, 32 bits) or .ply (vertices in 64 bits, polygons, colours): the whole file or none.
+        """Writes .obj (everything; materials and images of the OBJ file that it was read from beside it), .glb (everything, 32 bits), .usda
+        (32 bits) or .ply (vertices in 64 bits, polygons, colours): the whole file or none.
 
         Raises OSError if it cannot be written, ValueError for another extension or where it would overwrite the file it was read from.
         """
-        self._native.write(os.fspath(path), self._native.files)
+        self._native.write(os.fspath(path), self._native.files, self._native.path or None)
 
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` of the triangles, vertices in their order, colours kept. Needs trimesh."""

@@ -179,7 +179,8 @@ def _away(task: _Task, setting: dict[str, Any], rows: list[Row], fetched: _Fetch
     fs, root = _filesystem(setting["folder"], task.storage)
     folder, aside = os.path.join(scratch, "out"), os.path.join(scratch, "aside")
     setting = {**setting, "folder": folder}
-    names = {name for row in rows for name in _nonrigid.batch_files(row[1], setting["format"])}
+    of = {row[1] for row in rows} | {f"{row[2]}.sequence" for row in rows if row[2]}
+    names = {name for job in of for name in _nonrigid.batch_files(job, setting["format"])}
     there = _read(fs, root, names)
     records = [json.loads(data) for name, data in there.items() if name.startswith("log/") and name.endswith(".json")]
     there.update(_read(fs, root, {name for record in records for name in record.get("outputs", {})} - names))
@@ -422,6 +423,9 @@ def run(
     threads: int = 1,
     format: str = "obj",
     pictures: bool = False,
+    animation: str | None = "usda",
+    fps: int = 60,
+    smooth: float | None = 4.0,
     again: bool = False,
     retries: int = 3,
     storage_options: Mapping[str, Mapping[str, Any]] | None = None,
@@ -437,7 +441,8 @@ def run(
     none; or a `concurrent.futures.Executor`. chunk: scans in a task, chosen by their number and the workers' unless stated; frames of one
     sequence stay together. jobs: scans at once, of "local", one a core unless stated. threads: of each scan.
 
-    format: "obj", "ply" or "glb". pictures: NAME.png for each scan. again: do what is done again. retries: how often Ray tries a task whose
+    format: "obj", "ply" or "glb". pictures: NAME.png for each scan. animation: format of the one animated file of each sequence, "usda",
+    "pc2", "glb" or None; fps: its frames a second; smooth: above how many Hz motion counts as noise there, or None. again: do what is done again. retries: how often Ray tries a task whose
     worker was lost; Dask has a setting of its own (distributed.scheduler.allowed-failures). storage_options: {protocol: options of fsspec}.
     callback: sees every row of the summary as it comes; what it raises ends the batch. options: those of `nonrigid register`, for every
     scan, with underscores: template="face.obj", rig="rig", identity_modes=40, expression_bounds=(0, 1).
@@ -468,8 +473,8 @@ def run(
     away = _url(folder) is not None
     folder = folder.rstrip("/") if away else os.path.abspath(folder)
     setting = {
-        "program": "", "command": [], "folder": folder, "format": format, "pictures": pictures, "threads": threads, "again": again,
-        "options": common,
+        "program": "", "command": [], "folder": folder, "format": format, "pictures": pictures, "animation": animation, "fps": fps,
+        "smooth": smooth, "threads": threads, "again": again, "options": common,
     }  # fmt: skip
     holder = None
     if away:

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 
-use nonrigid::batch::{Batch, BatchError, Held, Job, Manifest, Row, Summary, SummaryRow, Timing, chains, run_jobs};
+use nonrigid::batch::{
+    Animation, Batch, BatchError, Held, Job, Manifest, Row, Summary, SummaryRow, Timing, chains, run_jobs,
+};
 use nonrigid::cli::{self, Program};
 use pyo3::prelude::*;
 
@@ -25,6 +27,9 @@ fn row_of((line, name, sequence, options): PlainRow) -> Row {
     Row { line, name, sequence, options }
 }
 
+/// Formats of animated files.
+const ANIMATIONS: [&str; 3] = ["usda", "pc2", "glb"];
+
 /// How and where jobs run.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
@@ -34,6 +39,11 @@ struct Setting {
     folder: PathBuf,
     format: String,
     pictures: bool,
+    /// Format of animated files, or none.
+    animation: Option<String>,
+    fps: u16,
+    /// Hz.
+    smooth: Option<f64>,
     threads: usize,
     again: bool,
     /// Options of all rows.
@@ -45,13 +55,23 @@ impl Setting {
         if !["obj", "ply", "glb"].contains(&self.format.as_str()) {
             return Err(value(format!("format: {:?}; there are obj, ply and glb", self.format)));
         }
-        let first = self.command.iter().cloned().chain(["register".into()]);
+        if let Some(other) = self.animation.as_ref().filter(|format| !ANIMATIONS.contains(&format.as_str())) {
+            return Err(value(format!("animation: {other:?}; there are usda, pc2, glb and None")));
+        }
+        if !(1..=1000).contains(&self.fps) || self.smooth.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
+            return Err(value("fps: give a number from 1 to 1000; smooth: a frequency above 0, or None"));
+        }
         Ok(Batch {
             program: self.program.clone(),
-            command: first.collect(),
+            command: self.command.clone(),
             folder: self.folder.clone(),
             format: self.format.clone(),
             pictures: self.pictures,
+            animation: self.animation.clone().map(|format| Animation {
+                format,
+                frames_per_second: self.fps,
+                smooth: self.smooth,
+            }),
             at_once,
             threads: self.threads,
             again: self.again,
@@ -223,7 +243,10 @@ impl Rows {
         if names.is_empty() {
             return Vec::new();
         }
-        let all = self.rows.iter().flat_map(|row| batch_files(&row.name, format));
+        let all = self.rows.iter().flat_map(|row| {
+            let sequence = row.sequence.as_ref().map(|name| batch_files(&format!("{name}.sequence"), format));
+            batch_files(&row.name, format).into_iter().chain(sequence.unwrap_or_default())
+        });
         all.filter(|name| names.contains(name)).collect()
     }
 
@@ -379,9 +402,13 @@ fn batch_run(
     })
 }
 
-/// Names of the files that a job may write, its record first.
+/// Names of the files that a job, or what is made of a sequence, `NAME.sequence`, may write, its record first.
 #[pyfunction]
 fn batch_files(name: &str, format: &str) -> Vec<String> {
+    if let Some(sequence) = name.strip_suffix(".sequence") {
+        let files = ANIMATIONS.iter().chain(&["json"]).map(|ending| format!("sequences/{sequence}.{ending}"));
+        return [format!("log/{name}.json"), format!("log/{name}.txt")].into_iter().chain(files).collect();
+    }
     let plain = [format!("log/{name}.json"), format!("state/{name}.json"), format!("log/{name}.txt")];
     let endings = ["json", "timing.json", format, "png"];
     plain.into_iter().chain(endings.map(|ending| format!("{name}.{ending}"))).collect()

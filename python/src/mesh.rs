@@ -5,8 +5,8 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nonrigid::io::{
-    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MeshFile, UnitSource, face_extent, read_mesh_file,
-    write_atomically,
+    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MaterialFiles, MeshFile, UnitSource, face_extent,
+    read_mesh_file, write_atomically,
 };
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3, surface_points};
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArrayMethods as _, PyReadonlyArray1, PyReadonlyArray2};
@@ -270,12 +270,20 @@ impl Mesh {
         Ok(Self::of_arrays(MeshFile { mesh: self.file.mesh.with_positions(positions), normals: None, colors }))
     }
 
-    /// Writes by extension: .obj, .ply, .glb. `reads` are files that must not be overwritten.
-    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>) -> PyResult<()> {
+    /// Writes by extension: .obj, with copies of materials and images, .ply, .glb, .usda. `reads` are files that must not be overwritten,
+    /// `source` the OBJ file whose materials they are.
+    #[pyo3(signature = (path, reads, source=None))]
+    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>, source: Option<PathBuf>) -> PyResult<()> {
         compute(py, Some(1), || {
-            check_plan(&reads, std::slice::from_ref(&path))?;
-            let colors = self.file.colors.as_deref();
-            io::write_colored_mesh(&path, &self.file.mesh, colors).map_err(input)
+            let is_obj = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+            let of = source.as_ref().filter(|from| is_obj(from) && is_obj(&path));
+            let materials = of.map(|from| MaterialFiles::of(from, &self.file.mesh)).unwrap_or_default();
+            let writes: Vec<PathBuf> = std::iter::once(path.clone()).chain(materials.writes(&path)).collect();
+            let reads: Vec<PathBuf> = reads.iter().chain(materials.reads()).cloned().collect();
+            check_plan(&reads, &writes)?;
+            let mut mesh = self.file.mesh.clone();
+            materials.write(&path, &mut mesh).map_err(input)?;
+            io::write_colored_mesh(&path, &mesh, self.file.colors.as_deref()).map_err(input)
         })
     }
 }

@@ -48,6 +48,32 @@ def test_arrays_are_converted_and_never_misread() -> None:
     assert Mesh(SQUARE, colors=np.full((5, 4), 0.5)).colors.tolist() == [[128] * 3] * 5
 
 
+def test_usd_is_opened_and_found_right_by_usd_itself(data: Data, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+
+    mesh = Mesh.read(data.template)
+    mesh.write(tmp_path / "still.usda")
+    for k in range(3):
+        mesh.with_vertices(mesh.vertices + [k, 0, 0]).write(tmp_path / f"f{k}.obj")
+    command = ["nonrigid", "animate", "--meshes", str(tmp_path), "--unit", "meshes=mm", "--out", str(tmp_path / "moves.usda")]
+    assert nonrigid._nonrigid.command_line(command, "", []) == 0
+    for name, frames in (("still.usda", 1), ("moves.usda", 3)):
+        stage = Usd.Stage.Open(str(tmp_path / name))
+        assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (0.001, "Y")
+        surface = UsdGeom.Mesh(stage.GetPrimAtPath("/Subject/Surface"))
+        for k in range(frames):
+            points = np.array(surface.GetPointsAttr().Get(k if frames > 1 else Usd.TimeCode.Default()))
+            assert np.abs(points - mesh.vertices - [k, 0, 0]).max() < 1e-4
+        assert np.array_equal(np.array(surface.GetFaceVertexIndicesAttr().Get()), mesh.faces.ravel())
+        texture = UsdGeom.PrimvarsAPI(surface).GetPrimvar("st")
+        assert np.allclose(np.array(texture.ComputeFlattened()), mesh.uvs, atol=1e-6)
+        names = [subset.GetPrim().GetDisplayName() for subset in UsdShade.MaterialBindingAPI(surface).GetMaterialBindSubsets()]
+        lines = data.template.read_text().splitlines()
+        assert set(names) == {line.removeprefix("usemtl ") for line in lines if line.startswith("usemtl ")}
+        errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(stage)
+        assert not errors, [error.GetMessage() for error in errors]
+
+
 def test_files(data: Data, tmp_path: Path) -> None:
     mesh = Mesh.read(data.template)
     assert mesh.faces.shape[1] == 4 and mesh.uvs is not None and mesh.uvs.shape == (mesh.faces.size, 2) and mesh.groups
@@ -55,7 +81,8 @@ def test_files(data: Data, tmp_path: Path) -> None:
         mesh.write(tmp_path / name)
         again = Mesh.read(tmp_path / name, unit="mm" if name != "a.glb" else "auto")
         assert np.allclose(again.vertices, mesh.vertices, atol=1e-4) and np.array_equal(again.faces, mesh.faces)
-    assert (tmp_path / "a.obj").read_bytes() == data.template.read_bytes()
+    assert (tmp_path / "a.obj").read_bytes() == data.template.read_bytes().replace(b"mtllib face.mtl", b"mtllib a.mtl")
+    assert (tmp_path / "a.mtl").read_bytes() == (data.template.parent / "face.mtl").read_bytes()
     with pytest.raises(ValueError, match="would overwrite"):
         Mesh.read(tmp_path / "a.ply").write(tmp_path / "a.ply")
     with pytest.raises(ValueError, match="stl"):

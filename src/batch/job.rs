@@ -21,6 +21,10 @@ pub struct Job {
     /// Whether it may go on from the end of the frame before: only with landmarks, without which a face that was lost once stays
     /// lost, and nothing tells.
     pub goes_on: bool,
+    /// The sequence whose frame it is.
+    pub sequence: Option<String>,
+    /// Names of files that it may write beside its results: images, materials.
+    pub beside: Vec<String>,
     /// Files that are read, with what they are read as.
     pub inputs: Vec<(String, PathBuf)>,
 }
@@ -223,6 +227,8 @@ mod tests {
             arguments: Ok(Vec::new()),
             settings: vec![("model".into(), model.into()), ("identity-modes".into(), "4".into())],
             goes_on: true,
+            sequence: None,
+            beside: Vec::new(),
             inputs: vec![("target".into(), scan)],
         };
         let key = |job: &Job, previous| job.key(previous, &Hashes::default());

@@ -146,9 +146,6 @@ impl Lock {
         file.write_all(&bytes).map_err(fail)?;
         lock.look_round(&hidden, &holder, said)?;
         fs::create_dir(&lock.aside).map_err(fail)?;
-        for name in ["log", "state"] {
-            fs::create_dir(lock.aside.join(name)).map_err(fail)?;
-        }
         let (path, lost, ended) = (lock.path.clone(), lock.lost.clone(), lock.ended.clone());
         lock.heart = Some(std::thread::spawn(move || {
             while !ended.load(Ordering::Relaxed) {

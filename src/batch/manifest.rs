@@ -119,12 +119,17 @@ impl Manifest {
         let mut lines: HashMap<String, usize> = HashMap::new();
         for row in &self.rows {
             let name = &row.name;
-            let bad =
-                name.is_empty() || name.contains(['/', '\\', ':']) || name.contains(is_hidden) || name.starts_with('.');
-            let taken = name.eq_ignore_ascii_case("summary") || name.to_lowercase().ends_with(".timing");
-            if bad || taken {
-                let expected = "a name that files can have, not \"summary\" and without \".timing\" at its end";
+            let bad = |name: &str| {
+                name.is_empty() || name.contains(['/', '\\', ':']) || name.contains(is_hidden) || name.starts_with('.')
+            };
+            let ends = |ending: &str| name.to_lowercase().ends_with(ending);
+            if bad(name) || name.eq_ignore_ascii_case("summary") || ends(".timing") || ends(".sequence") {
+                let expected =
+                    "a name that files can have, not \"summary\" and without \".timing\" or \".sequence\" at its end";
                 return Err(wrong(row.line, expected, format!("{name:?}")));
+            }
+            if let Some(sequence) = row.sequence.as_ref().filter(|sequence| bad(sequence)) {
+                return Err(wrong(row.line, "a sequence's name that files can have", format!("{sequence:?}")));
             }
             // some file systems know no case
             if let Some(first) = lines.insert(name.to_lowercase(), row.line) {

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 use super::lock::HIDDEN;
-use super::{Batch, Job, Manifest, Record, Row, Shard, chains};
+use super::{Batch, Job, Manifest, Record, Row, Shard, animation, chains};
 use crate::io::{PlanError, check_files, sha256};
 
 /// The jobs of a batch, which of them to run, and how.
@@ -43,7 +43,12 @@ impl Plan {
     /// # Errors
     /// When a file that is read could be written, by name.
     pub fn check(&self) -> Result<(), PlanError> {
-        check(&self.batch, &self.manifest, &self.timing(), || self.jobs.iter())
+        check(&self.batch, &self.manifest, &self.timing(), &self.sequences(), || self.jobs.iter())
+    }
+
+    /// Names, as of jobs, of the sequences of all parts.
+    pub(super) fn sequences(&self) -> Vec<String> {
+        animation::names(&self.batch, self.jobs.iter().map(|job| job.sequence.as_deref()))
     }
 
     /// Name of the file that this part writes its times to.
@@ -54,9 +59,9 @@ impl Plan {
 
     /// Hash of what all parts have in common.
     pub(super) fn fingerprint(&self) -> String {
-        let Batch { format, pictures, .. } = &self.batch;
-        let jobs = self.jobs.iter().map(|job| (&job.name, &job.arguments, &job.settings));
-        sha256(format!("{format} {pictures} {:?}", jobs.collect::<Vec<_>>()).as_bytes())
+        let Batch { format, pictures, animation, .. } = &self.batch;
+        let jobs = self.jobs.iter().map(|job| (&job.name, &job.arguments, &job.settings, &job.sequence));
+        sha256(format!("{format} {pictures} {animation:?} {:?}", jobs.collect::<Vec<_>>()).as_bytes())
     }
 }
 
@@ -71,6 +76,7 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
     batch: &Batch,
     manifest: &Path,
     timing: &str,
+    sequences: &[String],
     jobs: impl Fn() -> I,
 ) -> Result<(), PlanError> {
     let reads = || {
@@ -83,8 +89,9 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
     };
     let writes = || {
         let of_jobs = jobs().flat_map(|job| {
-            let name = &job.borrow().name;
-            let names: Vec<String> = batch.names(name).collect();
+            let job = job.borrow();
+            let name = &job.name;
+            let names: Vec<String> = batch.names(name).chain(job.beside.iter().cloned()).collect();
             // those that it would replace by others
             let earlier = Record::read(&batch.record_of(name)).map(|record| record.outputs).unwrap_or_default();
             let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
@@ -92,8 +99,12 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
             let all = names.into_iter().chain(earlier);
             all.map(|name| (what.clone(), batch.folder.join(name))).collect::<Vec<_>>()
         });
+        let of_sequences = sequences.iter().flat_map(|name| {
+            let what = format!("animation {name:?}");
+            batch.names(name).map(move |name| (what.clone(), batch.folder.join(name)))
+        });
         let shared = SUMMARY.map(str::to_owned).into_iter().chain([timing.to_owned()]);
-        of_jobs.chain(shared.map(|name| ("summary".to_owned(), batch.folder.join(name))))
+        of_jobs.chain(of_sequences).chain(shared.map(|name| ("summary".to_owned(), batch.folder.join(name))))
     };
     check_files(reads, writes, &[("--out".to_owned(), batch.folder.join(HIDDEN))])
 }

@@ -15,22 +15,24 @@ use serde::Serialize;
 use super::job::InputHash;
 use super::lock::{HIDDEN, Lock};
 use super::plan::{self, SUMMARY};
-use super::{BatchError, Hashes, Job, Kept, Plan, Record, Row, Shard, Start, Status, Summary};
+use super::{Animation, BatchError, Hashes, Job, Kept, Plan, Record, Row, Shard, Start, Status, Summary, animation};
 use crate::io::{WriteError, replace, write_atomically};
 
 /// How and where jobs run.
 #[derive(Debug, Clone)]
 pub struct Batch {
-    /// The program, and what stands before a job's own arguments.
+    /// The program.
     pub program: PathBuf,
-    /// Its first arguments.
+    /// What stands before a command's name.
     pub command: Vec<OsString>,
-    /// Where outputs go: `NAME.FORMAT`, `NAME.json`, `NAME.png`, and folders `log` and `state`.
+    /// Where outputs go: `NAME.FORMAT`, `NAME.json`, `NAME.png`, and folders `log`, `state` and `sequences`.
     pub folder: PathBuf,
     /// Extension of results.
     pub format: String,
     /// Whether pictures are made.
     pub pictures: bool,
+    /// What becomes of sequences besides.
+    pub animation: Option<Animation>,
     /// Jobs at once.
     pub at_once: usize,
     /// Threads of each.
@@ -59,6 +61,8 @@ pub struct Finished {
     pub outcomes: Vec<Outcome>,
     /// All jobs, those of other parts and earlier runs included.
     pub summary: Summary,
+    /// Sequences of this part that have no animated file, and why.
+    pub not_animated: Vec<(String, String)>,
     /// What differs from run to run.
     pub timing: Timing,
 }
@@ -81,9 +85,9 @@ pub struct Timing {
 }
 
 /// What a process left.
-struct Ended {
-    error: Option<String>,
-    interrupted: bool,
+pub(super) struct Ended {
+    pub error: Option<String>,
+    pub interrupted: bool,
 }
 
 /// Whether a program ended because it was asked to, by Ctrl-C or SIGTERM: as it says, or by the signal itself.
@@ -116,8 +120,18 @@ impl Batch {
         self.outputs(name).into_iter().chain(others)
     }
 
+    /// The program, to be given arguments of this command.
+    pub(super) fn command_of(&self, name: &str) -> Command {
+        let mut command = Command::new(&self.program);
+        command.args(&self.command).arg(name);
+        command
+    }
+
     /// Names of a job's results; the report first.
-    fn outputs(&self, name: &str) -> Vec<String> {
+    pub(super) fn outputs(&self, name: &str) -> Vec<String> {
+        if name.ends_with(animation::ENDING) {
+            return self.animation_files(name).to_vec();
+        }
         let extensions = ["json", &self.format].into_iter().chain(self.pictures.then_some("png"));
         let mut names: Vec<String> = extensions.map(|e| format!("{name}.{e}")).collect();
         names.push(format!("state/{name}.json"));
@@ -152,13 +166,19 @@ impl Plan {
         let summary = self.summarise(&outcomes)?;
         let timing = Timing::new(self, &outcomes, clock.elapsed());
         self.batch.write_timing(self.shard, &timing)?;
-        Ok(Finished { outcomes, summary, timing })
+        let of_part: Vec<Job> = outcomes.iter().map(|outcome| self.jobs[outcome.job].clone()).collect();
+        let not_animated = self.batch.without_animation(&of_part);
+        Ok(Finished { outcomes, summary, not_animated, timing })
     }
 
     /// Refuses what must not run, takes the folder, and makes it ready.
     fn begin(&self, said: &dyn Fn(&str)) -> Result<Lock, BatchError> {
         self.check()?;
-        let names = || self.chains.iter().flatten().map(|&k| &*self.jobs[k].name);
+        let of_part = animation::names(&self.batch, self.chains.iter().map(|c| self.jobs[c[0]].sequence.as_deref()));
+        let names = || {
+            let of_jobs = self.chains.iter().flatten().map(|&k| &*self.jobs[k].name);
+            of_jobs.chain(of_part.iter().map(String::as_str))
+        };
         self.batch.begin(self.shard, &self.fingerprint(), names, said)
     }
 
@@ -199,9 +219,11 @@ impl Held {
         said: &dyn Fn(&str),
     ) -> Result<Self, BatchError> {
         let shard = Shard::whole();
-        plan::check(&batch, path, &plan::timing(shard), || rows.iter().map(&job))?;
+        let sequences = animation::names(&batch, rows.iter().map(|row| row.sequence.as_deref()));
+        plan::check(&batch, path, &plan::timing(shard), &sequences, || rows.iter().map(&job))?;
         // a whole goes with no other part, so that its fingerprint is compared with none
-        let lock = batch.begin(shard, "", || rows.iter().map(|row| &*row.name), said)?;
+        let names = || rows.iter().map(|row| &*row.name).chain(sequences.iter().map(String::as_str));
+        let lock = batch.begin(shard, "", names, said)?;
         Ok(Self { batch, lock })
     }
 
@@ -242,7 +264,7 @@ pub fn run_jobs(
     aside: &Path,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Outcome>, BatchError> {
-    for folder in [aside.join("log"), aside.join("state"), batch.folder.join("log"), batch.folder.join("state")] {
+    for folder in [aside, &batch.folder].iter().flat_map(|at| batch.folders().map(|name| at.join(name))) {
         fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
     }
     Run::new(batch, jobs, aside, &|| false).chains(chains, stop, &|_| {})
@@ -263,10 +285,15 @@ impl Batch {
         // another batch may have been there until now
         self.refuse_strangers(shard, names())?;
         self.claim(shard)?;
-        for folder in [folder.join("log"), folder.join("state")] {
+        for folder in [folder, lock.aside()].iter().flat_map(|at| self.folders().map(|name| at.join(name))) {
             fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
         }
         Ok(lock)
+    }
+
+    /// Names of the folders that results and what is known of them are in.
+    fn folders(&self) -> impl Iterator<Item = &'static str> {
+        ["log", "state"].into_iter().chain(self.animation.is_some().then_some(animation::FOLDER))
     }
 
     /// Names of the files that a part writes besides results.
@@ -343,14 +370,14 @@ impl Timing {
 }
 
 /// Jobs that are being carried out.
-struct Run<'a> {
-    batch: &'a Batch,
-    jobs: &'a [Job],
+pub(super) struct Run<'a> {
+    pub batch: &'a Batch,
+    pub jobs: &'a [Job],
     /// Where files are made before they replace others.
-    aside: &'a Path,
+    pub aside: &'a Path,
     /// Whether another batch took the folder over.
-    lost: &'a (dyn Fn() -> bool + Sync),
-    hashes: Hashes,
+    pub lost: &'a (dyn Fn() -> bool + Sync),
+    pub hashes: Hashes,
 }
 
 impl<'a> Run<'a> {
@@ -370,6 +397,7 @@ impl<'a> Run<'a> {
         let worker = || -> Result<(), BatchError> {
             while let Some(chain) = chains.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let mut previous: Option<(usize, Record)> = None;
+                let mut ends = Vec::with_capacity(chain.len());
                 for &k in chain {
                     if stop() {
                         return Ok(());
@@ -382,7 +410,11 @@ impl<'a> Run<'a> {
                     let standing = || Record::read(&self.batch.record(&jobs[k])).and_then(|known| known.standing());
                     let record = if outcome.record.key.is_none() { standing() } else { Some(outcome.record.clone()) };
                     previous = record.map(|record| (k, record));
+                    ends.push(outcome.record.clone());
                     outcomes.lock().unwrap_or_else(PoisonError::into_inner).push(outcome);
+                }
+                if !self.animate(chain, &ends, stop)? {
+                    return Ok(());
                 }
             }
             Ok(())
@@ -457,7 +489,7 @@ impl<'a> Run<'a> {
                 // a file that was changed between its hash and its use: what was used counts
                 let read = read.unwrap_or_default();
                 let key = job.key_of_what_was_read(before.map(|b| b.1), &self.hashes, &read).unwrap_or(key);
-                let outputs = Record::hashes(self.aside, &self.batch.outputs(&job.name));
+                let outputs = Record::hashes(self.aside, &self.results(job));
                 let others = others(&job.name).to_vec();
                 let (key, status) = (Some(key), Status::Done);
                 let record = Record { key, status, start, error: None, outputs, others, kept: None };
@@ -478,9 +510,9 @@ impl<'a> Run<'a> {
 
     /// Puts what was made aside in the place of what an earlier run has left. The record comes first: what it lists and is not there
     /// as listed counts as not done.
-    fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
+    pub(super) fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
         let folder = &self.batch.folder;
-        let names: Vec<String> = self.batch.outputs(&job.name).into_iter().chain(others(&job.name)).collect();
+        let names: Vec<String> = self.results(job).into_iter().chain(others(&job.name)).collect();
         let made = |name: &String| self.aside.join(name).exists();
         let of_known = |name: &str| known.is_some_and(|known| known.lists(name));
         let stranger =
@@ -505,20 +537,20 @@ impl<'a> Run<'a> {
         Ok(record)
     }
 
-    fn write_record(&self, job: &Job, record: &Record) -> Result<(), WriteError> {
+    pub(super) fn write_record(&self, job: &Job, record: &Record) -> Result<(), WriteError> {
         write_atomically(&self.batch.record(job), |file| Ok(serde_json::to_writer_pretty(file, record)?))
     }
 
     /// Takes away what was made aside.
-    fn clear(&self, job: &Job) {
+    pub(super) fn clear(&self, job: &Job) {
         self.clear_results(job);
         for name in others(&job.name) {
             let _ = fs::remove_file(self.aside.join(name)); // it may not be there
         }
     }
 
-    fn clear_results(&self, job: &Job) {
-        let names = self.batch.outputs(&job.name).into_iter().chain([format!("{}.timing.json", job.name)]);
+    pub(super) fn clear_results(&self, job: &Job) {
+        let names = self.results(job).into_iter().chain([format!("{}.timing.json", job.name)]);
         for name in names {
             let _ = fs::remove_file(self.aside.join(name)); // usually there is none
         }
@@ -527,6 +559,11 @@ impl<'a> Run<'a> {
     fn report(&self, job: &Job) -> Option<serde_json::Value> {
         let bytes = fs::read(self.aside.join(format!("{}.json", job.name))).ok()?;
         serde_json::from_slice(&bytes).ok()
+    }
+
+    /// Names of a job's results, and of the files beside them.
+    fn results(&self, job: &Job) -> Vec<String> {
+        self.batch.outputs(&job.name).into_iter().chain(job.beside.iter().cloned()).collect()
     }
 
     fn is_doubtful(&self, job: &Job) -> bool {
@@ -540,14 +577,8 @@ impl<'a> Run<'a> {
             Err(message) => return Ok(Ended { error: Some(message.clone()), interrupted: false }),
         };
         let aside = self.aside;
-        let path = aside.join(format!("log/{}.txt", job.name));
-        let failed = |path: &Path| {
-            let path = path.to_owned();
-            move |source| WriteError::Io { path, source }
-        };
-        let log = File::create(&path).map_err(failed(&path))?;
-        let mut command = Command::new(&self.batch.program);
-        command.args(&self.batch.command).args(arguments).arg("--threads").arg(self.batch.threads.to_string());
+        let mut command = self.batch.command_of("register");
+        command.args(arguments).arg("--threads").arg(self.batch.threads.to_string());
         let out = |extension: &str| aside.join(format!("{}.{extension}", job.name));
         command.arg("--out").arg(out(&self.batch.format)).arg("--report").arg(out("json"));
         command.arg("--state").arg(aside.join(format!("state/{}.json", job.name)));
@@ -557,6 +588,18 @@ impl<'a> Run<'a> {
         if let Some(before) = before {
             command.arg("--warm-start").arg(self.batch.folder.join(format!("state/{}.json", before.name)));
         }
+        self.carry_out(command, job)
+    }
+
+    /// Runs a program, and writes down what it says.
+    pub(super) fn carry_out(&self, mut command: Command, job: &Job) -> Result<Ended, WriteError> {
+        let aside = self.aside;
+        let path = aside.join(format!("log/{}.txt", job.name));
+        let failed = |path: &Path| {
+            let path = path.to_owned();
+            move |source| WriteError::Io { path, source }
+        };
+        let log = File::create(&path).map_err(failed(&path))?;
         let both = log.try_clone().map_err(failed(&path))?;
         command.stdin(Stdio::null()).stdout(both).stderr(log);
         let status = command.status().map_err(failed(&self.batch.program))?;
@@ -577,7 +620,7 @@ impl<'a> Run<'a> {
 
 impl Record {
     /// A job that failed; what an earlier run has left stays, and is known to be there.
-    fn failed(key: Option<String>, start: Start, error: String, known: Option<&Self>) -> Self {
+    pub(super) fn failed(key: Option<String>, start: Start, error: String, known: Option<&Self>) -> Self {
         let kept = known.and_then(|known| match known.status {
             Status::Done => Some(Kept { key: known.key.clone(), start: known.start }),
             Status::Failed => known.kept.clone(),

@@ -6,6 +6,7 @@ use std::fmt::{self, Write as _};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::animation::AllTold;
 use super::{Batch, Job, Outcome, Record, Start, Status};
 use crate::page;
 
@@ -48,7 +49,9 @@ impl Summary {
     pub fn of(batch: &Batch, jobs: &[Job], outcomes: &[Outcome]) -> Self {
         let mut records = vec![None; jobs.len()];
         outcomes.iter().for_each(|outcome| records[outcome.job] = Some(&outcome.record));
-        Self { rows: jobs.iter().zip(records).map(|(job, record)| SummaryRow::of(batch, job, record)).collect() }
+        let mut told = AllTold::default();
+        let row = |(job, record)| SummaryRow::of(batch, job, record).with(told.of(batch, job));
+        Self { rows: jobs.iter().zip(records).map(row).collect() }
     }
 
     /// How many rows have this status.
@@ -143,6 +146,17 @@ impl SummaryRow {
             note: doubts.join(" "),
             name,
         }
+    }
+
+    /// With what is wrong with it as a frame of a sequence: one that is lost there is doubtful.
+    fn with(mut self, told: Option<(String, bool)>) -> Self {
+        if let Some((note, lost)) = told.filter(|_| self.status != "pending") {
+            if lost && self.status == "done" {
+                self.status = "doubtful".into();
+            }
+            self.note = [self.note, note].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
+        }
+        self
     }
 
     fn cells(&self, number: impl Fn(f64) -> String) -> Vec<String> {

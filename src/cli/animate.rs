@@ -1,30 +1,38 @@
 //! `nonrigid animate`.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use clap::Args;
+use serde::Serialize;
 
 use super::inputs::{Align, ShapeKindArgument, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, say, warn};
-use crate::io::{FilePlan, Motion, write_animated_glb, write_pc2, write_usda};
+use super::{Failure, Stage, check_output, check_plan, say, warn, write_json};
+use crate::io::{Clip, FilePlan, Motion, write_animated_glb, write_pc2, write_usda};
 use crate::mesh::{PolygonMesh, Pose, Vec3};
+use crate::motion::{Lost, Track, flicker};
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
 
 /// Arguments of `nonrigid animate`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Frames are meshes of one topology, such as `nonrigid batch` leaves for a sequence, in the order of their names.\n\
+    after_help = "Frames are meshes of one topology, such as `nonrigid batch` leaves for a sequence, in the order of their names\n\
+    or of --list. A frame that is missing, or jumps away from those round it, is lost: it is named, also in the .usda and .glb.\n\
+    With --smooth what flickers from frame to frame goes, and lost frames are bridged by the motion of the others.\n\
     .usda: a mesh with points over time, millimetres, y up. .pc2: a point cache; load the first frame beside it.\n\
     .glb: morph targets. Without --rig one for each frame but the first; with it the rig's shapes and a pose, and one for each frame\n\
     that holds what they do not explain.\n\n\
     Examples:\n  nonrigid animate --meshes wrapped --out ann.usda\n  \
-    nonrigid animate --meshes wrapped --fps 30 --out ann.glb"
+    nonrigid animate --meshes wrapped --fps 30 --smooth 4 --out ann.glb"
 )]
 pub struct Arguments {
     /// The frames: every .obj and .ply in this folder, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
+    /// The frames' order: a line for each, the name of its file in that folder, or `-` and a name of one that is missing
+    #[arg(long, value_name = "FILE")]
+    list: Option<PathBuf>,
     /// The rig that explains the frames: a folder, .npz, .glb or .gltf
     #[arg(long, value_name = "DIR|FILE")]
     rig: Option<PathBuf>,
@@ -37,11 +45,53 @@ pub struct Arguments {
     /// Frames a second, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=1000))]
     fps: u16,
+    /// Smooth the frames in time: what changes HZ times a second is halved, what changes slower stays, what changes faster goes;
+    /// or none: the frames as they are
+    #[arg(long, value_name = "HZ", default_value = "none")]
+    smooth: Cutoff,
     #[command(flatten)]
     units: UnitArguments,
     /// The animation: .usda, .pc2 or .glb
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Report (.json): which frames are lost and why, how much they flicker
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+}
+
+/// What is said of an animation.
+#[derive(Debug, Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    frames_per_second: u16,
+    smooth_hz: Option<f64>,
+    /// Root mean square of the vertices' second differences in time, millimetres, before and after smoothing; motion counts, too.
+    second_difference_mm: [f64; 2],
+    frames: Vec<FrameReport<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct FrameReport<'a> {
+    name: &'a str,
+    /// Why it is lost.
+    lost: Option<String>,
+}
+
+/// A frequency, Hz, or none.
+#[derive(Debug, Clone, Copy)]
+pub struct Cutoff(pub Option<f64>);
+
+impl FromStr for Cutoff {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let above = |hz: &f64| hz.is_finite() && *hz > 0.0;
+        match text.parse().ok().filter(above) {
+            _ if text == "none" => Ok(Self(None)),
+            None => Err(format!("'{text}' is neither a frequency above 0, such as 4, nor none")),
+            hz => Ok(Self(hz)),
+        }
+    }
 }
 
 /// Runs the command.
@@ -51,43 +101,97 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if a.rig.is_some() && extension != "glb" {
         return Err(Failure::new(Stage::Arguments, "--rig: only .glb has weights; leave it out, or write .glb"));
     }
-    let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
-    if files.is_empty() {
-        return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
-    }
+    let files = files(a)?;
     let plan = FilePlan::new()
-        .reads_all(files.iter().map(|(_, path)| ("meshes", path.clone())))
+        .reads_all(files.iter().filter_map(|(_, path)| Some(("meshes", path.clone()?))))
+        .reads_all(a.list.iter().map(|list| ("list", list.clone())))
         .reads_all(a.rig.iter().flat_map(|rig| rig_files(rig)))
-        .writes("--out", &a.out);
+        .writes("--out", &a.out)
+        .writes_all(a.report.iter().map(|report| ("--report", report.clone())));
     check_plan(&plan)?;
     let mut units = a.units.of(&["meshes", "rig"])?;
-    let (mesh, frames) = read_frames(&files, &mut units)?;
-    let fps = f64::from(a.fps);
+    let (mesh, given) = read_frames(&files, &mut units)?;
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
+    let before = flicker(&given.iter().flatten().collect::<Vec<_>>());
+    let smooth = a.smooth.0;
+    let cutoff = smooth.map(|hz| hz / f64::from(a.fps));
+    let track = Track::follow(given, cutoff).map_err(|e| Failure::loading(format!("{}: {e}", a.meshes.display())))?;
+    let clip = Clip { frames: &track.frames, frames_per_second: a.fps.into(), lost: &track.lost_frames() };
     match extension.to_str() {
-        Some("usda") => write_usda(&a.out, &mesh, None, &frames, fps).map_err(Failure::writing)?,
-        Some("pc2") => write_pc2(&a.out, &frames).map_err(Failure::writing)?,
-        _ => write_glb(a, &mut units, &mesh, &frames, &names)?,
+        Some("usda") => write_usda(&a.out, &mesh, None, &clip, None).map_err(Failure::writing)?,
+        Some("pc2") => write_pc2(&a.out, clip.frames).map_err(Failure::writing)?,
+        _ => write_glb(a, &mut units, &mesh, &clip, &names)?,
     }
     units.say();
-    say(format_args!("{} frames of {} vertices, {} a second", frames.len(), mesh.positions.len(), a.fps))?;
+    let lost = |k: usize| track.lost[k].map(|lost| why(lost, smooth.is_some()));
+    for (k, why) in (0..names.len()).filter_map(|k| Some((k, lost(k)?))) {
+        warn(format_args!("frame {:?} is lost: {why}", names[k]));
+    }
+    if let Some(path) = &a.report {
+        let frames = names.iter().enumerate().map(|(k, name)| FrameReport { name, lost: lost(k) }).collect();
+        let second_difference_mm = [before, flicker(&track.frames)];
+        let (version, frames_per_second) = (env!("CARGO_PKG_VERSION"), a.fps);
+        write_json(path, &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames })?;
+    }
+    say(format_args!("{} frames of {} vertices, {} a second", names.len(), mesh.positions.len(), a.fps))?;
     say(format_args!("wrote {}", a.out.display()))
 }
 
-/// The first frame, and the positions of all.
-fn read_frames(files: &[(String, PathBuf)], units: &mut Units<'_>) -> Result<(PolygonMesh, Vec<Vec<Vec3>>), Failure> {
-    let mut first: Option<PolygonMesh> = None;
-    let mut frames = Vec::with_capacity(files.len());
-    for (_, path) in files {
-        let mesh = units.read_mesh("meshes", path)?;
-        let of = first.get_or_insert_with(|| mesh.clone());
-        if (mesh.positions.len(), &mesh.starts, &mesh.corners) != (of.positions.len(), &of.starts, &of.corners) {
-            let other = files[0].1.display();
-            return Err(Failure::loading(format!("{}: has other vertices or polygons than {other}", path.display())));
-        }
-        frames.push(mesh.positions);
+/// Why a frame is lost, and what is in its place.
+fn why(lost: Lost, smooth: bool) -> String {
+    let bridged = "the motion of those round it stands in its place";
+    match lost {
+        Lost::Missing => format!("there is none; {bridged}"),
+        Lost::Jump(by) if smooth => format!("it jumps {by:.1} mm away from those round it; {bridged}"),
+        Lost::Jump(by) => format!("it jumps {by:.1} mm away from those round it, and is as it was"),
     }
-    let first = first.ok_or_else(|| Failure::loading("no frames"))?;
+}
+
+/// Names and files of the frames in their order, no file for one that is missing.
+fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
+    let Some(list) = &a.list else {
+        let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
+        if files.is_empty() {
+            return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
+        }
+        return Ok(files.into_iter().map(|(name, path)| (name, Some(path))).collect());
+    };
+    let text = std::fs::read_to_string(list).map_err(|e| Failure::loading(format!("{}: {e}", list.display())))?;
+    let frame = |line: &str| match line.strip_prefix('-') {
+        Some(missing) => (missing.trim().to_owned(), None),
+        None => {
+            let stem = Path::new(line).file_stem().unwrap_or_default();
+            (stem.to_string_lossy().into_owned(), Some(a.meshes.join(line)))
+        }
+    };
+    let files: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).map(frame).collect();
+    if files.iter().all(|(_, path)| path.is_none()) {
+        return Err(Failure::loading(format!("{}: names no frame that is there", list.display())));
+    }
+    Ok(files)
+}
+
+/// The first frame that is there, and the positions of all.
+fn read_frames(
+    files: &[(String, Option<PathBuf>)],
+    units: &mut Units<'_>,
+) -> Result<(PolygonMesh, Vec<Option<Vec<Vec3>>>), Failure> {
+    let mut first: Option<(&Path, PolygonMesh)> = None;
+    let mut frames = Vec::with_capacity(files.len());
+    for path in files.iter().map(|(_, path)| path) {
+        let Some(path) = path else {
+            frames.push(None);
+            continue;
+        };
+        let mesh = units.read_mesh("meshes", path)?;
+        let (other, of) = first.get_or_insert_with(|| (path, mesh.clone()));
+        if (mesh.positions.len(), &mesh.starts, &mesh.corners) != (of.positions.len(), &of.starts, &of.corners) {
+            let (path, other) = (path.display(), other.display());
+            return Err(Failure::loading(format!("{path}: has other vertices or polygons than {other}")));
+        }
+        frames.push(Some(mesh.positions));
+    }
+    let (_, first) = first.ok_or_else(|| Failure::loading("no frames"))?;
     Ok((first, frames))
 }
 
@@ -95,9 +199,10 @@ fn write_glb(
     a: &Arguments,
     units: &mut Units<'_>,
     mesh: &PolygonMesh,
-    frames: &[Vec<Vec3>],
+    clip: &Clip<'_>,
     frame_names: &[&str],
 ) -> Result<(), Failure> {
+    let frames = clip.frames;
     let (rest, mut targets, mut deltas, fitted) = match &a.rig {
         None => (frames[0].clone(), Vec::new(), Vec::new(), Vec::new()),
         Some(path) => explained(a, path, units, frames, frame_names)?,
@@ -128,7 +233,8 @@ fn write_glb(
     targets.extend(frame_names[first..].iter().map(|name| format!("frame {name}")));
     deltas.extend(residuals);
     let poses: Vec<Pose> = (0..frames.len()).map(|k| fitted.get(k).map_or_else(Pose::identity, |f| f.pose)).collect();
-    let motion = Motion { frames_per_second: f64::from(a.fps), poses: &poses, weights: &weights };
+    let (frames_per_second, lost) = (clip.frames_per_second, clip.lost);
+    let motion = Motion { frames_per_second, poses: &poses, weights: &weights, lost };
     let names: Vec<&str> = targets.iter().map(String::as_str).collect();
     write_animated_glb(&a.out, &mesh.with_positions(rest), None, &names, &deltas, &motion).map_err(Failure::writing)?;
     if shapes > 0 {

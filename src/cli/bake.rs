@@ -120,8 +120,7 @@ impl BakeArguments {
             let library = out.with_extension("mtl");
             let materials = show_texture(mesh, &file_name(&library));
             let materials: Vec<&str> = materials.iter().map(String::as_str).collect();
-            io::write_image_materials(&library, &materials, &file_name(&beside(out, "color.png")))
-                .map_err(Failure::writing)?;
+            io::write_image_materials(&library, &materials, &file_name(&color_of(out))).map_err(Failure::writing)?;
         }
         Ok(color)
     }
@@ -181,6 +180,11 @@ impl BakeMap {
 
 fn is_obj(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"))
+}
+
+/// Where the colours of a result go.
+pub fn color_of(out: &Path) -> PathBuf {
+    beside(out, "color.png")
 }
 
 fn beside(out: &Path, ending: &str) -> PathBuf {

@@ -9,9 +9,10 @@ use std::time::Instant;
 use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::animate::Cutoff;
 use super::interrupt::Interrupt;
 use super::{Failure, Program, Stage, bounded, check_output_folder, register, say, tell, warn};
-use crate::batch::{Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
+use crate::batch::{Animation, Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
 use crate::text;
 
 /// Arguments of `nonrigid batch`.
@@ -22,7 +23,8 @@ use crate::text;
     option of `nonrigid register`, which stands before that of the command line. Paths are relative to the manifest. Each scan is\n\
     a process of its own: one that fails, however it does, leaves the others alone. What is done, by the hash of all that went\n\
     into it, is not done again.\n\n\
-    DIR gets NAME.obj and NAME.json (the report) for each scan, summary.csv, index.html, log/NAME.txt (what was said).\n\n\
+    DIR gets NAME.obj and NAME.json (the report) for each scan, summary.csv, index.html, log/NAME.txt (what was said), and for each\n\
+    sequence one animated file, sequences/SEQUENCE.usda, smoothed in time, and a report of lost frames, sequences/SEQUENCE.json.\n\n\
     scans.csv:\n  target,landmarks,sequence\n  ann/0001.ply,ann/0001.json,ann\n  ann/0002.ply,ann/0002.json,ann\n  \
     ben.obj,ben.mrk.json,\n\n\
     Examples:\n  nonrigid batch scans.csv --out wrapped --template face.obj --rig rig --identity-modes 40 --pictures\n  \
@@ -50,6 +52,16 @@ pub struct Arguments {
     /// Format of results
     #[arg(long, value_enum, default_value_t = Format::Obj)]
     format: Format,
+    /// Format of the animated file of each sequence
+    #[arg(long, value_enum, value_name = "FORMAT", default_value_t = AnimationFormat::Usda)]
+    animation: AnimationFormat,
+    /// Frames a second of sequences, 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    fps: u16,
+    /// Smooth animated files in time: what changes HZ times a second is halved, what changes slower stays, what changes faster goes;
+    /// or none. The frames' own files stay as they are
+    #[arg(long, value_name = "HZ", default_value = "4")]
+    smooth: Cutoff,
     /// Do again what is done
     #[arg(long)]
     again: bool,
@@ -62,6 +74,18 @@ enum Format {
     Obj,
     Ply,
     Glb,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum AnimationFormat {
+    /// A mesh with points over time
+    Usda,
+    /// A point cache
+    Pc2,
+    /// The rig's weights, a pose, and a target for what is left of each frame
+    Glb,
+    /// No animated file
+    None,
 }
 
 /// `nonrigid register` on its own, to parse each row's options.
@@ -148,10 +172,15 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
     let at_once = a.jobs.map_or(cores, |asked| bounded("--jobs", asked.into()));
     let batch = Batch {
         program: program.path.clone(),
-        command: program.first.iter().cloned().chain(["register".into()]).collect(),
+        command: program.first.clone(),
         folder: a.out.clone(),
         format: format!("{:?}", a.format).to_lowercase(),
         pictures: a.pictures,
+        animation: (a.animation != AnimationFormat::None).then(|| Animation {
+            format: format!("{:?}", a.animation).to_lowercase(),
+            frames_per_second: a.fps,
+            smooth: a.smooth.0,
+        }),
         at_once,
         threads: (cores / at_once).max(1),
         again: a.again,
@@ -166,7 +195,7 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
         .run(&|| interrupt.asked(), &|outcome| progress.finished(outcome), &|said| warn(said))
         .map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))?;
     progress.bar.finish_and_clear();
-    let Finished { outcomes, summary, timing } = finished;
+    let Finished { outcomes, summary, not_animated, timing } = finished;
     say(summary.to_string().trim_end())?;
     say(line(&timing))?;
     say(format_args!("wrote {}", a.out.join("index.html").display()))?;
@@ -175,7 +204,17 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
         return Err(interrupt.failure(message));
     }
     match outcomes.iter().filter(|o| o.record.status == Status::Failed).count() {
-        0 => Ok(()),
+        0 => match not_animated.first() {
+            None => Ok(()),
+            Some((sequence, error)) => {
+                let more = if not_animated.len() > 1 {
+                    format!(", nor of {} more", not_animated.len() - 1)
+                } else {
+                    String::new()
+                };
+                Err(Failure::computation(format!("no animated file of sequence {sequence:?}{more}: {error}")))
+            }
+        },
         failed => {
             let path = a.out.join("summary.csv");
             Err(Failure::computation(format!("{failed} of {count} scans failed; {} says why", path.display())))
@@ -196,14 +235,16 @@ pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)
     };
     let arguments: Vec<OsString> = settings.iter().map(argument).collect();
     // what the batch itself adds does not matter here
-    let line = [OsString::from("register"), "--out".into(), "result.obj".into()];
+    let format = further.iter().find(|(option, _)| option == "format").map_or("obj", |(_, format)| format);
+    let out = PathBuf::from(format!("{}.{format}", row.name));
+    let line = [OsString::from("register"), "--out".into(), out.clone().into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
-    let (arguments, inputs) = match parsed {
-        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths()),
+    let (arguments, inputs, beside) = match parsed {
+        Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths(), parsed.arguments.beside(&out)),
         // its files are not to be overwritten either
         Err(error) => {
             let paths = settings.iter().filter(|(long, _)| columns.paths.contains(long));
-            (Err(first_line(&error)), paths.map(|(long, path)| (&**long, path.into())).collect())
+            (Err(first_line(&error)), paths.map(|(long, path)| (&**long, path.into())).collect(), Vec::new())
         }
     };
     let goes_on = settings.iter().any(|(long, _)| long == "landmarks");
@@ -213,7 +254,8 @@ pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)
         of_text.map(|(long, value)| (long.clone(), value.to_string_lossy().into_owned())).collect();
     settings.extend(further.iter().cloned());
     let inputs = inputs.into_iter().map(|(role, path): (&str, PathBuf)| (role.to_owned(), path)).collect();
-    Job { name: row.name.clone(), arguments, settings, goes_on, inputs }
+    let beside = beside.into_iter().map(|(_, path)| path.to_string_lossy().into_owned()).collect();
+    Job { name: row.name.clone(), arguments, settings, goes_on, sequence: row.sequence.clone(), beside, inputs }
 }
 
 /// What clap has against an option, without advice on how to call the command, which is not the one that was called.

@@ -28,7 +28,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use serde::Serialize;
 
-use crate::io::{files_of_mesh, write_atomically};
+use crate::io::{MaterialFiles, files_of_mesh, write_atomically};
+use crate::mesh::{ObjStatement, PolygonMesh};
 use crate::text;
 
 use crate::console::{Failure, Stage, answer, bounded, check_plan, say, tell, warn};
@@ -185,6 +186,44 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Writing, message));
     }
     Ok(())
+}
+
+/// The materials of a mesh that was read from `path`, to be copied beside what is made of it: `out`, an OBJ file. What is missing of
+/// them is said.
+fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
+    if !out.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj")) {
+        return MaterialFiles::default();
+    }
+    let files = MaterialFiles::of(path, mesh);
+    files.missing.iter().for_each(warn);
+    files
+}
+
+/// Says what of a mesh the format of a file does not hold.
+fn warn_of_format(out: &Path, mesh: &PolygonMesh) {
+    let metadata = &mesh.metadata;
+    let has = |of: fn(&ObjStatement) -> bool| metadata.statements.iter().any(|(_, statement)| of(statement));
+    let uvs = (!metadata.corner_uvs.is_empty(), "texture coordinates");
+    let materials = (has(|s| matches!(s, ObjStatement::Material(_))), "materials");
+    let groups = (has(|s| matches!(s, ObjStatement::Group(_) | ObjStatement::Object(_))), "groups");
+    let smoothing = (has(|s| matches!(s, ObjStatement::Smoothing(_))), "smoothing groups");
+    let listed = |of: &[(bool, &'static str)]| {
+        of.iter().filter(|(is, _)| *is).map(|(_, what)| *what).collect::<Vec<_>>().join(", ")
+    };
+    let (out, extension) = (out.display(), out.extension().unwrap_or_default().to_ascii_lowercase());
+    match extension.to_str() {
+        Some("ply") => match listed(&[uvs, groups, materials, smoothing]) {
+            lost if lost.is_empty() => {}
+            lost => warn(format_args!("{out}: PLY holds no {lost}; .obj and .usda do")),
+        },
+        Some("glb") => match listed(&[groups, smoothing]) {
+            noted if noted.is_empty() => {}
+            noted => warn(format_args!(
+                "{out}: {noted} are in a note that other programs do not read; .obj and .usda hold them"
+            )),
+        },
+        _ => {}
+    }
 }
 
 /// Writes a value as JSON.

@@ -8,7 +8,10 @@ use clap::{ArgGroup, Args};
 use super::inputs::{RigArguments, bounds, rig_files};
 use super::measure::{self, ClientArguments, landmarks_of_rig, named_regions, plan_names};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_output_folder, check_plan, meshes, on_threads, say, warn};
+use super::{
+    Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, say, warn,
+    warn_of_format,
+};
 use crate::io::{self, FilePlan, LengthUnit, write_atomically};
 use crate::landmark;
 use crate::landmark::TemplatePoint;
@@ -120,6 +123,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     check_plan(&plan(a, mesh, out, &jobs, &others))?;
     let mut units = a.units.of(&["mesh", "rig", "landmarks"])?;
     let before = units.read_mesh("mesh", mesh)?;
+    let materials = materials_for(out, mesh, &before);
+    let copies = materials.writes(out).into_iter().map(|path| ("--out", path));
+    let material_files = materials.reads().map(|path| ("mesh", path.clone()));
+    check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
     let mut mesh = before.clone();
     let (mut shapes, regions) = a.rig.read(&mut units)?;
     if let Some(bounds) = a.weight_bounds {
@@ -175,7 +182,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         write_report(folder, &before, &known, &regions, &names, &plans, &about)?;
         outcomes = plans.swap_remove(0);
     }
+    materials.write(out, &mut mesh).map_err(Failure::writing)?;
     io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
+    warn_of_format(out, &before);
     outcomes.iter().enumerate().filter_map(|(k, outcome)| torn(k + 1, outcome)).for_each(warn);
     lines.iter().try_for_each(say)
 }

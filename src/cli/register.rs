@@ -9,13 +9,13 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::bake::BakeArguments;
+use super::bake::{self, BakeArguments};
 use super::inputs::{FlipArgument, MaskArguments, RigArguments, bounds, rig_files, texture_of};
 use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, write_json};
+use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, warn_of_format, write_json};
 use crate::correspondence::VertexMasks;
-use crate::io::{self, FilePlan, Inputs};
+use crate::io::{self, FilePlan, Inputs, MaterialFiles};
 use crate::landmark;
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh};
@@ -109,6 +109,7 @@ impl Arguments {
         if self.bake.asked() {
             files.extend(io::files_of_painted_mesh(&self.target).into_iter().map(|p| (TARGET, p)));
         }
+        files.extend(self.materials().reads().map(|p| (TEMPLATE, p.clone())));
         files.extend(self.landmarks.clone().map(|p| (LANDMARKS, p)));
         files.extend(self.template_landmarks.clone().map(|p| (TEMPLATE_LANDMARKS, p)));
         files.extend(self.warm_start.clone().map(|p| (WARM_START, p)));
@@ -119,13 +120,32 @@ impl Arguments {
         files
     }
 
+    /// The template's materials, which go with a result in OBJ unless it shows a texture of its own.
+    fn materials(&self) -> MaterialFiles {
+        match has_extension(&self.out, "obj") {
+            true => MaterialFiles::named_in(&self.template),
+            false => MaterialFiles::default(),
+        }
+    }
+
+    /// Every file that could be written beside a result.
+    pub fn beside(&self, out: &Path) -> Vec<(&'static str, PathBuf)> {
+        let mut files = self.bake.output_paths(out);
+        for path in self.materials().writes(out) {
+            if files.iter().all(|(_, known)| *known != path) {
+                files.push(("--out", path));
+            }
+        }
+        files
+    }
+
     /// Every file that is written, with the option that asks for it.
     fn output_paths(&self) -> Vec<(&'static str, PathBuf)> {
         let mut files = vec![("--out", self.out.clone())];
         if let Some(report) = &self.report {
             files.extend([("--report", report.clone()), ("--report", timing_path(report))]);
         }
-        files.extend(self.bake.output_paths(&self.out));
+        files.extend(self.beside(&self.out));
         files.extend(self.picture.clone().map(|p| ("--picture", p)));
         files.extend(self.state.clone().map(|p| ("--state", p)));
         files
@@ -175,6 +195,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         true => a.bake.prepare((&a.template, &template), (&a.target, &scan), paint.as_ref())?,
         false => None,
     };
+    let materials = a.materials();
+    materials.missing.iter().for_each(warn);
     let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
     let neutral = neutral.transpose()?;
     let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;
@@ -203,11 +225,12 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         Failure::new(stage, e.to_string())
     };
     let result = register(&input, &a.model, &schedule, &mut progress).map_err(failed)?;
+    let coarse = clock.elapsed().as_secs_f64();
     let rounds = a.subdivide.filter(|_| result.stop == RegistrationStop::Finished);
     let detail = rounds.map(|n| add_detail(&input, &result, n, &mut progress)).transpose();
     let detail = detail.map_err(failed)?;
     progress.bar.finish_and_clear();
-    let registering = clock.elapsed().as_secs_f64() - reading;
+    let [registering, dividing] = [coarse - reading, clock.elapsed().as_secs_f64() - coarse];
 
     let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
     let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
@@ -246,10 +269,16 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let of_vertices = colors.as_ref().map(|c| &c.colors[..]);
     let before_images = clock.elapsed().as_secs_f64();
     let image = baked.as_ref().map(|baked| a.bake.write(baked, &a.out, &mut registered)).transpose()?.flatten();
+    if image.is_none() {
+        materials.write(&a.out, &mut registered).map_err(Failure::writing)?;
+    }
     let images_seconds = clock.elapsed().as_secs_f64() - before_images;
-    match image.filter(|_| is_glb(&a.out)) {
-        Some(image) => io::write_textured_glb(&a.out, &registered, &image),
-        None => io::write_colored_mesh(&a.out, &registered, of_vertices),
+    match image {
+        Some(image) if has_extension(&a.out, "glb") => io::write_textured_glb(&a.out, &registered, &image),
+        Some(_) if has_extension(&a.out, "usda") => {
+            io::write_textured_usda(&a.out, &registered, &file_name(&bake::color_of(&a.out)))
+        }
+        _ => io::write_colored_mesh(&a.out, &registered, of_vertices),
     }
     .map_err(Failure::writing)?;
     if let Some((path, report)) = report {
@@ -257,6 +286,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let timing = Timing {
             reading_seconds: reading,
             registration_seconds: registering,
+            detail_seconds: detail.as_ref().map(|_| dividing),
             texture_seconds: baked.as_ref().map(|_| [baking_seconds, images_seconds]),
             total_seconds: clock.elapsed().as_secs_f64(),
             threads: rayon::current_num_threads(),
@@ -273,6 +303,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let sheet = registration_sheet(&title, template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
+    warn_of_format(&a.out, template);
     warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none() && !a.bake.asked());
     reliability.doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
@@ -352,6 +383,9 @@ fn read_landmarks(
 struct Timing {
     reading_seconds: f64,
     registration_seconds: f64,
+    /// Dividing the result, and the steps of its own that the finer mesh took.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detail_seconds: Option<f64>,
     /// Baking, and writing its images.
     #[serde(skip_serializing_if = "Option::is_none")]
     texture_seconds: Option<[f64; 2]>,
@@ -426,8 +460,8 @@ fn print_summary(
     say(format_args!("wrote {}", a.out.display()))
 }
 
-fn is_glb(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
 }
 
 fn file_name(path: &Path) -> String {

@@ -6,8 +6,8 @@ use clap::Args;
 
 use super::inputs::{ShapeKindArgument, read_rig, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_output_folder, check_plan, same_place, say, warn};
-use crate::io::{FilePlan, PlanError, WriteError};
+use super::{Failure, Stage, check_output, check_output_folder, check_plan, materials_for, same_place, say, warn};
+use crate::io::{self, FilePlan, PlanError, WriteError};
 use crate::rig::{Family, RIG_FILES, Rig, Shape};
 
 /// Arguments of `nonrigid rig convert`.
@@ -75,10 +75,13 @@ impl RigOutput {
         let plan = FilePlan::new().reads_all(rig_files(input)).reads_all(others.iter().cloned());
         match (self.is_file(), self.format) {
             (true, _) => plan.writes("--out", &self.out),
-            (_, Format::Npy) => plan.writes_all(RIG_FILES.map(|name| ("--out", self.out.join(name)))),
+            (_, Format::Npy) => {
+                let names = RIG_FILES.into_iter().chain(["template.mtl"]);
+                plan.writes_all(names.map(|name| ("--out", self.out.join(name))))
+            }
             (_, Format::Shapes) => {
                 let names = shapes.iter().map(|s| format!("{}.obj", s.name));
-                let names = names.chain(["neutral.obj", "rig.json", "regions.json"].map(str::to_owned));
+                let names = names.chain(["neutral.obj", "neutral.mtl", "rig.json", "regions.json"].map(str::to_owned));
                 plan.writes_all(names.map(|name| ("--out", self.out.join(name))))
             }
         }
@@ -106,8 +109,8 @@ impl RigOutput {
         extension.is_some_and(|e| e == "npz" || e == "glb" || !self.out.is_dir())
     }
 
-    /// Writes the rig, and says so and what the form does not hold.
-    pub fn write(&self, rig: &Rig) -> Result<(), Failure> {
+    /// Writes the rig, made of the one of `input`, with its materials, and says so and what the form does not hold.
+    pub fn write(&self, rig: &Rig, input: &Path) -> Result<(), Failure> {
         let shapes_folder = !self.is_file() && self.format == Format::Shapes;
         let npz = self.is_file() && self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"));
         let write: fn(&Rig, &Path) -> Result<(), WriteError> = match (self.is_file(), self.format) {
@@ -117,6 +120,18 @@ impl RigOutput {
             (true, _) => Rig::write_gltf,
         };
         write(rig, &self.out).map_err(Failure::writing)?;
+        if let Some(mesh) = rig.mesh().filter(|_| !self.is_file()) {
+            let name = if shapes_folder { "neutral.obj" } else { "template.obj" };
+            let of_input =
+                ["template.obj", "neutral.obj"].map(|name| input.join(name)).into_iter().find(|p| p.is_file());
+            let out = self.out.join(name);
+            let materials = of_input.map(|path| materials_for(&out, &path, mesh)).unwrap_or_default();
+            if !materials.is_empty() {
+                let mut mesh = mesh.with_positions(rig.neutral().to_vec());
+                materials.write(&out, &mut mesh).map_err(Failure::writing)?;
+                io::write_obj(&out, &mesh).map_err(Failure::writing)?;
+            }
+        }
         let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));
         if shapes_folder && rig.shapes().iter().any(|s| s.family == Family::Identity) {
             lost("families: identity modes are shapes like all others there");
@@ -150,5 +165,5 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     a.output.check_shapes(&a.rig, &[], &rig)?;
     units.say();
-    a.output.write(&rig)
+    a.output.write(&rig, &a.rig)
 }

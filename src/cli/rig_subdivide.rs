@@ -44,5 +44,5 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let divided = rig.subdivided(a.rounds).map_err(|e| Failure::loading(format!("{}: {e}", a.rig.display())));
     let (fine, warnings) = divided?;
     warnings.iter().for_each(warn);
-    a.output.write(&fine)
+    a.output.write(&fine, &a.rig)
 }

@@ -67,5 +67,5 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         Failure::new(stage, format!("{at}: {e}"))
     })?;
     warnings.iter().for_each(warn);
-    a.output.write(&personal)
+    a.output.write(&personal, &a.rig)
 }

@@ -66,8 +66,8 @@ pub struct ImageFile {
 
 /// The map of a material library that paints.
 #[derive(Debug, Clone, PartialEq)]
-struct Map {
-    name: String,
+pub(super) struct Map {
+    pub name: String,
     line: usize,
     offset: [f64; 2],
     scale: [f64; 2],
@@ -114,7 +114,7 @@ fn parse_mtl(bytes: &[u8], path: &Path) -> Result<Vec<Stated>, ReadError> {
 }
 
 /// What follows `map_Kd`.
-fn parse_map(rest: &str, line: usize) -> Option<Map> {
+pub(super) fn parse_map(rest: &str, line: usize) -> Option<Map> {
     let mut map = Map { name: String::new(), line, offset: [0.0; 2], scale: [1.0; 2], clamp: false };
     let mut left = rest;
     let next = |left: &mut &str| -> Option<String> {
@@ -158,7 +158,7 @@ fn parse_map(rest: &str, line: usize) -> Option<Map> {
 
 /// The file that another one names: where it says; or, as files move from computer to computer, of that name in the same folder.
 /// What is not there stays what it was called.
-fn named_beside(path: &Path, name: &str) -> PathBuf {
+pub(super) fn named_beside(path: &Path, name: &str) -> PathBuf {
     let folder = path.parent().unwrap_or(Path::new(""));
     let slashes = name.replace('\\', "/");
     let last = slashes.rsplit('/').next().unwrap_or_default();
@@ -168,7 +168,7 @@ fn named_beside(path: &Path, name: &str) -> PathBuf {
 }
 
 /// The libraries that an OBJ file names. A statement may name several with spaces between them, and a name may have spaces.
-fn libraries(path: &Path, statements: &[String]) -> Vec<PathBuf> {
+pub(super) fn libraries(path: &Path, statements: &[String]) -> Vec<PathBuf> {
     let files = statements.iter().flat_map(|statement| {
         let whole = named_beside(path, statement);
         let parts: Vec<PathBuf> = statement.split_whitespace().map(|name| named_beside(path, name)).collect();

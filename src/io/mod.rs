@@ -8,6 +8,7 @@ mod gltf;
 mod gzip;
 mod inputs;
 mod material;
+mod material_files;
 mod npy;
 mod npz;
 mod obj;
@@ -31,6 +32,7 @@ pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
+pub use material_files::MaterialFiles;
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};
@@ -40,7 +42,7 @@ pub use plan::{FilePlan, PlanError, check_files};
 pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
 pub use unit::{BODY_EXTENT, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
-pub use usda::write_usda;
+pub use usda::{Clip, write_usda};
 pub use xyz::parse_xyz;
 
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
@@ -133,12 +135,16 @@ pub fn files_of_painted_mesh(path: &Path) -> Vec<PathBuf> {
     if matches!(extension(path).as_str(), "glb" | "gltf") {
         files.extend(std::fs::read(path).map(|bytes| gltf::files_beside(&bytes, path, true)).unwrap_or_default());
     } else if gzip::inner_extension(path) == "obj" {
-        let bytes = gzip::read_unpacked(path).unwrap_or_default();
-        let lines = bytes.split(|b| *b == b'\n').filter_map(|line| line.trim_ascii().strip_prefix(b"mtllib"));
-        let named: Vec<String> = lines.map(|name| String::from_utf8_lossy(name.trim_ascii()).into_owned()).collect();
-        files.extend(material::files_of_paint(path, &named));
+        files.extend(material::files_of_paint(path, &libraries_named_in(path)));
     }
     files
+}
+
+/// What the `mtllib` statements of an OBJ file name; nothing if it cannot be read.
+fn libraries_named_in(path: &Path) -> Vec<String> {
+    let bytes = gzip::read_unpacked(path).unwrap_or_default();
+    let lines = bytes.split(|b| *b == b'\n').filter_map(|line| line.trim_ascii().strip_prefix(b"mtllib"));
+    lines.map(|name| String::from_utf8_lossy(name.trim_ascii()).into_owned()).collect()
 }
 
 impl From<PolygonMesh> for MeshFile {
@@ -199,7 +205,10 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
         "obj" => obj::write_colored_obj(path, mesh, colors),
         "ply" => write_ply_polygons(path, mesh, PlyOptions { colors, precision: PlyPrecision::Double, normals: None }),
         "glb" => write_look(path, mesh, gltf::Look { colors, ..gltf::Look::default() }),
-        "usda" => write_usda(path, mesh, colors, std::slice::from_ref(&mesh.positions), 1.0),
+        "usda" => {
+            let frames = std::slice::from_ref(&mesh.positions);
+            write_usda(path, mesh, colors, &Clip { frames, frames_per_second: 1.0, lost: &[] }, None)
+        }
         found => Err(WriteError::UnknownExtension { path: path.into(), found: found.into(), supported: WRITTEN }),
     }
 }
@@ -210,6 +219,15 @@ pub fn write_colored_mesh(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8;
 /// As [`write_glb`].
 pub fn write_textured_glb(path: &Path, mesh: &PolygonMesh, png: &[u8]) -> Result<(), WriteError> {
     write_look(path, mesh, gltf::Look { png: Some(png), ..gltf::Look::default() })
+}
+
+/// Writes a mesh as `.usda`, whose materials show a texture: an image of this name in the same folder.
+///
+/// # Errors
+/// As [`write_usda`].
+pub fn write_textured_usda(path: &Path, mesh: &PolygonMesh, image: &str) -> Result<(), WriteError> {
+    let frames = std::slice::from_ref(&mesh.positions);
+    write_usda(path, mesh, None, &Clip { frames, frames_per_second: 1.0, lost: &[] }, Some(image))
 }
 
 fn write_look(path: &Path, mesh: &PolygonMesh, look: gltf::Look<'_>) -> Result<(), WriteError> {

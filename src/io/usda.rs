@@ -1,7 +1,8 @@
 //! Universal Scene Description as text (`.usda`): one mesh, at rest or with the points of every frame, its texture coordinates,
-//! colours, and its materials and groups as subsets of faces. Lengths are millimetres, as the file says.
+//! colours, and its materials (bound, and showing a texture, if there is one), groups, objects and smoothing groups as subsets of
+//! faces. Lengths are millimetres, as the file says.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -10,7 +11,19 @@ use super::{WriteError, write_atomically};
 use crate::mesh::srgb::to_light;
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 
-/// Writes a mesh; `frames`, if there are several, are its vertices over time, `frames_per_second` of them.
+/// A mesh's vertices over time.
+#[derive(Debug, Clone, Copy)]
+pub struct Clip<'a> {
+    /// Positions of every frame.
+    pub frames: &'a [Vec<Vec3>],
+    /// How fast they follow each other.
+    pub frames_per_second: f64,
+    /// Numbers, from 0, of those that were lost.
+    pub lost: &'a [usize],
+}
+
+/// Writes a mesh, which moves if there are several frames; which were lost stands in `customLayerData`. Its materials show `texture`, the
+/// name of an image in the same folder.
 ///
 /// # Errors
 /// When the file cannot be written, there is no frame, one has not the mesh's number of vertices, colours are not one per vertex, or a
@@ -19,22 +32,23 @@ pub fn write_usda(
     path: &Path,
     mesh: &PolygonMesh,
     colors: Option<&[[u8; 3]]>,
-    frames: &[Vec<Vec3>],
-    frames_per_second: f64,
+    clip: &Clip<'_>,
+    texture: Option<&str>,
 ) -> Result<(), WriteError> {
     WriteError::check_count(path, "colours", colors.map(<[_]>::len), mesh.positions.len())?;
-    check_frames(path, frames)?;
-    WriteError::check_count(path, "positions in a frame", Some(frames[0].len()), mesh.positions.len())?;
-    write_atomically(path, |w| write(w, mesh, colors, frames, frames_per_second))
+    check_frames(path, clip.frames)?;
+    WriteError::check_count(path, "positions in a frame", Some(clip.frames[0].len()), mesh.positions.len())?;
+    write_atomically(path, |w| write(w, mesh, colors, clip, texture))
 }
 
 fn write(
     w: &mut BufWriter<std::fs::File>,
     mesh: &PolygonMesh,
     colors: Option<&[[u8; 3]]>,
-    frames: &[Vec<Vec3>],
-    fps: f64,
+    clip: &Clip<'_>,
+    texture: Option<&str>,
 ) -> std::io::Result<()> {
+    let (frames, fps) = (clip.frames, clip.frames_per_second);
     let moving = frames.len() > 1;
     writeln!(w, "#usda 1.0\n(\n    defaultPrim = \"Subject\"")?;
     if moving {
@@ -44,12 +58,27 @@ fn write(
             "    startTimeCode = 0\n    endTimeCode = {end}\n    framesPerSecond = {fps}\n    timeCodesPerSecond = {fps}"
         )?;
     }
+    if !clip.lost.is_empty() {
+        write!(w, "    customLayerData = {{\n        int[] lostFrames = ")?;
+        items(w, clip.lost.iter(), |w, k| write!(w, "{k}"))?;
+        writeln!(w, "\n    }}")?;
+    }
     writeln!(
         w,
         "    metersPerUnit = 0.001\n    upAxis = \"Y\"\n    doc = \"nonrigid {}\"\n)\n",
         env!("CARGO_PKG_VERSION")
     )?;
-    writeln!(w, "def Xform \"Subject\" (\n    kind = \"component\"\n)\n{{\n    def Mesh \"Surface\"\n    {{")?;
+    writeln!(w, "def Xform \"Subject\" (\n    kind = \"component\"\n)\n{{\n    def Mesh \"Surface\"")?;
+    let subsets = subsets(mesh);
+    let materials: Vec<&Subset<'_>> = subsets.iter().filter(|s| s.family == MATERIALS).collect();
+    let whole = if materials.is_empty() { texture.map(|_| "texture") } else { None };
+    if whole.is_some() {
+        write!(w, " (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )")?;
+    }
+    writeln!(w, "\n    {{")?;
+    if let Some(name) = whole {
+        writeln!(w, "        rel material:binding = </Subject/Materials/{name}>")?;
+    }
     let counts = (0..mesh.polygon_count()).map(|f| mesh.polygon(f).len());
     list(w, "int[] faceVertexCounts", counts, |w, n| write!(w, "{n}"))?;
     list(w, "int[] faceVertexIndices", mesh.corners.iter(), |w, v| write!(w, "{v}"))?;
@@ -87,49 +116,139 @@ fn write(
         items(w, light, |w, c| write!(w, "({}, {}, {})", c[0], c[1], c[2]))?;
         writeln!(w, " (\n            interpolation = \"vertex\"\n        )")?;
     }
-    subsets(w, mesh)?;
-    writeln!(w, "    }}\n}}")
+    if !materials.is_empty() {
+        writeln!(w, "        uniform token subsetFamily:{MATERIALS}:familyType = \"nonOverlapping\"")?;
+    }
+    for subset in &subsets {
+        subset.write(w)?;
+    }
+    writeln!(w, "    }}")?;
+    let names = materials.iter().map(|s| (s.prim.as_str(), s.name)).chain(whole.map(|name| (name, name)));
+    let names: Vec<(&str, &str)> = names.collect();
+    if !names.is_empty() {
+        writeln!(w, "\n    def Scope \"Materials\"\n    {{")?;
+        for (k, (prim, name)) in names.into_iter().enumerate() {
+            material(w, prim, name, texture, k > 0)?;
+        }
+        writeln!(w, "    }}")?;
+    }
+    writeln!(w, "}}")
 }
 
-/// Faces by material and by group. A face may be in several groups, and in one material.
-fn subsets(w: &mut impl Write, mesh: &PolygonMesh) -> std::io::Result<()> {
-    let (mut materials, mut groups) = (BTreeMap::<&str, Vec<usize>>::new(), BTreeMap::<&str, Vec<usize>>::new());
-    for (names, polygons) in mesh.groups() {
-        for name in names.split_whitespace() {
-            groups.entry(name).or_default().extend(polygons.clone());
+/// The family of the subsets that have a material.
+const MATERIALS: &str = "materialBind";
+
+/// A material, whose surface shows the texture.
+fn material(w: &mut impl Write, prim: &str, name: &str, texture: Option<&str>, gap: bool) -> std::io::Result<()> {
+    if gap {
+        writeln!(w)?;
+    }
+    writeln!(
+        w,
+        "        def Material \"{prim}\" (\n            displayName = {}\n        )\n        {{",
+        quoted(name)
+    )?;
+    if let Some(texture) = texture {
+        let image = texture.replace("@@@", "\\@@@");
+        let here = format!("/Subject/Materials/{prim}");
+        write!(
+            w,
+            "            token outputs:surface.connect = <{here}/surface.outputs:surface>
+
+            def Shader \"surface\"
+            {{
+                uniform token info:id = \"UsdPreviewSurface\"
+                color3f inputs:diffuseColor.connect = <{here}/image.outputs:rgb>
+                float inputs:roughness = 0.7
+                token outputs:surface
+            }}
+
+            def Shader \"image\"
+            {{
+                uniform token info:id = \"UsdUVTexture\"
+                asset inputs:file = @@@./{image}@@@
+                token inputs:sourceColorSpace = \"sRGB\"
+                float2 inputs:st.connect = <{here}/place.outputs:result>
+                token inputs:wrapS = \"repeat\"
+                token inputs:wrapT = \"repeat\"
+                float3 outputs:rgb
+            }}
+
+            def Shader \"place\"
+            {{
+                uniform token info:id = \"UsdPrimvarReader_float2\"
+                string inputs:varname = \"st\"
+                float2 outputs:result
+            }}
+"
+        )?;
+    }
+    writeln!(w, "        }}")
+}
+
+/// Some faces of a mesh.
+struct Subset<'a> {
+    family: &'static str,
+    name: &'a str,
+    prim: String,
+    faces: Vec<usize>,
+}
+
+impl Subset<'_> {
+    fn write(&self, w: &mut impl Write) -> std::io::Result<()> {
+        let Self { family, name, prim, faces } = self;
+        let bound =
+            if *family == MATERIALS { "\n            prepend apiSchemas = [\"MaterialBindingAPI\"]" } else { "" };
+        let name = quoted(name);
+        writeln!(
+            w,
+            "\n        def GeomSubset \"{prim}\" (\n            displayName = {name}{bound}\n        )\n        {{"
+        )?;
+        writeln!(
+            w,
+            "            uniform token elementType = \"face\"\n            uniform token familyName = \"{family}\""
+        )?;
+        write!(w, "            int[] indices = ")?;
+        items(w, faces.iter(), |w, f| write!(w, "{f}"))?;
+        if *family == MATERIALS {
+            write!(w, "\n            rel material:binding = </Subject/Materials/{prim}>")?;
+        }
+        writeln!(w, "\n        }}")
+    }
+}
+
+/// Faces by material, group, object and smoothing group. A face may be in several groups, and in one of each of the others.
+fn subsets(mesh: &PolygonMesh) -> Vec<Subset<'_>> {
+    const FAMILIES: [&str; 4] = [MATERIALS, "group", "object", "smoothing"];
+    let mut found: [BTreeMap<&str, Vec<usize>>; 4] = Default::default();
+    let mut current: [Vec<&str>; 4] = Default::default();
+    let mut statements = mesh.metadata.statements.iter().peekable();
+    for f in 0..mesh.polygon_count() {
+        while let Some((_, statement)) = statements.next_if(|(first, _)| *first as usize <= f) {
+            match statement {
+                ObjStatement::Material(name) => current[0] = vec![name],
+                ObjStatement::Group(names) => current[1] = names.split_whitespace().collect(),
+                ObjStatement::Object(name) => current[2] = vec![name],
+                ObjStatement::Smoothing(value) => current[3] = vec![value],
+            }
+        }
+        for (sets, names) in found.iter_mut().zip(&current) {
+            names.iter().for_each(|name| sets.entry(name).or_default().push(f));
         }
     }
-    let uses = mesh.metadata.statements.iter().filter_map(|(first, statement)| match statement {
-        ObjStatement::Material(name) => Some((name.as_str(), *first as usize)),
-        _ => None,
-    });
-    let ends = uses.clone().skip(1).map(|u| u.1).chain([mesh.polygon_count()]);
-    for ((name, first), end) in uses.zip(ends) {
-        materials.entry(name).or_default().extend(first..end);
-    }
-    let mut taken = std::collections::BTreeSet::new();
-    for (family, sets) in [("material", materials), ("group", groups)] {
-        for (name, faces) in sets.into_iter().filter(|(_, faces)| !faces.is_empty()) {
-            let prim = identifier(name, family, &mut taken);
-            writeln!(
-                w,
-                "\n        def GeomSubset \"{prim}\" (\n            displayName = {}\n        )\n        {{",
-                quoted(name)
-            )?;
-            writeln!(
-                w,
-                "            uniform token elementType = \"face\"\n            uniform token familyName = \"{family}\""
-            )?;
-            write!(w, "            int[] indices = ")?;
-            items(w, faces.into_iter(), |w, f| write!(w, "{f}"))?;
-            writeln!(w, "\n        }}")?;
-        }
-    }
-    Ok(())
+    let mut taken = BTreeSet::new();
+    let named = FAMILIES.into_iter().zip(found);
+    named
+        .flat_map(|(family, sets)| sets.into_iter().map(move |(name, faces)| (family, name, faces)))
+        .map(|(family, name, faces)| {
+            let prefix = if family == MATERIALS { "material" } else { family };
+            Subset { family, name, prim: identifier(name, prefix, &mut taken), faces }
+        })
+        .collect()
 }
 
 /// A name that the format allows, and that no other has.
-fn identifier(name: &str, family: &str, taken: &mut std::collections::BTreeSet<String>) -> String {
+fn identifier(name: &str, family: &str, taken: &mut BTreeSet<String>) -> String {
     let plain: String = name.chars().take(100).map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     let first = format!("{family}_{plain}");
     let numbered = (2..).map(|k| format!("{first}_{k}"));

@@ -22,7 +22,8 @@ pub const RIG_FILES: [&str; 8] = [
 
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
-    /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. The folder is
+    /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. Material
+    /// libraries are not copied ([`MaterialFiles`](crate::io::MaterialFiles) does), and not named. The folder is
     /// made if it is not there; other files in it are left alone. It gets all files or none ([`write_folder`]).
     ///
     /// # Errors
@@ -34,7 +35,7 @@ impl Rig {
     /// [`write`](Self::write) into a folder that is there, file by file.
     pub(super) fn write_into(&self, folder: &Path) -> Result<(), WriteError> {
         if let Some(mesh) = &self.mesh {
-            write_obj(&folder.join("template.obj"), &mesh.with_positions(self.neutral.clone()))?;
+            write_obj(&folder.join("template.obj"), &without_libraries(mesh, &self.neutral))?;
         }
         write_npy_points(&folder.join("neutral.npy"), &self.neutral)?;
         if let Some(landmarks) = &self.landmarks {
@@ -118,7 +119,7 @@ impl Rig {
 
     fn write_meshes_into(&self, folder: &Path) -> Result<(), WriteError> {
         let mesh = match &self.mesh {
-            Some(mesh) => mesh.with_positions(self.neutral.clone()),
+            Some(mesh) => without_libraries(mesh, &self.neutral),
             None => PolygonMesh { positions: self.neutral.clone(), starts: vec![0], ..PolygonMesh::default() },
         };
         write_obj(&folder.join("neutral.obj"), &mesh)?;
@@ -130,6 +131,13 @@ impl Rig {
         write_json(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
         self.regions.as_ref().map_or(Ok(()), |regions| regions.write(&folder.join("regions.json")))
     }
+}
+
+/// The neutral with its polygons and the names of its materials; their libraries are not where it will be.
+fn without_libraries(mesh: &PolygonMesh, neutral: &[Vec3]) -> PolygonMesh {
+    let mut mesh = mesh.with_positions(neutral.to_vec());
+    mesh.metadata.material_libraries.clear();
+    mesh
 }
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {

@@ -132,6 +132,52 @@ fn shapes_a_pose_and_what_is_left_give_every_frame() {
 }
 
 #[test]
+fn lost_frames_are_named_and_bridged() {
+    let bench = Bench::new();
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let at = |k: usize| Vec3::new(0.5 * k as f64, (0.3 * k as f64).sin(), 0.0);
+    std::fs::create_dir(bench.path("frames")).unwrap();
+    let mut list = String::new();
+    for k in 0..12 {
+        let off = Vec3::y() * if k == 5 { 40.0 } else { 0.0 };
+        let positions = template.positions.iter().map(|p| p + at(k) + off).collect();
+        if k == 8 {
+            list += "- walk8\n";
+        } else {
+            write_obj(&bench.path(&format!("frames/walk{k}.obj")), &template.with_positions(positions)).unwrap();
+            list += &format!("walk{k}.obj\n");
+        }
+    }
+    bench.write("list.txt", &list);
+    let command = "animate --meshes frames --list list.txt --unit meshes=mm --report walk.json --fps 30";
+    for (format, smooth) in [("usda", "--smooth 4"), ("glb", ""), ("pc2", "--smooth 4")] {
+        let run = bench.run(&format!("{command} {smooth} --out walk.{format}"));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        for frame in ["\"walk5\" is lost: it jumps 4", "\"walk8\" is lost: there is none"] {
+            assert!(run.stderr.contains(frame), "{}", run.stderr);
+        }
+        let report: Value = serde_json::from_slice(&bench.read("walk.json")).unwrap();
+        let lost: Vec<usize> = (0..12).filter(|&k| !report["frames"][k]["lost"].is_null()).collect();
+        assert_eq!(lost, [5, 8], "{report}");
+        let [before, after] = [0, 1].map(|k| report["second_difference_mm"][k].as_f64().unwrap());
+        assert!(before > 20.0 && (after < 0.2) == !smooth.is_empty(), "{report}");
+    }
+    let text = String::from_utf8(bench.read("walk.usda")).unwrap();
+    assert!(text.contains("int[] lostFrames = [5, 8]"));
+    let bytes = bench.read("walk.glb");
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    assert_eq!(document["animations"][0]["extras"]["lostFrames"], serde_json::json!([5, 8]));
+    // the cache has the frames that are bridged where the others lead
+    let bytes = bench.read("walk.pc2");
+    for k in [5, 8] {
+        let start = 32 + 12 * k * template.positions.len();
+        let y = f32::from_le_bytes(bytes[start + 4..start + 8].try_into().unwrap());
+        assert!((f64::from(y) - template.positions[0].y - at(k).y).abs() < 0.1, "frame {k}");
+    }
+}
+
+#[test]
 fn frames_that_are_no_sequence_are_refused() {
     let bench = Bench::new();
     frames(&bench);
@@ -144,6 +190,12 @@ fn frames_that_are_no_sequence_are_refused() {
     fails("animate --meshes frames --out a.obj", 1, ".usda");
     fails("animate --meshes frames --fps 0 --out a.usda", 1, "fps");
     fails("animate --meshes case/none --out a.usda", 4, "none");
+    fails("animate --meshes frames --smooth fast --out a.usda", 1, "neither a frequency");
+    bench.write("list.txt", "- f0\n");
+    fails("animate --meshes frames --list list.txt --out a.usda", 4, "names no frame that is there");
+    bench.write("list.txt", "f0.obj\nf9.obj\n");
+    fails("animate --meshes frames --list list.txt --out a.usda", 4, "f9.obj");
+    fails("animate --meshes frames --report frames/f0.obj --out a.usda", 1, "f0.obj");
     std::fs::create_dir(bench.path("empty")).unwrap();
     fails("animate --meshes empty --out a.usda", 4, "found no .obj or .ply");
     bench.write("frames/z.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");

@@ -439,7 +439,7 @@ fn the_rows_would_work_without_their_changes() {
     }
     assert_eq!(
         files_in(&bench.path("new")),
-        ".keep carried.json h.png m.csv m.json masks me.npz morph_page morphed.obj page people_rig points.csv r.json r.obj \
+        ".keep carried.json h.png m.csv m.json masks me.npz morph_page morphed.mtl morphed.obj page people_rig points.csv r.json r.mtl r.obj \
          r.png r.timing.json rig.glb weights.csv"
             .split_whitespace()
             .collect::<Vec<_>>()

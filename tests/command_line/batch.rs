@@ -48,7 +48,9 @@ fn summary(bench: &Bench, folder: &str) -> BTreeMap<String, (String, String)> {
 /// Everything that a batch left but times and logs, which hold times.
 fn left(bench: &Bench, folder: &str) -> BTreeMap<String, Vec<u8>> {
     let mut left = BTreeMap::new();
-    for sub in ["", "log/", "state/"] {
+    for sub in
+        ["", "log/", "state/", "sequences/"].into_iter().filter(|sub| bench.path(&format!("{folder}/{sub}")).is_dir())
+    {
         let folder = format!("{folder}/{sub}");
         for name in files_in(&bench.path(&folder)) {
             let times = name.ends_with(".timing.json") || name.ends_with(".txt");
@@ -103,9 +105,11 @@ fn one_failing_scan_never_stops_the_rest() {
 
     // each is what `register` makes of it
     bench.done(&format!(
-        "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out r.obj --report r.json"
+        "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out stiff.obj --report stiff.json"
     ));
-    assert!(bench.read("r.obj") == bench.read("out/stiff.obj") && bench.read("r.json") == bench.read("out/stiff.json"));
+    for name in ["stiff.obj", "stiff.json"] {
+        assert!(bench.read(name) == bench.read(&format!("out/{name}")), "{name}");
+    }
     // Two steps of each of six levels at most; a cold start takes what it needs.
     let [cold, warm] = ["f0", "f2"].map(|frame| steps(&bench, &format!("out/{frame}_scan.json")));
     assert!(warm <= 12 && warm < cold, "{warm}, {cold}");
@@ -231,6 +235,64 @@ fn an_interrupted_batch_goes_on_to_the_same_end() {
 }
 
 #[test]
+fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
+    let bench = bench();
+    bench.write("empty.ply", "");
+    let rows = [FRAMES[0], FRAMES[1], "empty.ply,f2/landmarks.json,walk,,", FRAMES[2], FRAMES[3]];
+    list(&bench, &rows);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    let run = bench.run(&format!("{command} --animation glb --fps 15"));
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+    let empty = text.lines().find(|line| line.starts_with("empty,failed")).unwrap();
+    assert!(empty.contains("lost in \"\"walk\"\": there is none; the motion of those round it"), "{text}");
+    let report: Value = serde_json::from_slice(&bench.read("out/sequences/walk.json")).unwrap();
+    let names: Vec<&str> = report["frames"].as_array().unwrap().iter().map(|f| f["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["f0_scan", "f1_scan", "empty", "f2_scan", "f3_scan"]);
+    assert_eq!((report["frames_per_second"].as_u64(), report["smooth_hz"].as_f64()), (Some(15), Some(4.0)));
+    let first = bench.read("out/sequences/walk.glb");
+    // the same again is there already
+    let made = |name: &str| fs::metadata(bench.path(name)).unwrap().modified().unwrap();
+    let when = made("out/sequences/walk.glb");
+    bench.run(&format!("{command} --animation glb --fps 15"));
+    assert!(made("out/sequences/walk.glb") == when && bench.read("out/sequences/walk.glb") == first);
+    // without the empty frame, and in another format: the earlier file, which it would be taken for, goes
+    list(&bench, &FRAMES);
+    bench.done(&command);
+    assert!(bench.path("out/sequences/walk.usda").exists() && !bench.path("out/sequences/walk.glb").exists());
+    assert!(!String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("lost"));
+    bench.done(&format!("{command} --animation none"));
+
+    // nobody's file stays, and another template in the middle is no sequence
+    bench.write("other/sequences/walk.usda", "mine");
+    let run = bench.run(&format!("batch scans.csv --out other {OPTIONS}"));
+    assert_eq!((run.code, bench.read("other/sequences/walk.usda")), (3, b"mine".to_vec()), "{}", run.stderr);
+    let mut rows = FRAMES.map(str::to_owned);
+    let template = fs::read_to_string(bench.path("rig/template.obj")).unwrap();
+    let last = template.trim_end().rfind('\n').unwrap();
+    bench.write("cut.obj", &template[..last]);
+    bench.write(
+        "scans.csv",
+        format!(
+            "target,landmarks,sequence,template,rig,model\n{},rig/template.obj,rig,\n{},cut.obj,,rigid\n",
+            rows[0].trim_end_matches(",,"),
+            rows[1].trim_end_matches(",,")
+        ),
+    );
+    let run = bench.run("batch scans.csv --out odd");
+    assert_eq!(run.code, 2, "{}", run.stderr);
+    assert!(
+        run.stderr.contains("no animated file of sequence \"walk\"") && run.stderr.contains("other vertices"),
+        "{}",
+        run.stderr
+    );
+    rows[0] = rows[0].replace("walk", "a/b");
+    bench.write("scans.csv", format!("target,landmarks,sequence,name,model\n{}\n", rows[0]));
+    let run = bench.run(&format!("batch scans.csv --out none {OPTIONS}"));
+    assert!(run.code == 4 && run.stderr.contains("a sequence's name"), "{}", run.stderr);
+}
+
+#[test]
 fn warm_frames_are_as_good_as_cold_ones() {
     let bench = bench();
     let rms = |folder: &str| -> f64 {
@@ -300,11 +362,15 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
     let command = format!("batch scans.csv --out out {OPTIONS}");
     bench.done(&format!("{command} --pictures"));
     let results = |folder: &str| -> BTreeMap<String, Vec<u8>> {
-        let ours = |name: &String| !name.starts_with("log/") && !["summary.csv", "index.html"].contains(&name.as_str());
+        let ours = |name: &String| {
+            !name.starts_with("log/")
+                && !name.starts_with("sequences/")
+                && !["summary.csv", "index.html"].contains(&name.as_str())
+        };
         left(&bench, folder).into_iter().filter(|(name, _)| ours(name)).collect()
     };
     let finished = results("out");
-    assert_eq!(finished.len(), 3 * 4, "{:?}", finished.keys());
+    assert_eq!(finished.len(), 3 * 5, "{:?}", finished.keys());
     let all_done = || {
         let run = bench.run(&format!("{command} --pictures"));
         assert!(

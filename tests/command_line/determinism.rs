@@ -15,11 +15,11 @@ fn registrations_leave_the_same_files_with_every_model() {
     let fit = "register --template rig/template.obj --neutral case/neutral.npy --rig rig --target case/scan.ply";
     for model in ModelKind::ALL {
         let line = format!("{fit} --landmarks case/landmarks.json --model {model} {OUTPUTS}");
-        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 3, "{model}");
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 4, "{model}");
     }
     // With a start that is searched, identity modes and bounds.
     let line = format!("{fit} --identity-modes 5 --expression-bounds 0,1 {OUTPUTS}");
-    assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 3);
+    assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, false), 4);
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
     for model in MorphModel::all() {
         let outputs = "--out OUT/m.obj --masks OUT/masks --report OUT/page --threads THREADS";
         let line = format!("{morph} --model {} {outputs}", model.name());
-        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 11, "{}", model.name());
+        assert_eq!(leaves_equal_files(PROGRAM, &bench.path(""), &line, true), 12, "{}", model.name());
     }
     bench.write("frames/.keep", "");
     for k in 0..3 {
@@ -77,7 +77,7 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
         ("rig convert --rig rig --out OUT/rig.glb".to_owned(), 1),
         ("rig convert --rig rig --out OUT/rig.npz".to_owned(), 1),
         ("rig transfer --rig rig --subject case/neutral.npy --out OUT/me.glb".to_owned(), 1),
-        ("rig convert --rig rig --out OUT/shapes --format shapes".to_owned(), bench.rig.expressions.len() + 8 + 3),
+        ("rig convert --rig rig --out OUT/shapes --format shapes".to_owned(), bench.rig.expressions.len() + 8 + 4),
         (format!("{fit} --out OUT/weights.csv"), 1),
         (format!("{fit} --align similarity --bounds -1,1 --out OUT/weights.json"), 1),
         (format!("{carry} --to subject.obj"), 1),

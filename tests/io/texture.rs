@@ -516,6 +516,87 @@ fn the_command_writes_a_texture_that_its_result_shows() {
 }
 
 #[test]
+fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() {
+    let bench = Bench::of_size(1000, 8000);
+    let library = String::from_utf8(bench.read("rig/face.mtl")).unwrap();
+    bench.write("rig/face.mtl", format!("{library}map_Kd my skin.png\nbump none.png\n"));
+    let mut png = Vec::new();
+    image::RgbImage::from_pixel(4, 4, image::Rgb([200, 150, 130]))
+        .write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png)
+        .unwrap();
+    bench.write("rig/my skin.png", &png);
+    // tiles beyond the first
+    let mut template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    template.metadata.uvs.iter_mut().for_each(|uv| uv[0] += 2.0);
+    write_obj(&bench.path("rig/template.obj"), &template).unwrap();
+    let fit =
+        "register --template rig/template.obj --target case/scan.ply --landmarks case/landmarks.json --model rigid";
+    let run = bench.run(&format!("{fit} --out a face.obj").replace("a face", "a_face"));
+    assert!(run.code == 0 && run.stderr.contains("none.png"), "{}", run.stderr);
+    let names_of = |path: &str| read_obj(&bench.path(path)).unwrap().metadata.material_libraries;
+    assert_eq!(names_of("a_face.obj"), ["a_face.mtl"]);
+    assert_eq!(bench.read("a_face_my_skin.png"), png);
+    let copied = String::from_utf8(bench.read("a_face.mtl")).unwrap();
+    assert!(copied.ends_with("map_Kd a_face_my_skin.png\nbump none.png\n"), "{copied}");
+    let (_, paint) = read_painted_scan(&bench.path("a_face.obj")).unwrap();
+    assert_eq!(paint.unwrap().images[0].bytes, png);
+    // what would be written over what is read is refused
+    bench.write("rig/a_face.mtl", "newmtl x");
+    template.metadata.material_libraries = vec!["face.mtl".into(), "a_face.mtl".into()];
+    write_obj(&bench.path("rig/two.obj"), &template).unwrap();
+    let run = bench.run(&format!("{fit} --out rig/a_face.obj").replace("rig/template.obj", "rig/two.obj"));
+    assert!(run.code == 1 && run.stderr.contains("a_face.mtl"), "{}", run.stderr);
+
+    for format in ["usda", "glb", "ply"] {
+        let run = bench.run(&format!("{fit} --out f.{format}"));
+        let said = ["PLY holds no texture coordinates, groups, materials", "groups are in a note"];
+        let said = said.map(|words| run.stderr.contains(words));
+        assert!(run.code == 0 && said == [format == "ply", format == "glb"], "{format}: {}", run.stderr);
+    }
+    assert_eq!(read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata.statements, template.metadata.statements);
+    let uvs = read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata.uvs;
+    assert!(uvs.iter().all(|uv| uv[0] >= 2.0) && !uvs.is_empty());
+    let bytes = bench.read("f.glb");
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let document: serde_json::Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let mut names: Vec<&str> =
+        document["materials"].as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["lips", "skin"]);
+    let text = String::from_utf8(bench.read("f.usda")).unwrap();
+    for part in
+        ["familyName = \"materialBind\"", "rel material:binding = </Subject/Materials/material_", "def Material \""]
+    {
+        assert!(text.contains(part), "{part}");
+    }
+
+    // a rig names what is beside it
+    for format in ["npy", "shapes"] {
+        bench.done(&format!("rig convert --rig rig --format {format} --out {format}"));
+        let name = if format == "npy" { "template" } else { "neutral" };
+        assert_eq!(names_of(&format!("{format}/{name}.obj")), [format!("{name}.mtl")]);
+        assert_eq!(bench.read(&format!("{format}/{name}_my_skin.png")), png);
+    }
+    bench.done("rig convert --rig rig --out rig.glb");
+    bench.done("rig convert --rig rig.glb --out bare");
+    assert!(names_of("bare/template.obj").is_empty());
+
+    // and a batch leaves all of it
+    bench.write("scans.csv", "target,landmarks\ncase/scan.ply,case/landmarks.json\n");
+    bench.done("batch scans.csv --out out --template rig/template.obj --model rigid");
+    assert_eq!(bench.read("out/scan_my_skin.png"), png);
+    write_textured_scan(&bench, 64);
+    bench.write("scans.csv", "target,landmarks,bake-texture\nscan.obj,case/landmarks.json,64\n");
+    bench.done("batch scans.csv --out out --template rig/template.obj --model rigid --bake displacement");
+    for name in ["scan_color.png", "scan_seen.png", "scan_displacement.png", "scan.mtl"] {
+        assert!(bench.path(&format!("out/{name}")).exists(), "{name}");
+    }
+    assert!(!bench.path("out/scan_my_skin.png").exists());
+    let run = bench.run("batch scans.csv --out out --template rig/template.obj --model rigid --bake displacement");
+    assert!(run.stderr.contains("done before"), "{}", run.stderr);
+}
+
+#[test]
 fn bad_arguments_and_inputs_are_refused_before_the_work() {
     let bench = Bench::of_size(1000, 8000);
     write_textured_scan(&bench, 64);

@@ -41,6 +41,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ),
     ("morph", &["energy", "evaluation", "io", "landmark", "mesh", "model", "nlls", "render", "rig", "term"]),
     ("measurement", &["evaluation", "io", "landmark", "mesh", "page", "render", "text"]),
+    ("motion", &["mesh"]),
     ("batch", &["io", "page", "text"]),
     ("self_test", &["evaluation", "landmark", "mesh", "nlls", "registration", "rig"]),
     (
@@ -57,6 +58,7 @@ const FLOORS: &[(&str, &[&str])] = &[
             "mesh",
             "model",
             "morph",
+            "motion",
             "nlls",
             "page",
             "registration",

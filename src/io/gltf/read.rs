@@ -166,7 +166,15 @@ fn read_part(
                 materials.push((all.triangles.len() as u32, ObjStatement::Material(name.clone())));
             }
         }
-        read_primitive(accessors, file, primitive, &mut all, &mut targets)?;
+        // what this project writes: other polygons of the same vertices
+        let same =
+            |first: &&Primitive| (&first.attributes, &first.targets) == (&primitive.attributes, &primitive.targets);
+        let first =
+            mesh.primitives.first().filter(|_| !all.positions.is_empty() && mesh.extras.get("nonrigid").is_some());
+        match first.filter(same) {
+            Some(_) => read_triangles(accessors, file, primitive, [0, all.positions.len()], &mut all)?,
+            None => read_primitive(accessors, file, primitive, &mut all, &mut targets)?,
+        }
     }
     let textured = all.uvs.iter().any(|uv| !uv[0].is_nan());
     if !textured {
@@ -187,8 +195,12 @@ fn read_part(
             let mut note: Note =
                 serde::Deserialize::deserialize(note).map_err(|e: serde_json::Error| foreign(e.to_string()))?;
             let extras = std::mem::take(&mut note.extras);
-            runs.truncate(1); // polygons of any number of triangles, which have one material
-            (restore(&all, note).map_err(foreign)?, extras)
+            let restored = restore(&all, note).map_err(foreign)?;
+            // from triangles to the polygons that they are of
+            let starts = &restored.mesh.starts;
+            let firsts: Vec<u32> = (0..starts.len()).map(|f| starts[f] - 2 * f as u32).collect();
+            runs.iter_mut().for_each(|run| run.0 = firsts.partition_point(|&first| first < run.0) as u32);
+            (restored, extras)
         }
     };
     let Restored { mut mesh, sources } = restored;
@@ -292,6 +304,17 @@ fn read_primitive(
             }
         }
     }
+    read_triangles(accessors, file, primitive, [first as usize, count], all)
+}
+
+/// Appends a primitive's triangles, of `count` vertices from the `first`.
+fn read_triangles(
+    accessors: &Accessors<'_>,
+    file: &Loaded<'_>,
+    primitive: &Primitive,
+    [first, count]: [usize; 2],
+    all: &mut Triangles,
+) -> Result<(), ReadError> {
     let mode = primitive.mode.unwrap_or(4);
     if mode == 0 {
         return Ok(());
@@ -308,7 +331,7 @@ fn read_primitive(
         6 => (2..n).map(|i| [corners[i - 1], corners[i], corners[0]]).collect(),
         _ => return file.malformed("a primitive of mode 0 to 6", mode.to_string()),
     };
-    all.triangles.extend(triangles.into_iter().map(|t| t.map(|c| first + c)));
+    all.triangles.extend(triangles.into_iter().map(|t| t.map(|c| first as u32 + c)));
     Ok(())
 }
 

@@ -1,6 +1,7 @@
-//! Writing: one node, one mesh, one primitive, one container.
+//! Writing: one node, one mesh, a primitive for each run of polygons of one material, on the same vertices; one container.
 
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use nalgebra::{Rotation3, UnitQuaternion};
@@ -11,7 +12,7 @@ use super::topology::{Triangles, split};
 use crate::io::{WriteError, write_atomically};
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::srgb::to_light;
-use crate::mesh::{PolygonMesh, Pose, Vec3};
+use crate::mesh::{ObjStatement, PolygonMesh, Pose, Vec3};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -45,6 +46,8 @@ pub struct Motion<'a> {
     pub poses: &'a [Pose],
     /// As many as targets, for every frame.
     pub weights: &'a [Vec<f64>],
+    /// Numbers, from 0, of frames that were lost: `extras.lostFrames` of the animation.
+    pub lost: &'a [usize],
 }
 
 /// [`write_glb`] with colours per vertex, if given, and an animation of node and morph targets, linear between frames.
@@ -118,8 +121,6 @@ pub(in crate::io) fn write_painted_glb(
             let uvs: Vec<f32> = uvs.iter().flat_map(|uv| [uv[0] as f32, (1.0 - uv[1]) as f32]).collect();
             attributes["TEXCOORD_0"] = json!(file.floats(&uvs, "VEC2"));
         }
-        primitive.insert("material".into(), json!(0));
-        primitive.insert("indices".into(), json!(file.indices(triangles.as_flattened(), points.len())));
     }
     primitive.insert("attributes".into(), attributes);
     let mut of_mesh = Map::new();
@@ -139,7 +140,23 @@ pub(in crate::io) fn write_painted_glb(
     let note = serde_json::to_value(&note).map_err(|e| WriteError::data(path, "notes as JSON", e.to_string()))?;
     mesh_extras.insert("nonrigid".into(), note);
     of_mesh.insert("extras".into(), mesh_extras.into());
-    of_mesh.insert("primitives".into(), json!([primitive]));
+    let runs = material_runs(mesh);
+    let mut names: Vec<Option<&str>> = Vec::new();
+    let mut primitives: Vec<Value> = Vec::new();
+    for (material, range) in runs.iter().filter(|(_, range)| !range.is_empty()) {
+        let known = names.iter().position(|name| name == material);
+        let number = known.unwrap_or_else(|| {
+            names.push(*material);
+            names.len() - 1
+        });
+        primitive.insert("material".into(), json!(number));
+        primitive.insert("indices".into(), json!(file.indices(triangles[range.clone()].as_flattened(), points.len())));
+        primitives.push(primitive.clone().into());
+    }
+    if primitives.is_empty() {
+        primitives.push(primitive.into());
+    }
+    of_mesh.insert("primitives".into(), primitives.into());
     let mut document = json!({
         "asset": { "version": "2.0", "generator": concat!("nonrigid ", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
@@ -153,14 +170,18 @@ pub(in crate::io) fn write_painted_glb(
     document["accessors"] = json!(file.accessors);
     if !triangles.is_empty() {
         // the format's default is metal, which is black without surroundings
-        let mut material = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.7 });
+        let mut surface = json!({ "metallicFactor": 0.0, "roughnessFactor": 0.7 });
         if let Some(png) = png {
             let view = file.view(png.iter().map(|b| [*b]), None);
             document["images"] = json!([{ "bufferView": view, "mimeType": "image/png" }]);
             document["textures"] = json!([{ "source": 0 }]);
-            material["baseColorTexture"] = json!({ "index": 0 });
+            surface["baseColorTexture"] = json!({ "index": 0 });
         }
-        document["materials"] = json!([{ "pbrMetallicRoughness": material }]);
+        let material = |name: &Option<&str>| match name {
+            Some(name) => json!({ "name": name, "pbrMetallicRoughness": surface }),
+            None => json!({ "pbrMetallicRoughness": surface }),
+        };
+        document["materials"] = names.iter().map(material).collect();
     }
     document["bufferViews"] = json!(file.views);
     document["buffers"] = json!([{ "byteLength": file.bytes.len() }]);
@@ -181,6 +202,22 @@ pub(in crate::io) fn write_painted_glb(
         }
         Ok(())
     })
+}
+
+/// Materials in the order of the polygons, each with the triangles that it has next.
+fn material_runs(mesh: &PolygonMesh) -> Vec<(Option<&str>, Range<usize>)> {
+    let before = |f: usize| mesh.starts.get(f).map_or(0, |&corner| corner as usize - 2 * f);
+    let count = mesh.polygon_count();
+    let uses = mesh.metadata.statements.iter().filter_map(|(first, statement)| match statement {
+        ObjStatement::Material(name) => Some((Some(name.as_str()), *first as usize)),
+        _ => None,
+    });
+    let uses: Vec<(Option<&str>, usize)> = std::iter::once((None, 0)).chain(uses).collect();
+    let ends = uses.iter().skip(1).map(|u| u.1).chain([count]);
+    uses.iter()
+        .zip(ends)
+        .map(|(&(name, first), end)| (name, before(first.min(count))..before(end.min(count))))
+        .collect()
 }
 
 fn check(path: &Path, mesh: &PolygonMesh, names: &[&str], deltas: &[f32]) -> Result<(), WriteError> {
@@ -288,7 +325,13 @@ impl Contents {
         let channel =
             |(k, (path, _)): (usize, &(&str, usize))| json!({ "sampler": k, "target": { "node": 0, "path": path } });
         let channels = tracks.iter().enumerate().map(channel);
-        json!({ "name": "sequence", "samplers": samplers.collect::<Vec<_>>(), "channels": channels.collect::<Vec<_>>() })
+        let mut animation = json!({ "name": "sequence" });
+        animation["samplers"] = samplers.collect();
+        animation["channels"] = channels.collect();
+        if !motion.lost.is_empty() {
+            animation["extras"] = json!({ "lostFrames": motion.lost });
+        }
+        animation
     }
 
     fn floats(&mut self, values: &[f32], kind: &str) -> usize {

@@ -1,0 +1,142 @@
+//! Making the animated file of a sequence, by `nonrigid animate`, when its frames are done.
+
+use std::fs;
+use std::io::Write as _;
+
+use super::animation::{ENDING, FOLDER, names};
+use super::run::{Ended, Run};
+use super::{Animation, Batch, BatchError, Job, Record, Start, Status};
+use crate::io::{WriteError, write_atomically};
+
+impl Batch {
+    /// Sequences of these jobs that have no animated file, and why.
+    pub(super) fn without_animation(&self, jobs: &[Job]) -> Vec<(String, String)> {
+        let names = names(self, jobs.iter().map(|job| job.sequence.as_deref()));
+        let failed = names.into_iter().filter_map(|name| {
+            let record = Record::read(&self.record_of(&name)).filter(|record| record.status == Status::Failed)?;
+            Some((name.trim_end_matches(ENDING).to_owned(), record.error.unwrap_or_default()))
+        });
+        failed.collect()
+    }
+}
+
+impl Run<'_> {
+    /// Makes the animated file of a chain whose jobs have ended so, unless it is there; false if it was interrupted.
+    pub(super) fn animate(
+        &self,
+        chain: &[usize],
+        ends: &[Record],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Result<bool, BatchError> {
+        let frames: Vec<(&Job, &Record)> = chain.iter().map(|&k| &self.jobs[k]).zip(ends).collect();
+        let Some((first, _)) = frames.first() else { return Ok(true) };
+        let (Some(animation), Some(sequence)) = (&self.batch.animation, &first.sequence) else { return Ok(true) };
+        let job = self.batch.animation_job(animation, sequence, first);
+        let lines: Vec<String> = frames.iter().map(|(job, record)| self.line(job, record)).collect();
+        let known = Record::read(&self.batch.record(&job));
+        let key = match job.key(Some(&lines.join("\n")), &self.hashes) {
+            Ok(key) => key,
+            Err(error) => {
+                self.publish(&job, known.as_ref(), Record::failed(None, Start::Cold, error, known.as_ref()))?;
+                return Ok(true);
+            }
+        };
+        let done = known.as_ref().filter(|_| !self.batch.again);
+        if done.and_then(|known| known.of_done(&key, &self.batch.folder)).is_some_and(|d| known.as_ref() == Some(&d)) {
+            return Ok(true);
+        }
+        let ended = self.make(&job, &lines)?;
+        if (self.lost)() {
+            return Err(BatchError::Lost(self.batch.folder.clone()));
+        }
+        if ended.interrupted && stop() {
+            self.clear(&job);
+            return Ok(false);
+        }
+        let record = match ended.error {
+            Some(error) => {
+                self.clear_results(&job);
+                Record::failed(Some(key), Start::Cold, error, known.as_ref())
+            }
+            None => {
+                let outputs = Record::hashes(self.aside, &self.batch.outputs(&job.name));
+                let (key, status, start) = (Some(key), Status::Done, Start::Cold);
+                Record { key, status, start, error: None, outputs, others: Vec::new(), kept: None }
+            }
+        };
+        let said = format!("log/{}.txt", job.name);
+        let others = if record.others.contains(&said) { record.others.clone() } else { vec![said] };
+        match self.publish(&job, known.as_ref(), Record { others, ..record }) {
+            Err(stranger @ BatchError::Stranger { .. }) => {
+                self.clear(&job);
+                self.write_record(&job, &Record::failed(None, Start::Cold, stranger.to_string(), None))?;
+            }
+            published => drop(published?),
+        }
+        Ok(true)
+    }
+
+    /// What the list of frames says of one, and what decides it.
+    fn line(&self, job: &Job, record: &Record) -> String {
+        let mesh = format!("{}.{}", job.name, self.batch.format);
+        match record.outputs.get(&mesh).filter(|_| record.status == Status::Done) {
+            Some(hash) => format!("{mesh}\t{hash}"),
+            None => format!("- {}", job.name),
+        }
+    }
+
+    fn make(&self, job: &Job, lines: &[String]) -> Result<Ended, WriteError> {
+        let list = self.aside.join(format!("{FOLDER}/{}.txt", job.name));
+        write_atomically(&list, |file| {
+            lines.iter().try_for_each(|line| writeln!(file, "{}", line.split('\t').next().unwrap_or_default()))
+        })?;
+        let [report, out] = self.batch.animation_files(&job.name).map(|name| self.aside.join(name));
+        let mut command = self.batch.command_of("animate");
+        command.arg("--meshes").arg(&self.batch.folder).arg("--list").arg(&list).args(job.arguments.iter().flatten());
+        command.arg("--out").arg(out).arg("--report").arg(report);
+        let ended = self.carry_out(command, job);
+        let _ = fs::remove_file(&list); // it goes with the folder
+        ended
+    }
+}
+
+impl Batch {
+    /// Report and file of a sequence that is called so as a job.
+    pub(super) fn animation_files(&self, name: &str) -> [String; 2] {
+        let sequence = name.trim_end_matches(ENDING);
+        let format = self.animation.as_ref().map_or("", |animation| &animation.format);
+        ["json", format].map(|extension| format!("{FOLDER}/{sequence}.{extension}"))
+    }
+
+    /// What makes the animation of a sequence whose first frame is `first`: its rig, if the format has weights.
+    fn animation_job(&self, animation: &Animation, sequence: &str, first: &Job) -> Job {
+        let setting = |option: &str, value: String| (option.to_owned(), value);
+        let mut settings = vec![setting("fps", animation.frames_per_second.to_string())];
+        settings.extend(animation.smooth.map(|hz| setting("smooth", hz.to_string())));
+        let mut arguments: Vec<_> = settings.iter().map(|(o, v)| format!("--{o}={v}").into()).collect();
+        if self.format != "glb" {
+            arguments.push("--unit=meshes=mm".into()); // results are; glTF says metres itself
+        }
+        settings.push(setting("animation", animation.format.clone()));
+        let mut inputs = Vec::new();
+        if animation.format == "glb" {
+            let of_rig = |argument: &&std::ffi::OsString| {
+                let text = argument.to_string_lossy();
+                ["--rig=", "--shape-kind=", "--identity-modes="].iter().any(|option| text.starts_with(option))
+            };
+            arguments.extend(first.arguments.iter().flatten().filter(of_rig).cloned());
+            let decides = |(option, _): &&(String, String)| ["shape-kind", "identity-modes"].contains(&option.as_str());
+            settings.extend(first.settings.iter().filter(decides).cloned());
+            for unit in first.settings.iter().filter(|(option, _)| option == "unit").flat_map(|(_, v)| v.split(',')) {
+                let of_rig = unit.strip_prefix("rig=").or((!unit.contains('=')).then_some(unit));
+                if let Some(unit) = of_rig {
+                    arguments.push(format!("--unit=rig={unit}").into());
+                    settings.push(setting("unit", unit.to_owned()));
+                }
+            }
+            inputs.extend(first.inputs.iter().filter(|(role, _)| role == "rig").cloned());
+        }
+        let name = format!("{sequence}{ENDING}");
+        Job { name, arguments: Ok(arguments), settings, goes_on: false, sequence: None, beside: Vec::new(), inputs }
+    }
+}

@@ -1,0 +1,70 @@
+//! The animated files of sequences: what they are called, and what they say of their frames.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fs;
+
+use serde_json::Value;
+
+use super::{Batch, Job, Record, Status};
+
+/// How the frames of a sequence become one file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Animation {
+    /// Extension: usda, pc2 or glb.
+    pub format: String,
+    /// Frames a second.
+    pub frames_per_second: u16,
+    /// Cutoff of smoothing in time, Hz; `None` for the frames as they are.
+    pub smooth: Option<f64>,
+}
+
+/// Folder of animated files, below that of results.
+pub(super) const FOLDER: &str = "sequences";
+/// What the name of a sequence has behind it where names of jobs stand; no row's name ends so.
+pub(super) const ENDING: &str = ".sequence";
+
+/// Names, as of jobs, of the sequences of some rows, each once.
+pub(super) fn names<'a>(batch: &Batch, sequences: impl Iterator<Item = Option<&'a str>>) -> Vec<String> {
+    let mut seen = HashSet::new();
+    let of_sequences = sequences.flatten().filter(|_| batch.animation.is_some()).filter(|name| seen.insert(*name));
+    of_sequences.map(|name| format!("{name}{ENDING}")).collect()
+}
+
+/// What an animation says of its frames.
+#[derive(Debug, Default)]
+pub(super) struct Told {
+    /// Why frames are lost, by name.
+    lost: BTreeMap<String, String>,
+    /// Why there is no animation.
+    error: Option<String>,
+}
+
+/// What animations say, each read once.
+#[derive(Debug, Default)]
+pub(super) struct AllTold(HashMap<String, Told>);
+
+impl AllTold {
+    /// What is wrong with a job as a frame of its sequence, and whether it is lost.
+    pub fn of(&mut self, batch: &Batch, job: &Job) -> Option<(String, bool)> {
+        let sequence = job.sequence.as_ref().filter(|_| batch.animation.is_some())?;
+        let told = self.0.entry(sequence.clone()).or_insert_with(|| Told::read(batch, sequence));
+        if let Some(error) = &told.error {
+            return Some((format!("no animated file of {sequence:?}: {error}"), false));
+        }
+        Some((format!("lost in {sequence:?}: {}", told.lost.get(&job.name)?), true))
+    }
+}
+
+impl Told {
+    fn read(batch: &Batch, sequence: &str) -> Self {
+        let record = Record::read(&batch.record_of(&format!("{sequence}{ENDING}")));
+        let Some(record) = record else { return Self::default() };
+        if record.status == Status::Failed {
+            return Self { error: record.error, ..Self::default() };
+        }
+        let report = fs::read(batch.folder.join(format!("{FOLDER}/{sequence}.json"))).ok();
+        let report: Value = report.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        let lost = |frame: &Value| Some((frame["name"].as_str()?.to_owned(), frame["lost"].as_str()?.to_owned()));
+        Self { lost: report["frames"].as_array().into_iter().flatten().filter_map(lost).collect(), error: None }
+    }
+}

@@ -1,0 +1,118 @@
+//! Lost frames: those outside of the longest series of frames in which no step bends more sharply than the sequence's own.
+//!
+//! How sharply frames i < j < k bend is the root mean square over the vertices of their second divided difference,
+//! `2 [(x_k - x_j) / (k - j) - (x_j - x_i) / (j - i)] / (k - i)`, millimetres a frame a frame. A frame that is off bends the motion
+//! into it, at it and out of it; a head that moves fast bends it little. Up to [`REACH`] frames in a row are found; a longer run has no
+//! fewer frames that agree with each other than the motion round it.
+
+use crate::mesh::Vec3;
+
+/// How many times the sequence's median a bend must be to be a jump.
+pub const TIMES: f64 = 4.0;
+/// The least that is a jump, millimetres a frame a frame: also of sequences that hardly move.
+pub const AT_LEAST: f64 = 3.0;
+/// How many frames a series may leave out at once, and one more.
+pub const REACH: usize = 8;
+/// About so many vertices are looked at.
+const VERTICES: usize = 512;
+
+/// Of every frame, by how many millimetres it is off the line between its neighbours in the series, if it is lost. Missing frames and
+/// sequences of fewer than five frames are not judged.
+#[must_use]
+pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Vec<Option<f64>> {
+    let mut found = vec![None; frames.len()];
+    let there: Vec<(usize, &Vec<Vec3>)> =
+        frames.iter().enumerate().filter_map(|(k, f)| Some((k, f.as_ref()?))).collect();
+    if there.len() < 5 {
+        return found;
+    }
+    let every = there[0].1.len().div_ceil(VERTICES).max(1);
+    let bend = |i: usize, j: usize, k: usize| {
+        let [(at_i, x_i), (at_j, x_j), (at_k, x_k)] = [i, j, k].map(|f| there[f]);
+        let [before, after] = [at_j - at_i, at_k - at_j].map(|steps| steps as f64);
+        let at = |v: usize| ((x_k[v] - x_j[v]) / after - (x_j[v] - x_i[v]) / before) * (2.0 / (before + after));
+        rms((0..x_j.len()).step_by(every).map(at))
+    };
+    let mut bends: Vec<f64> = (2..there.len()).map(|k| bend(k - 2, k - 1, k)).collect();
+    bends.sort_by(f64::total_cmp);
+    let most = AT_LEAST.max(TIMES * bends[bends.len() / 2]);
+    let series = longest(there.len(), |i, j, k| bend(i, j, k) <= most);
+    for f in (0..there.len()).filter(|f| !series.contains(f)) {
+        let after = series.partition_point(|&s| s < f);
+        let neighbours = [after.checked_sub(1), Some(after)].map(|s| s.and_then(|s| series.get(s)).map(|&s| there[s]));
+        let (at, x) = there[f];
+        let off = |v: usize| match neighbours {
+            [Some((a, x_a)), Some((b, x_b))] => x[v] - x_a[v].lerp(&x_b[v], (at - a) as f64 / (b - a) as f64),
+            [Some((_, one)), None] | [None, Some((_, one))] => x[v] - one[v],
+            [None, None] => Vec3::zeros(),
+        };
+        found[at] = Some(rms((0..x.len()).step_by(every).map(off)));
+    }
+    found
+}
+
+/// The longest series of 0 to `count` - 1 in which every three that follow each other may, of which each step is at most [`REACH`].
+/// Of equally long ones, the one with the last first gap.
+fn longest(count: usize, may: impl Fn(usize, usize, usize) -> bool) -> Vec<usize> {
+    // length of the longest series that ends with a step of so much to this frame, and the step before
+    let mut best = vec![[(2usize, 0usize); REACH + 1]; count];
+    for k in 0..count {
+        for step in 1..=REACH.min(k) {
+            let j = k - step;
+            for before in 1..=REACH.min(j) {
+                let length = best[j][before].0 + 1;
+                if length > best[k][step].0 && may(j - before, j, k) {
+                    best[k][step] = (length, before);
+                }
+            }
+        }
+    }
+    let ends = (1..count).flat_map(|k| (1..=REACH.min(k)).map(move |step| (k, step)));
+    // the first of those that are equal
+    let Some((mut k, mut step)) = ends.rev().max_by_key(|&(k, step)| best[k][step].0) else {
+        return (0..count).collect();
+    };
+    let mut series = vec![k];
+    while step > 0 {
+        let before = best[k][step].1;
+        k -= step;
+        series.push(k);
+        step = before;
+    }
+    series.reverse();
+    series
+}
+
+fn rms(of: impl Iterator<Item = Vec3>) -> f64 {
+    let (sum, count) = of.fold((0.0, 0usize), |(sum, count), x| (sum + x.norm_squared(), count + 1));
+    (sum / count.max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_series_leaves_out_what_may_not_follow() {
+        let all = longest(20, |_, _, _| true);
+        assert_eq!(all, (0..20).collect::<Vec<_>>());
+        let odd = longest(9, |i, j, k| ![i, j, k].contains(&4));
+        assert_eq!(odd, [0, 1, 2, 3, 5, 6, 7, 8]);
+    }
+
+    #[test]
+    fn a_fast_turn_is_no_jump_and_one_step_aside_is() {
+        // a head of 100 mm that turns back and forth by 40 degrees, twice a second, at 15 frames a second
+        let at = |k: usize, r: f64| {
+            let angle = 0.7 * (std::f64::consts::TAU * 2.0 * k as f64 / 15.0).sin();
+            Vec3::new(r * angle.sin(), 0.0, r * angle.cos())
+        };
+        let mut frames: Vec<Option<Vec<Vec3>>> =
+            (0..30).map(|k| Some((0..50).map(|v| at(k, f64::from(v) + 50.0)).collect())).collect();
+        assert!(jumps(&frames).iter().all(Option::is_none), "{:?}", jumps(&frames));
+        // four times what it bends by, about 43 mm, and more
+        frames[12].as_mut().unwrap().iter_mut().for_each(|p| p.y += 150.0);
+        let found: Vec<usize> = jumps(&frames).iter().enumerate().filter_map(|(k, j)| j.map(|_| k)).collect();
+        assert_eq!(found, [12]);
+    }
+}
