@@ -171,11 +171,14 @@ fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
     Ok(files)
 }
 
+/// Positions of the vertices of a frame; `None` where it is missing.
+type Frame = Option<Vec<Vec3>>;
+
 /// The first frame that is there, and the positions of all.
 fn read_frames(
     files: &[(String, Option<PathBuf>)],
     units: &mut Units<'_>,
-) -> Result<(PolygonMesh, Vec<Option<Vec<Vec3>>>), Failure> {
+) -> Result<(PolygonMesh, Vec<Frame>), Failure> {
     let mut first: Option<(&Path, PolygonMesh)> = None;
     let mut frames = Vec::with_capacity(files.len());
     for path in files.iter().map(|(_, path)| path) {
