@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nonrigid::evaluation::ScanDistance;
-use nonrigid::io::{self, LengthUnit};
+use nonrigid::io::{self, LengthUnit, MaterialFiles};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{
@@ -25,6 +25,8 @@ use crate::vault::Vault;
 /// Everything that a registration needs, read.
 pub struct WrapJob {
     template: Arc<PolygonMesh>,
+    /// The template's, which go along with a result.
+    materials: MaterialFiles,
     scan: Arc<LoadedScan>,
     shapes: ShapeBasis,
     landmarks: Vec<Landmark>,
@@ -223,6 +225,7 @@ impl WrapJob {
         let settings = Regional { regions: wrap.regions.clone(), free_regions: wrap.free_regions.clone() };
         let scan_name = scan_source.name.clone();
         Ok(Self {
+            materials: MaterialFiles::of(&vault.path(&template_source.at)?, &template),
             template,
             scan,
             shapes,
@@ -306,7 +309,11 @@ impl WrapJob {
     /// When it cannot be written.
     pub fn keep(&self, vault: &Vault, outcome: &WrapOutcome) -> Result<Wrapped, Problem> {
         let colors = outcome.colors.as_deref();
-        let mesh = vault.add_file("wrapped.obj", |path| Ok(io::write_colored_mesh(path, &outcome.mesh, colors)?))?;
+        let mesh = vault.add_file("wrapped.obj", |path| {
+            let mut mesh = outcome.mesh.clone();
+            self.materials.write(path, &mut mesh)?;
+            Ok(io::write_colored_mesh(path, &mesh, colors)?)
+        })?;
         let json = |value: serde_json::Result<String>| value.map_err(problem);
         let state = json(serde_json::to_string_pretty(&outcome.result.end))?;
         let report = json(serde_json::to_string_pretty(&outcome.report))?;

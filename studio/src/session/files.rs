@@ -187,8 +187,14 @@ impl Window {
                     return Err(problem("the plan has no steps yet: move a slider or draw a region"));
                 }
                 let positions = self.positions(&case, &recipe)?.positions;
-                let mesh = hub.store.face(&hub.vault, &case)?.with_positions(positions);
-                hub.vault.add_file(&format!("morphed.{format}"), |path| Ok(io::write_polygon_mesh(path, &mesh)?))?
+                let mut mesh = hub.store.face(&hub.vault, &case)?.with_positions(positions);
+                hub.vault.add_file(&format!("morphed.{format}"), |path| {
+                    if format == "obj" {
+                        let face = hub.vault.path(&store::face_source(&case)?.at)?;
+                        io::MaterialFiles::of(&face, &mesh).write(path, &mut mesh)?;
+                    }
+                    Ok(io::write_polygon_mesh(path, &mesh)?)
+                })?
             }
             Export::Landmarks => {
                 let whole: Vec<&Pair> =
