@@ -70,9 +70,8 @@ impl Correspondences {
             found.accepted &= !on_rim && *data > 0.0;
         }
         let found = &self.found;
-        let accepted = |i: &usize| found[masks.speaker(*i)].accepted;
         let weight = |i: usize| if masks.speaker(i) == i && found[i].accepted { masks.weight(i) } else { 0.0 };
-        let seen = |i: usize| if accepted(&i) { masks.data[i] } else { 0.0 };
+        let seen = |i: usize| if found[masks.speaker(i)].accepted { masks.data[i] } else { 0.0 };
         self.weights.clear();
         self.weights.extend((0..positions.len()).map(weight));
         self.unseen.clear();

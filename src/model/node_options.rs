@@ -90,9 +90,7 @@ impl GraphDistance {
             Self::Euclidean => NodeGraph::through_space(input.rest, nodes, influences)?,
         })
     }
-}
 
-impl GraphDistance {
     /// The graph of coarse levels, if they have one of their own.
     pub(super) fn coarse_graph(
         self,
