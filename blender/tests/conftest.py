@@ -117,6 +117,16 @@ def turned(thing: bpy.types.Object, points: Any) -> np.ndarray:
     return np.asarray(points) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def of_gltf(points: np.ndarray) -> np.ndarray:
+    """What Blender makes of a file in metres, Y up: in millimetres, turned back."""
+    return 1000.0 * np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+
+
+def nearest(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Indices of the points that are nearest to places."""
+    return np.array([np.argmin(((points - place) ** 2).sum(axis=1)) for place in places])
+
+
 def numbers(collection: Any, what: str = "co", width: int = 3) -> np.ndarray:
     flat = np.empty(len(collection) * width, dtype=np.float32)
     collection.foreach_get(what, flat)

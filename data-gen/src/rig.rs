@@ -193,6 +193,7 @@ fn template(places: &[Flat], neutral: &[Vec3], quads: Vec<[u32; 4]>, model: &Fac
     let metadata = ObjMetadata {
         uvs: places.iter().map(uv).collect(),
         corner_uvs: corners.clone(),
+        corner_normals: Vec::new(),
         material_libraries: vec!["face.mtl".into()],
         statements,
     };

@@ -198,7 +198,7 @@ class Mesh:
     @property
     def uvs(self) -> Floats | None:
         """(C, 2) texture coordinates, one for each corner of a face in order, nan where it has none; None if there are none."""
-        uvs, corner_uvs, _, _ = self._native.metadata
+        uvs, (corner_uvs, _), _, _ = self._native.metadata
         if len(corner_uvs) == 0:
             return None
         known = np.vstack([uvs, [[np.nan, np.nan]]])
@@ -226,11 +226,11 @@ class Mesh:
 
     def write(self, path: PathLike) -> None:
         """Writes .obj (everything; materials and images of the OBJ file that it was read from beside it), .glb (everything, 32 bits), .usda
-        (32 bits) or .ply (vertices in 64 bits, polygons, colours): the whole file or none.
+        (32 bits) or .ply (vertices in 64 bits, polygons, texture coordinates, colours): the whole file or none.
 
         Raises OSError if it cannot be written, ValueError for another extension or where it would overwrite the file it was read from.
         """
-        self._native.write(os.fspath(path), self._native.files, self._native.path or None)
+        self._native.write(os.fspath(path), self._native.files)
 
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` of the triangles, vertices in their order, colours kept. Needs trimesh."""

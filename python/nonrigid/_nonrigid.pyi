@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 _Floats: TypeAlias = NDArray[np.float64]
 _Path: TypeAlias = str | os.PathLike[str]
-_Metadata: TypeAlias = tuple[_Floats, NDArray[np.uint32], list[str], list[tuple[int, str, str]]]
+_Metadata: TypeAlias = tuple[_Floats, list[NDArray[np.uint32]], list[str], list[tuple[int, str, str]]]
 _Row: TypeAlias = tuple[int, str, str | None, list[tuple[str, str]]]
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "glossary",
     "measure_mesh",
     "millimetres",
+    "missing_files",
     "models",
     "morph_mesh",
     "picture",
@@ -116,7 +117,7 @@ class Mesh:
     @property
     def files(self) -> list[str]: ...
     def with_positions(self, positions: _Floats, colors: NDArray[np.uint8] | None = None) -> Mesh: ...
-    def write(self, path: _Path, reads: list[str], source: str | None = None) -> None: ...
+    def write(self, path: _Path, reads: list[str]) -> None: ...
 
 @final
 class Landmarks:
@@ -338,6 +339,7 @@ def evaluate_truth(
 def evaluate_scan(result: _Floats, template: Mesh, scan: Mesh) -> tuple[str, _Floats]: ...
 def write_data(arguments: list[str], threads: int | None) -> None: ...
 def batch_columns() -> tuple[list[str], list[str]]: ...
+def missing_files(path: _Path) -> list[str]: ...
 def batch_lost(name: str, note: str) -> str: ...
 def batch_run(
     setting: Mapping[str, Any], aside: _Path, rows: list[_Row], chains: list[list[int]]

@@ -126,7 +126,7 @@ class Registration:
         """
         texts = [(os.fspath(file), text) for file, text in ((report, self.report_json), (state, self.state_json)) if file is not None]
         _nonrigid.check_plan(self._reads, [os.fspath(path), *(file for file, _ in texts)])
-        self.mesh._native.write(os.fspath(path), self._reads, self.template._native.path or None)
+        self.mesh._native.write(os.fspath(path), self._reads)
         for file, text in texts:
             _nonrigid.write_text(file, text + "\n", self._reads)
 

@@ -107,13 +107,7 @@ def _fetch(url: str, folder: str, storage: Mapping[str, Mapping[str, Any]]) -> s
             fs.get(path.rstrip("/") + "/", os.path.join(part, PurePosixPath(path).name) + os.sep, recursive=True)
         else:
             fs.get_file(path, os.path.join(part, PurePosixPath(path).name))
-            if path.lower().endswith(".gltf"):
-                with open(os.path.join(part, PurePosixPath(path).name), encoding="utf-8") as file:
-                    buffers = [b.get("uri", "") for b in json.load(file).get("buffers", [])]
-                for uri in buffers:
-                    if uri and not uri.startswith("data:") and ".." not in PurePosixPath(uri).parts and not uri.startswith("/"):
-                        os.makedirs(os.path.dirname(os.path.join(part, uri)), exist_ok=True)
-                        fs.get_file(f"{PurePosixPath(path).parent}/{uri}", os.path.join(part, uri))
+            _fetch_named(fs, path, os.path.join(part, PurePosixPath(path).name))
     except FileNotFoundError:
         pass
     try:
@@ -121,6 +115,27 @@ def _fetch(url: str, folder: str, storage: Mapping[str, Mapping[str, Any]]) -> s
     except OSError:  # another thread was faster
         shutil.rmtree(part, ignore_errors=True)
     return target
+
+
+def _fetch_named(fs: Any, path: str, copy: str) -> None:
+    """What a mesh names: buffers, material libraries, images. What is in another folder, or not there, reading says."""
+    tried: set[str] = set()
+    # a library names images
+    while wanted := set(_nonrigid.missing_files(copy)) - tried:
+        tried |= wanted
+        for name in sorted(wanted):
+            named = PurePosixPath(os.path.relpath(name, os.path.dirname(copy)).replace("\\", "/"))
+            for inside in dict.fromkeys((named, PurePosixPath(named.name))):
+                at = str(PurePosixPath(path).parent / inside)
+                tiles = "<UDIM>" in at
+                found = fs.glob(at.replace("<UDIM>", "[0-9]" * 4)) if tiles else [at] * fs.isfile(at)
+                if ".." in inside.parts or not found:
+                    continue
+                folder = os.path.join(os.path.dirname(copy), *inside.parent.parts)
+                os.makedirs(folder, exist_ok=True)
+                for file in found:
+                    fs.get_file(file, os.path.join(folder, PurePosixPath(file).name))
+                break
 
 
 class _Fetched:
@@ -137,6 +152,7 @@ class _Fetched:
             if url is not None:
                 value = _fetch(url, folder, self.task.storage)
                 self.names[value] = url
+                self.names[os.path.dirname(value)] = url.rstrip("/").rsplit("/", 1)[0]  # of what it names
             local.append((option, value))
         return local
 

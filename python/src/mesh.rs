@@ -80,12 +80,14 @@ pub struct Mesh {
     pub known: Option<KnownUnit>,
     pub files: Vec<Input>,
     pub path: PathBuf,
+    /// The OBJ file whose materials go along where it is written; empty for none.
+    pub materials: PathBuf,
     pub note: Option<String>,
 }
 
 impl Mesh {
     pub fn of_arrays(file: MeshFile) -> Self {
-        Self { file, known: None, files: Vec::new(), path: PathBuf::new(), note: None }
+        Self { file, known: None, files: Vec::new(), path: PathBuf::new(), materials: PathBuf::new(), note: None }
     }
 
     /// Positions, polygons and what else an OBJ file holds.
@@ -94,9 +96,9 @@ impl Mesh {
     }
 }
 
-/// Texture coordinates, texture index of each corner, material libraries, statements with the polygon before which each stands.
+/// Texture coordinates, indices of texture and of normal of each corner, material libraries, statements with the polygon before which each stands.
 type Metadata<'py> =
-    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>, Vec<String>, Vec<(u32, &'static str, String)>);
+    (Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray1<u32>>; 2], Vec<String>, Vec<(u32, &'static str, String)>);
 
 #[pymethods]
 impl Mesh {
@@ -111,7 +113,7 @@ impl Mesh {
             let Measured { known, factor, note } = measured(&path, &points, asked)?;
             drop(points);
             file.mesh.positions.iter_mut().for_each(|p| *p *= factor);
-            Ok(Self { file, known: Some(known), files: inputs.files(), path, note })
+            Ok(Self { file, known: Some(known), files: inputs.files(), materials: path.clone(), path, note })
         })
     }
 
@@ -126,7 +128,7 @@ impl Mesh {
             let Measured { known, factor, note } = measured(&path, &positions, asked)?;
             positions.iter_mut().for_each(|p| *p *= factor);
             let file = MeshFile { mesh: PolygonMesh { positions, ..PolygonMesh::default() }, ..MeshFile::default() };
-            Ok(Self { file, known: Some(known), files: inputs.files(), path, note })
+            Ok(Self { known: Some(known), files: inputs.files(), path, note, ..Self::of_arrays(file) })
         })
     }
 
@@ -140,7 +142,7 @@ impl Mesh {
         colors: Option<PyReadonlyArray2<'_, u8>>,
         metadata: Option<(
             PyReadonlyArray2<'_, f64>,
-            PyReadonlyArray1<'_, u32>,
+            [PyReadonlyArray1<'_, u32>; 2],
             Vec<String>,
             Vec<(u32, String, String)>,
         )>,
@@ -169,16 +171,19 @@ impl Mesh {
         colors.as_ref().map_or(Ok(()), |c| same("colors", c.len()))?;
         let metadata = match metadata {
             None => ObjMetadata::default(),
-            Some((uvs, corner_uvs, material_libraries, statements)) => {
+            Some((uvs, indices, material_libraries, statements)) => {
                 let uvs: Vec<[f64; 2]> = uvs.as_array().rows().into_iter().map(|t| [t[0], t[1]]).collect();
-                let corner_uvs = corner_uvs.as_array().to_vec();
+                let [corner_uvs, corner_normals] = indices.map(|of_corner| of_corner.as_array().to_vec());
                 let beyond = corner_uvs.iter().any(|t| *t != u32::MAX && *t as usize >= uvs.len());
                 if beyond || !(corner_uvs.is_empty() || corner_uvs.len() == corners.len()) {
                     return Err(value("corner_uvs: expected an index into uvs for every corner of a face"));
                 }
+                if !(corner_normals.is_empty() || corner_normals.len() == corners.len()) {
+                    return Err(value("corner_normals: expected an index for every corner of a face"));
+                }
                 let statements = statements.into_iter().map(|(at, keyword, rest)| Ok((at, statement(&keyword, rest)?)));
                 let statements = statements.collect::<PyResult<_>>()?;
-                ObjMetadata { uvs, corner_uvs, material_libraries, statements }
+                ObjMetadata { uvs, corner_uvs, corner_normals, material_libraries, statements }
             }
         };
         Ok(Self::of_arrays(MeshFile { mesh: PolygonMesh { positions, starts, corners, metadata }, normals, colors }))
@@ -217,13 +222,14 @@ impl Mesh {
 
     #[getter]
     fn metadata<'py>(&self, py: Python<'py>) -> PyResult<Metadata<'py>> {
-        let ObjMetadata { uvs, corner_uvs, material_libraries, statements } = &self.file.mesh.metadata;
+        let ObjMetadata { uvs, corner_uvs, corner_normals, material_libraries, statements } = &self.file.mesh.metadata;
         let array = PyArray1::from_vec(py, uvs.as_flattened().to_vec()).reshape([uvs.len(), 2])?;
         let statements = statements.iter().map(|(at, s)| {
             let (keyword, rest) = parts(s);
             (*at, keyword, rest.to_owned())
         });
-        Ok((array, corner_uvs.clone().into_pyarray(py), material_libraries.clone(), statements.collect()))
+        let indices = [corner_uvs, corner_normals].map(|of_corner| of_corner.clone().into_pyarray(py));
+        Ok((array, indices, material_libraries.clone(), statements.collect()))
     }
 
     /// Groups by name: the polygons of each.
@@ -267,17 +273,18 @@ impl Mesh {
             return Err(value(format!("vertices: found {found}, the mesh has {expected}; they must correspond")));
         }
         let colors = colors.map(|c| arrays::colors("colors", &c)).transpose()?;
-        Ok(Self::of_arrays(MeshFile { mesh: self.file.mesh.with_positions(positions), normals: None, colors }))
+        let file = MeshFile { mesh: self.file.mesh.with_positions(positions), normals: None, colors };
+        Ok(Self { materials: self.materials.clone(), ..Self::of_arrays(file) })
     }
 
-    /// Writes by extension: .obj, with copies of materials and images, .ply, .glb, .usda. `reads` are files that must not be overwritten,
-    /// `source` the OBJ file whose materials they are.
-    #[pyo3(signature = (path, reads, source=None))]
-    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>, source: Option<PathBuf>) -> PyResult<()> {
+    /// Writes by extension: .obj, with copies of materials and images, .ply, .glb, .usda. `reads` are files that must not be overwritten.
+    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>) -> PyResult<()> {
         compute(py, Some(1), || {
-            let is_obj = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
-            let of = source.as_ref().filter(|from| is_obj(from) && is_obj(&path));
-            let materials = of.map(|from| MaterialFiles::of(from, &self.file.mesh)).unwrap_or_default();
+            let is_obj = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+            let materials = match is_obj(&path) {
+                true => MaterialFiles::of(&self.materials, &self.file.mesh),
+                false => MaterialFiles::default(),
+            };
             let writes: Vec<PathBuf> = std::iter::once(path.clone()).chain(materials.writes(&path)).collect();
             let reads: Vec<PathBuf> = reads.iter().chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
@@ -311,6 +318,13 @@ fn statement(keyword: &str, rest: String) -> PyResult<ObjStatement> {
 pub fn check_plan(reads: &[PathBuf], writes: &[PathBuf]) -> PyResult<()> {
     let plan = FilePlan::new().reads_all(reads.iter().map(|path| ("input", path)));
     plan.writes_all(writes.iter().map(|path| ("output", path))).check().map_err(input)
+}
+
+/// What a mesh file names and is not there, as named: buffers, material libraries, images; `<UDIM>` stands for tiles.
+#[pyfunction]
+fn missing_files(path: PathBuf) -> Vec<PathBuf> {
+    let painted = io::files_of_painted_mesh(&path).into_iter().filter(|file| !file.exists());
+    painted.chain(MaterialFiles::named_in(&path).missing.into_iter().map(|(file, _)| file)).collect()
 }
 
 /// Writes text, all of it or nothing; `reads` are files that must not be overwritten.
@@ -357,5 +371,6 @@ pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(millimetres, module)?)?;
     module.add_function(wrap_pyfunction!(unit_of, module)?)?;
     module.add_function(wrap_pyfunction!(write_text, module)?)?;
+    module.add_function(wrap_pyfunction!(missing_files, module)?)?;
     module.add_function(wrap_pyfunction!(check_files, module)?)
 }

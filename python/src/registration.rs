@@ -186,6 +186,8 @@ pub struct Registration {
     reliability: Reliability,
     equations: Option<Sparse>,
     finer: Option<MeshFile>,
+    /// The file whose materials go along.
+    materials: PathBuf,
 }
 
 #[pymethods]
@@ -193,7 +195,8 @@ impl Registration {
     /// The finer mesh, if one was asked for.
     #[getter]
     fn finer(&self) -> Option<Mesh> {
-        self.finer.clone().map(Mesh::of_arrays)
+        let finer = Mesh::of_arrays(self.finer.clone()?);
+        Some(Mesh { materials: self.materials.clone(), ..finer })
     }
 
     #[getter]
@@ -444,7 +447,16 @@ fn register(
         }
         let report = Report { regions, free_regions, units, colors_observed, detail: of_finer, ..report };
         let (report, state) = (json(&report)?, json(&result.end)?);
-        Ok(Registration { result, colors, report, state, reliability, equations: None, finer })
+        Ok(Registration {
+            result,
+            colors,
+            report,
+            state,
+            reliability,
+            equations: None,
+            finer,
+            materials: template.materials.clone(),
+        })
     };
 
     let stop = AtomicBool::new(false);

@@ -259,7 +259,14 @@ def urls(fs: Any, root: str, data: Data, tmp_path: Path, storage: dict[str, dict
     for case in ("same_open", "new_neutral"):
         fs.put_file(str(data.scan(case)), f"{root}/in/{case}/scan.ply")
         fs.put_file(str(data.landmarks(case)), f"{root}/in/{case}/landmarks.json")
-    fs.put(str(data.rig), f"{root}/in/", recursive=True)
+    rig = tmp_path / "rig"
+    shutil.copytree(data.rig, rig)
+    with open(rig / "face.mtl", "a") as library:
+        library.write("map_Kd maps/skin.<UDIM>.png\nmap_Bump C:\\work\\bump map.png\n")
+    (rig / "maps").mkdir()
+    for name in ("maps/skin.1001.png", "maps/skin.1002.png", "bump map.png"):
+        (rig / name).write_bytes(name.encode())
+    fs.put(str(rig), f"{root}/in/", recursive=True)
     lines = ["target,landmarks,name,sequence", "same_open/scan.ply,same_open/landmarks.json,a,walk",
              "new_neutral/scan.ply,new_neutral/landmarks.json,b,walk", f"{data.scan()},{data.landmarks()},c,", "none.ply,,d,"]  # fmt: skip
     fs.pipe_file(f"{root}/in/scans.csv", "\n".join(lines).encode())
@@ -275,14 +282,14 @@ def urls(fs: Any, root: str, data: Data, tmp_path: Path, storage: dict[str, dict
         shutil.copy(data.scan(name), tmp_path / name)
         shutil.copy(data.landmarks(name), tmp_path / name)
     (tmp_path / "scans.csv").write_text("\n".join(lines))
-    local = {**options, "template": data.template, "rig": data.rig}
+    local = {**options, "template": rig / "template.obj", "rig": rig}
     nonrigid.batch.run(tmp_path / "scans.csv", tmp_path / "out", **local)
     fs.invalidate_cache()
     inside = {path.split("/out/", 1)[1]: fs.cat_file(path) for path in fs.find(f"{root}/out")}
     keep = lambda name: not (name.startswith((".", "log/")) or ".timing." in name or name in ("summary.csv", "index.html"))
     away = {name: content for name, content in inside.items() if keep(name)}
     here = {name: content for name, content in results(tmp_path / "out").items() if keep(name)}
-    assert away == here and "state/b.json" in away
+    assert away == here and {"state/b.json", "a.mtl", "a_skin.1002.png", "a_bump_map.png"} <= away.keys()
     files = {name for name in listing(tmp_path / "out") if (tmp_path / "out" / name).is_file()}
     assert inside.keys() == files >= {"a.timing.json", "summary.timing.json"}
     assert b"nonrigid-" not in inside["log/a.txt"], "logs name what the user knows"

@@ -26,8 +26,10 @@ def test_presets_and_recipes(face: data_gen.Face, data: Data, tmp_path: Path) ->
     assert len(nonrigid.presets()) == 20
     command("morph", "--mesh", data.template, "--rig", data.rig, "--preset", "nose-bridge=2.5", "--preset", "chin-forward", "--out", tmp_path / "a.obj")
     found = nonrigid.morph(data.template, {"nose-bridge": 2.5, "chin-forward": None}, rig=rig)
-    found.mesh.write(tmp_path / "b.obj")
-    assert (tmp_path / "a.obj").read_bytes() == (tmp_path / "b.obj").read_bytes()
+    (tmp_path / "same").mkdir()
+    found.mesh.write(tmp_path / "same" / "a.obj")
+    for name in ("a.obj", "a.mtl"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "same" / name).read_bytes()
     assert len(found.steps) == 2 and found.steps[0].report["moving"] > 0 and found.mask.max() <= 1
     moved = np.linalg.norm(found.mesh.vertices - found.before.vertices, axis=1)
     assert (moved[found.mask == 0] == 0).all() and 1.5 < moved.max() < 3.5

@@ -195,7 +195,7 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
         return MaterialFiles::default();
     }
     let files = MaterialFiles::of(path, mesh);
-    files.missing.iter().for_each(warn);
+    files.missing.iter().for_each(|(_, told)| warn(told));
     files
 }
 
@@ -203,7 +203,7 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
 fn warn_of_format(out: &Path, mesh: &PolygonMesh) {
     let metadata = &mesh.metadata;
     let has = |of: fn(&ObjStatement) -> bool| metadata.statements.iter().any(|(_, statement)| of(statement));
-    let uvs = (!metadata.corner_uvs.is_empty(), "texture coordinates");
+    let normals = (!metadata.corner_normals.is_empty(), "hard edges");
     let materials = (has(|s| matches!(s, ObjStatement::Material(_))), "materials");
     let groups = (has(|s| matches!(s, ObjStatement::Group(_) | ObjStatement::Object(_))), "groups");
     let smoothing = (has(|s| matches!(s, ObjStatement::Smoothing(_))), "smoothing groups");
@@ -212,11 +212,11 @@ fn warn_of_format(out: &Path, mesh: &PolygonMesh) {
     };
     let (out, extension) = (out.display(), out.extension().unwrap_or_default().to_ascii_lowercase());
     match extension.to_str() {
-        Some("ply") => match listed(&[uvs, groups, materials, smoothing]) {
+        Some("ply") => match listed(&[groups, materials, smoothing, normals]) {
             lost if lost.is_empty() => {}
             lost => warn(format_args!("{out}: PLY holds no {lost}; .obj and .usda do")),
         },
-        Some("glb") => match listed(&[groups, smoothing]) {
+        Some("glb") => match listed(&[groups, smoothing, normals]) {
             noted if noted.is_empty() => {}
             noted => warn(format_args!(
                 "{out}: {noted} are in a note that other programs do not read; .obj and .usda hold them"

@@ -123,7 +123,7 @@ impl Arguments {
     /// The template's materials, which go with a result in OBJ unless it shows a texture of its own.
     fn materials(&self) -> MaterialFiles {
         match has_extension(&self.out, "obj") {
-            true => MaterialFiles::named_in(&self.template),
+            true => MaterialFiles::kept_of(&self.template),
             false => MaterialFiles::default(),
         }
     }
@@ -196,7 +196,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         false => None,
     };
     let materials = a.materials();
-    materials.missing.iter().for_each(warn);
+    materials.missing.iter().for_each(|(_, told)| warn(told));
     let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
     let neutral = neutral.transpose()?;
     let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;

@@ -33,8 +33,8 @@ pub struct MaterialFiles {
     gone: Vec<String>,
     /// Images, and what they are to be called behind the name of the mesh.
     images: BTreeMap<PathBuf, String>,
-    /// What is missing, in words.
-    pub missing: Vec<String>,
+    /// What is missing, as it is named (`<UDIM>` stands for tiles), and that in words.
+    pub missing: Vec<(PathBuf, String)>,
 }
 
 /// A file as it was: path, time of its last change, length.
@@ -64,28 +64,32 @@ impl MaterialFiles {
             match check_side_file(&library).and_then(|()| read_file(&library)) {
                 Ok(bytes) => found.add(&library, &String::from_utf8_lossy(&bytes), &mut taken),
                 Err(error) => {
-                    found.missing.push(format!("{error} (mtllib of {})", path.display()));
-                    let name = library.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                    found.gone.push(name);
+                    found.gone.push(file_name(&library));
+                    found.missing.push((library, format!("{error} (mtllib of {})", path.display())));
                 }
             }
         }
         found
     }
 
-    /// [`of`](Self::of) the mesh in an OBJ file, of which only what it names is read; nothing of files of other formats. What the last
-    /// file named is kept while the file stays as it is: a batch asks for every scan.
+    /// [`of`](Self::of) the mesh in an OBJ file, of which only what it names is read; nothing of files of other formats.
     #[must_use]
     pub fn named_in(path: &Path) -> Self {
+        let is_obj = path.is_file() && gzip::inner_extension(path) == "obj";
+        if is_obj { Self::of_statements(path, &super::libraries_named_in(path)) } else { Self::default() }
+    }
+
+    /// [`named_in`](Self::named_in), kept for the last file while it stays as it is: a batch asks for every scan.
+    #[must_use]
+    pub fn kept_of(path: &Path) -> Self {
         static LAST: Mutex<Option<(AsItWas, MaterialFiles)>> = Mutex::new(None);
-        let metadata = std::fs::metadata(path).ok().filter(|m| m.is_file() && gzip::inner_extension(path) == "obj");
-        let Some(metadata) = metadata else { return Self::default() };
+        let Ok(metadata) = std::fs::metadata(path) else { return Self::default() };
         let now = (path.to_owned(), metadata.modified().ok(), metadata.len());
         let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, files)) = last.as_ref().filter(|(known, _)| *known == now) {
             return files.clone();
         }
-        let files = Self::of_statements(path, &super::libraries_named_in(path));
+        let files = Self::named_in(path);
         *last = Some((now, files.clone()));
         files
     }
@@ -101,8 +105,8 @@ impl MaterialFiles {
             };
             let copy = self.image(library, &name, taken);
             if copy.is_none() {
-                self.missing
-                    .push(format!("{name}: no image that can be copied (line {number} of {})", library.display()));
+                let told = format!("{name}: no image that can be copied (line {number} of {})", library.display());
+                self.missing.push((named_beside(library, &name), told));
             }
             self.lines.push((line.to_owned(), copy.map(|copy| Named { name, copy })));
         }
@@ -240,7 +244,7 @@ mod tests {
         let path = folder.path().join("in/face.obj");
         let mut mesh = parse_obj(text, &path).unwrap();
         let files = MaterialFiles::of(&path, &mesh);
-        let missing = files.missing.join("\n");
+        let missing = files.missing.iter().map(|(_, told)| told.as_str()).collect::<Vec<_>>().join("\n");
         assert!(["gone.png", "../secret", "none.mtl"].iter().all(|name| missing.contains(name)), "{missing}");
         assert_eq!((files.missing.len(), files.reads().count()), (3, 2 + 4));
 

@@ -2,8 +2,8 @@
 //! writes them back with the same vertex order. Source: "Object Files (.obj)", Wavefront Advanced Visualizer manual,
 //! appendix B1.
 //!
-//! Normals (`vn`) are checked but not kept: they describe the shape before the deformation. Points, lines and free-form
-//! statements are skipped.
+//! Of normals (`vn`) it is kept which corners share one, not their values, which describe the shape before the deformation: what is
+//! written has those of its own shape. Points, lines and free-form statements are skipped.
 //!
 //! Red, green and blue after the coordinates are no part of the manual, but MeshLab, Blender, ZBrush and others write and read
 //! them. They are kept where every vertex has six numbers: from 0 to 1, or from 0 to 255 if any is above 1; sRGB.
@@ -13,7 +13,7 @@ use std::path::Path;
 
 use super::error::{excerpt, read_file};
 use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
-use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
+use crate::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
 use crate::text::obj_line;
 
 /// Reads an OBJ file. Vertex indices are those of the file, counted from 0.
@@ -148,14 +148,12 @@ impl Parser<'_> {
                 None | Some(b"") => u32::MAX,
                 Some(uv) => self.index(uv, self.mesh.metadata.uvs.len(), "texture")?,
             };
-            let corner_uvs = &mut self.mesh.metadata.corner_uvs;
-            if uv != u32::MAX || !corner_uvs.is_empty() {
-                corner_uvs.resize(self.mesh.corners.len() - 1, u32::MAX);
-                corner_uvs.push(uv);
-            }
-            if let Some(normal) = parts.next().filter(|n| !n.is_empty()) {
-                self.index(normal, self.normals, "normal")?;
-            }
+            keep_index(&mut self.mesh.metadata.corner_uvs, self.mesh.corners.len(), uv);
+            let normal = match parts.next() {
+                None | Some(b"") => u32::MAX,
+                Some(normal) => self.index(normal, self.normals, "normal")?,
+            };
+            keep_index(&mut self.mesh.metadata.corner_normals, self.mesh.corners.len(), normal);
             if parts.next().is_some() {
                 return Err(self.error("a corner as vertex/texture/normal", excerpt(token)));
             }
@@ -189,8 +187,9 @@ impl Parser<'_> {
         if self.mesh.positions.is_empty() {
             return Err(ReadError::malformed(self.path, Place::File, "vertices (lines `v x y z`)", "none"));
         }
-        if !self.mesh.metadata.corner_uvs.is_empty() {
-            self.mesh.metadata.corner_uvs.resize(self.mesh.corners.len(), u32::MAX);
+        let ObjMetadata { corner_uvs, corner_normals, .. } = &mut self.mesh.metadata;
+        for of_corners in [corner_uvs, corner_normals].into_iter().filter(|all| !all.is_empty()) {
+            of_corners.resize(self.mesh.corners.len(), u32::MAX);
         }
         let (vertices, uvs) = (self.mesh.positions.len(), self.mesh.metadata.uvs.len());
         let range = |what: &str, count: usize| {
@@ -220,6 +219,14 @@ impl Parser<'_> {
     }
 }
 
+/// Appends the index of the last of so many corners to those of all; none are kept while no corner has one.
+fn keep_index(of_corners: &mut Vec<u32>, corners: usize, index: u32) {
+    if index != u32::MAX || !of_corners.is_empty() {
+        of_corners.resize(corners - 1, u32::MAX);
+        of_corners.push(index);
+    }
+}
+
 /// The last three of exactly six finite numbers.
 fn color(rest: &[u8]) -> Option<[f64; 3]> {
     let mut numbers = tokens(rest).skip(3).map(|t| std::str::from_utf8(t).ok()?.parse().ok());
@@ -235,11 +242,11 @@ fn text(rest: &[u8]) -> String {
     String::from_utf8_lossy(rest.trim_ascii()).into_owned()
 }
 
-/// Writes an OBJ file: vertices in their order, polygons, texture coordinates, groups and materials. Numbers are the
+/// Writes an OBJ file: vertices in their order, polygons, texture coordinates, normals, groups and materials. Numbers are the
 /// shortest that read back as the same bits.
 ///
 /// # Errors
-/// When the file cannot be written, or texture indices do not belong to the corners.
+/// When the file cannot be written, or indices of texture or normals do not belong to the corners.
 pub fn write_obj(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
     write_colored_obj(path, mesh, None)
 }
@@ -248,14 +255,19 @@ pub fn write_obj(path: &Path, mesh: &PolygonMesh) -> Result<(), WriteError> {
 pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<&[[u8; 3]]>) -> Result<(), WriteError> {
     let metadata = &mesh.metadata;
     WriteError::check_count(path, "colours", colors.map(<[_]>::len), mesh.positions.len())?;
-    if !metadata.corner_uvs.is_empty() && metadata.corner_uvs.len() != mesh.corners.len() {
-        let expected = format!("a texture index for each of {} corners", mesh.corners.len());
-        return Err(WriteError::data(path, expected, metadata.corner_uvs.len().to_string()));
+    for (what, indices) in
+        [("a texture index", &metadata.corner_uvs), ("an index of a normal", &metadata.corner_normals)]
+    {
+        if !indices.is_empty() && indices.len() != mesh.corners.len() {
+            let expected = format!("{what} for each of {} corners", mesh.corners.len());
+            return Err(WriteError::data(path, expected, indices.len().to_string()));
+        }
     }
     if let Some(v) = mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
         let found = format!("{:?} at vertex {v}", mesh.positions[v].as_slice());
         return Err(WriteError::data(path, "finite coordinates", found));
     }
+    let (normals, corner_normals) = mesh.corner_normals();
     write_atomically(path, |w| {
         for library in &metadata.material_libraries {
             writeln!(w, "mtllib {}", obj_line(library))?;
@@ -270,6 +282,9 @@ pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<
         for [u, v] in &metadata.uvs {
             writeln!(w, "vt {u} {v}")?;
         }
+        for n in &normals {
+            writeln!(w, "vn {:.6} {:.6} {:.6}", n.x, n.y, n.z)?;
+        }
         let mut statements = metadata.statements.iter().peekable();
         for f in 0..mesh.polygon_count() {
             while let Some((_, statement)) = statements.next_if(|(before, _)| *before as usize <= f) {
@@ -278,9 +293,12 @@ pub(super) fn write_colored_obj(path: &Path, mesh: &PolygonMesh, colors: Option<
             w.write_all(b"f")?;
             for c in mesh.starts[f] as usize..mesh.starts[f + 1] as usize {
                 let v = u64::from(mesh.corners[c]) + 1;
-                match metadata.corner_uvs.get(c) {
-                    Some(&uv) if uv != u32::MAX => write!(w, " {v}/{}", u64::from(uv) + 1)?,
-                    _ => write!(w, " {v}")?,
+                let of = |indices: &[u32]| indices.get(c).filter(|&&k| k != u32::MAX).map(|&k| u64::from(k) + 1);
+                match (of(&metadata.corner_uvs), of(&corner_normals)) {
+                    (Some(uv), Some(normal)) => write!(w, " {v}/{uv}/{normal}")?,
+                    (None, Some(normal)) => write!(w, " {v}//{normal}")?,
+                    (Some(uv), None) => write!(w, " {v}/{uv}")?,
+                    (None, None) => write!(w, " {v}")?,
                 }
             }
             w.write_all(b"\n")?;

@@ -5,10 +5,12 @@
 //! is allocated, errors say which row of which element is missing at which byte or line, and one pass over the bytes
 //! goes straight into positions and corners, where the crate hands over every property of every row by its name.
 //!
-//! Read are `vertex` (x, y, z; nx, ny, nz; red, green, blue) and `face` (vertex_indices or vertex_index, any number of
-//! corners); other elements and properties are stepped over.
+//! Read are `vertex` (x, y, z; nx, ny, nz; red, green, blue; s, t or u, v) and `face` (vertex_indices or vertex_index, any number
+//! of corners; texcoord, u and v of each corner or nothing, as MeshLab has them); other elements and properties are stepped over.
 
+use std::collections::HashMap;
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use super::error::{excerpt, read_file};
@@ -153,6 +155,10 @@ pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<Ply, ReadError> {
     if vertices == 0 {
         return Err(ReadError::malformed(path, Place::File, "vertices (element vertex)", "none"));
     }
+    let metadata = &mut ply.mesh.metadata;
+    if metadata.corner_uvs.is_empty() && metadata.uvs.len() == vertices {
+        metadata.corner_uvs.clone_from(&ply.mesh.corners); // of vertices
+    }
     for f in 0..ply.mesh.polygon_count() {
         if let Some(v) = ply.mesh.polygon(f).iter().find(|&&v| v as usize >= vertices) {
             let expected = format!("vertex indices from 0 to {} in face {f}", vertices - 1);
@@ -230,6 +236,18 @@ fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, ReadError> {
     }
 }
 
+/// A list that is read: its property, and its values in a row.
+struct List {
+    property: usize,
+    values: Vec<f64>,
+}
+
+impl List {
+    fn of(lists: &mut [Self], property: usize) -> Option<&mut Vec<f64>> {
+        lists.iter_mut().find(|list| list.property == property).map(|list| &mut list.values)
+    }
+}
+
 /// The bytes after the header, and where reading them has come to.
 struct Body<'a> {
     bytes: &'a [u8],
@@ -267,20 +285,19 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Reads one row: `values` gets the scalars in order of property, `list` the values of property `list_index`.
+    /// Reads one row: `values` gets the scalars in order of property.
     fn row(
         &mut self,
         element: &Element,
         index: usize,
         values: &mut [f64],
-        list_index: usize,
-        list: &mut Vec<f64>,
+        lists: &mut [List],
     ) -> Result<(), ReadError> {
-        list.clear();
+        lists.iter_mut().for_each(|list| list.values.clear());
         if self.format == Format::Ascii {
-            self.ascii_row(element, index, values, list_index, list)
+            self.ascii_row(element, index, values, lists)
         } else {
-            self.binary_row(element, index, values, list_index, list)
+            self.binary_row(element, index, values, lists)
         }
     }
 
@@ -289,8 +306,7 @@ impl<'a> Body<'a> {
         element: &Element,
         index: usize,
         values: &mut [f64],
-        list_index: usize,
-        list: &mut Vec<f64>,
+        lists: &mut [List],
     ) -> Result<(), ReadError> {
         let big = self.format == Format::Big;
         for (p, property) in element.properties.iter().enumerate() {
@@ -304,7 +320,7 @@ impl<'a> Body<'a> {
             let count = count_type.decode(bytes, big);
             let count = self.list_length(count, element, index, property)?;
             let bytes = self.take(count.saturating_mul(size), element, index, &property.name)?;
-            if p == list_index {
+            if let Some(list) = List::of(lists, p) {
                 list.extend(bytes.chunks_exact(size).map(|b| property.scalar.decode(b, big)));
             }
         }
@@ -335,8 +351,7 @@ impl<'a> Body<'a> {
         element: &Element,
         index: usize,
         values: &mut [f64],
-        list_index: usize,
-        list: &mut Vec<f64>,
+        lists: &mut [List],
     ) -> Result<(), ReadError> {
         let (of, rows) = (&element.name, element.rows);
         let line = loop {
@@ -367,7 +382,7 @@ impl<'a> Body<'a> {
             }
             for _ in 0..self.list_length(first, element, index, property)? {
                 let value = number()?;
-                if p == list_index {
+                if let Some(list) = List::of(lists, p) {
                     list.push(value);
                 }
             }
@@ -388,6 +403,8 @@ impl<'a> Body<'a> {
         };
         let normal = find3("nx", "ny", "nz").or_else(|| find3("normal_x", "normal_y", "normal_z"));
         let color = find3("red", "green", "blue").or_else(|| find3("diffuse_red", "diffuse_green", "diffuse_blue"));
+        let find2 = |a, b| Some([find(a)?, find(b)?]);
+        let uv = [("s", "t"), ("u", "v"), ("texture_u", "texture_v")].into_iter().find_map(|(a, b)| find2(a, b));
         if u32::try_from(element.rows).is_err() {
             return Err(self.error("fewer than 2^32 vertices", element.rows.to_string()));
         }
@@ -396,10 +413,9 @@ impl<'a> Body<'a> {
         let mut normals = Vec::with_capacity(if normal.is_some() { element.rows } else { 0 });
         let mut colors = Vec::with_capacity(if color.is_some() { element.rows } else { 0 });
         let mut values = vec![0.0; element.properties.len()];
-        let mut unused = Vec::new();
         for index in 0..element.rows {
             let start = self.at;
-            self.row(element, index, &mut values, usize::MAX, &mut unused)?;
+            self.row(element, index, &mut values, &mut [])?;
             let [x, y, z] = xyz.map(|i| values[i]);
             if !(x.is_finite() && y.is_finite() && z.is_finite()) {
                 self.at = start;
@@ -409,6 +425,9 @@ impl<'a> Body<'a> {
             if let Some(normal) = normal {
                 let n = Vec3::from(normal.map(|i| values[i]));
                 normals.push(if n.iter().all(|x| x.is_finite()) { n } else { Vec3::zeros() });
+            }
+            if let Some(uv) = uv {
+                ply.mesh.metadata.uvs.push(self.uv(uv.map(|i| values[i]), start, || format!("vertex {index}"))?);
             }
             if let Some(color) = color {
                 colors.push(color.map(|i| match element.properties[i].scalar {
@@ -423,15 +442,24 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
+    /// Texture coordinates of something in the row that starts at a byte.
+    fn uv(&mut self, uv: [f64; 2], start: usize, what: impl Fn() -> String) -> Result<[f64; 2], ReadError> {
+        if uv.iter().all(|x| x.is_finite()) {
+            return Ok(uv);
+        }
+        self.at = start;
+        Err(self.error(format!("finite texture coordinates of {}", what()), format!("{}, {}", uv[0], uv[1])))
+    }
+
     fn faces(&mut self, element: &Element, mesh: &mut PolygonMesh) -> Result<(), ReadError> {
         if element.rows == 0 {
             return Ok(());
         }
-        let list = element
-            .properties
-            .iter()
-            .position(|p| p.count.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index"));
-        let Some(list) = list else {
+        let find = |names: &[&str]| {
+            element.properties.iter().position(|p| p.count.is_some() && names.contains(&p.name.as_str()))
+        };
+        let list = |property: usize| List { property, values: Vec::new() };
+        let Some(corners) = find(&["vertex_indices", "vertex_index"]).map(list) else {
             let place = Place::Line(element.line);
             return Err(ReadError::malformed(self.path, place, "a list vertex_indices in element face", "none"));
         };
@@ -439,16 +467,19 @@ impl<'a> Body<'a> {
         let count = mesh.positions.len();
         // faces before vertices are checked at the end
         let limit = if count == 0 { f64::from(u32::MAX) } else { count as f64 };
+        let texcoords = find(&["texcoord"]).map(list);
+        let mut texture = texcoords.is_some().then(CornerUvs::default);
+        let mut lists: Vec<List> = std::iter::once(corners).chain(texcoords).collect();
         let mut values = vec![0.0; element.properties.len()];
-        let mut corners = Vec::new();
         for index in 0..element.rows {
             let start = self.at;
-            self.row(element, index, &mut values, list, &mut corners)?;
+            self.row(element, index, &mut values, &mut lists)?;
+            let corners = &lists[0].values;
             if corners.len() < 3 {
                 self.at = start;
                 return Err(self.error(format!("at least 3 corners in face {index}"), corners.len().to_string()));
             }
-            for &corner in &corners {
+            for &corner in corners {
                 if !(corner >= 0.0 && corner < limit && corner.fract() == 0.0) {
                     self.at = start;
                     let expected = format!("vertex indices from 0 to {} in face {index}", limit - 1.0);
@@ -460,6 +491,22 @@ impl<'a> Body<'a> {
                 return Err(self.error("fewer than 2^32 corners", "more"));
             };
             mesh.starts.push(end);
+            if let Some(texture) = &mut texture {
+                let (flat, corners) = (&lists[1].values, &lists[0].values);
+                if !flat.is_empty() && flat.len() != 2 * corners.len() {
+                    self.at = start;
+                    let expected = format!("{} texture coordinates of face {index}, or none", 2 * corners.len());
+                    return Err(self.error(expected, flat.len().to_string()));
+                }
+                for (c, &vertex) in corners.iter().enumerate() {
+                    let uv =
+                        flat.get(2 * c..2 * c + 2).map(|uv| self.uv([uv[0], uv[1]], start, || format!("face {index}")));
+                    texture.push(vertex as u32, uv.transpose()?);
+                }
+            }
+        }
+        if let Some(CornerUvs { uvs, of_corner, .. }) = texture {
+            (mesh.metadata.uvs, mesh.metadata.corner_uvs) = (uvs, of_corner);
         }
         Ok(())
     }
@@ -475,9 +522,29 @@ impl<'a> Body<'a> {
         }
         let mut values = vec![0.0; element.properties.len()];
         for index in 0..element.rows {
-            self.row(element, index, &mut values, usize::MAX, &mut Vec::new())?;
+            self.row(element, index, &mut values, &mut [])?;
         }
         Ok(())
+    }
+}
+
+/// Texture coordinates of corners, those of one vertex that are the same kept once.
+#[derive(Default)]
+struct CornerUvs {
+    uvs: Vec<[f64; 2]>,
+    of_corner: Vec<u32>,
+    known: HashMap<(u32, [u64; 2]), u32>,
+}
+
+impl CornerUvs {
+    fn push(&mut self, vertex: u32, uv: Option<[f64; 2]>) {
+        let index = uv.map(|uv| {
+            *self.known.entry((vertex, uv.map(f64::to_bits))).or_insert_with(|| {
+                self.uvs.push(uv);
+                self.uvs.len() as u32 - 1
+            })
+        });
+        self.of_corner.push(index.unwrap_or(u32::MAX));
     }
 }
 
@@ -508,17 +575,33 @@ pub struct PlyOptions<'a> {
 /// When the file cannot be written, or normals or colours are not one per vertex.
 pub fn write_ply(path: &Path, mesh: &TriangleMesh, options: PlyOptions<'_>) -> Result<(), WriteError> {
     let faces = mesh.triangles.iter().map(<[u32; 3]>::as_slice);
-    write_faces(path, &mesh.positions, mesh.triangles.len(), 3, faces, options)
+    write_faces(path, &mesh.positions, mesh.triangles.len(), 3, faces, None, options)
 }
 
-/// Writes polygons as binary little-endian PLY. Texture coordinates, groups and materials have no place in it.
+/// Writes polygons as binary little-endian PLY, texture coordinates of corners as MeshLab does (none of a polygon that
+/// has none; 0, 0 of a corner that has none in one that has).
+/// Groups and materials have no place in it.
 ///
 /// # Errors
-/// As [`write_ply`].
+/// As [`write_ply`]; and when texture indices do not belong to the corners.
 pub fn write_ply_polygons(path: &Path, mesh: &PolygonMesh, options: PlyOptions<'_>) -> Result<(), WriteError> {
     let faces = (0..mesh.polygon_count()).map(|f| mesh.polygon(f));
     let largest = faces.clone().map(<[u32]>::len).max().unwrap_or(0);
-    write_faces(path, &mesh.positions, mesh.polygon_count(), largest, faces, options)
+    let metadata = &mesh.metadata;
+    let textured = !metadata.corner_uvs.is_empty();
+    WriteError::check_count(
+        path,
+        "texture indices",
+        textured.then_some(metadata.corner_uvs.len()),
+        mesh.corners.len(),
+    )?;
+    let uv = |c: u32| metadata.uvs.get(c as usize).copied().unwrap_or_default();
+    let uvs_of = |corners: Range<usize>| -> Vec<[f64; 2]> {
+        let of = &metadata.corner_uvs[corners];
+        if of.iter().all(|&c| c == u32::MAX) { Vec::new() } else { of.iter().map(|&c| uv(c)).collect() }
+    };
+    let uvs_of: Option<&dyn Fn(Range<usize>) -> Vec<[f64; 2]>> = if textured { Some(&uvs_of) } else { None };
+    write_faces(path, &mesh.positions, mesh.polygon_count(), largest, faces, uvs_of, options)
 }
 
 fn write_faces<'a>(
@@ -527,6 +610,7 @@ fn write_faces<'a>(
     face_count: usize,
     largest: usize,
     faces: impl Iterator<Item = &'a [u32]>,
+    uvs_of: Option<&dyn Fn(Range<usize>) -> Vec<[f64; 2]>>,
     options: PlyOptions<'_>,
 ) -> Result<(), WriteError> {
     for (what, length) in
@@ -536,7 +620,7 @@ fn write_faces<'a>(
     }
     let double = options.precision == PlyPrecision::Double;
     let scalar = if double { "double" } else { "float" };
-    let wide = largest > 255;
+    let wide = largest > if uvs_of.is_some() { 127 } else { 255 };
     write_atomically(path, |w| {
         write!(w, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", positions.len())?;
         let names = ["x", "y", "z", "nx", "ny", "nz"];
@@ -549,6 +633,9 @@ fn write_faces<'a>(
         if face_count > 0 {
             let count = if wide { "uint" } else { "uchar" };
             write!(w, "element face {face_count}\nproperty list {count} int vertex_indices\n")?;
+            if uvs_of.is_some() {
+                writeln!(w, "property list {count} float texcoord")?;
+            }
         }
         w.write_all(b"end_header\n")?;
         let vector = |w: &mut std::io::BufWriter<std::fs::File>, v: &Vec3| {
@@ -565,15 +652,23 @@ fn write_faces<'a>(
                 w.write_all(&colors[i])?;
             }
         }
+        let length = |w: &mut std::io::BufWriter<std::fs::File>, length: usize| {
+            if wide { w.write_all(&(length as u32).to_le_bytes()) } else { w.write_all(&[length as u8]) }
+        };
+        let mut first = 0;
         for face in faces {
-            if wide {
-                w.write_all(&(face.len() as u32).to_le_bytes())?
-            } else {
-                w.write_all(&[face.len() as u8])?
-            }
+            length(w, face.len())?;
             for corner in face {
                 w.write_all(&corner.to_le_bytes())?;
             }
+            if let Some(uvs_of) = uvs_of {
+                let uvs = uvs_of(first..first + face.len());
+                length(w, 2 * uvs.len())?;
+                for x in uvs.as_flattened() {
+                    w.write_all(&(*x as f32).to_le_bytes())?;
+                }
+            }
+            first += face.len();
         }
         Ok(())
     })

@@ -110,6 +110,13 @@ fn write(
         writeln!(w, " (\n            interpolation = \"faceVarying\"\n        )")?;
         list(w, "int[] primvars:st:indices", used, |w, t| write!(w, "{t}"))?;
     }
+    let (normals, corner_normals) = mesh.corner_normals();
+    if !moving && !normals.is_empty() {
+        let of = corner_normals.iter().map(|&n| normals.get(n as usize).copied().unwrap_or_else(Vec3::z));
+        write!(w, "        normal3f[] normals = ")?;
+        items(w, of, |w, n| write!(w, "({:.6}, {:.6}, {:.6})", n.x, n.y, n.z))?;
+        writeln!(w, " (\n            interpolation = \"faceVarying\"\n        )")?;
+    }
     if let Some(colors) = colors {
         write!(w, "        color3f[] primvars:displayColor = ")?;
         let light = colors.iter().map(|c| <[f64; 3]>::from(to_light(*c)).map(|x| x as f32));

@@ -18,7 +18,7 @@ pub enum NormalWeighting {
 
 /// The vector scaled to length 1; zero if it has no length or is not finite.
 #[inline]
-fn unit(v: Vec3) -> Vec3 {
+pub(super) fn unit(v: Vec3) -> Vec3 {
     let length = v.norm();
     if length > 0.0 && length.is_finite() { v / length } else { Vec3::zeros() }
 }

@@ -1,5 +1,8 @@
 //! A polygon mesh as an artist's file holds it: any number of corners a face, UVs with seams, groups and materials.
 
+use std::collections::HashMap;
+
+use super::normals::{face_cross, unit};
 use super::{TriangleMesh, Vec3};
 
 /// Vertices and polygons, with whatever an OBJ file says about them.
@@ -22,6 +25,9 @@ pub struct ObjMetadata {
     pub uvs: Vec<[f64; 2]>,
     /// Texture index of each corner; empty when no face has any, `u32::MAX` for a corner without one.
     pub corner_uvs: Vec<u32>,
+    /// Which corners of a vertex share a normal: those of one number. Empty when no face has any, `u32::MAX` for a corner without one.
+    /// So hard edges stay hard on another shape, where the file's own normals (`vn`) mean nothing.
+    pub corner_normals: Vec<u32>,
     /// Material libraries (`mtllib`), in order.
     pub material_libraries: Vec<String>,
     /// `o`, `g`, `usemtl` and `s` statements with the polygon before which each stands, in file order.
@@ -85,6 +91,35 @@ impl PolygonMesh {
         });
         let ends = named.clone().skip(1).map(|g| g.1).chain([self.polygon_count()]);
         named.zip(ends).map(|((names, first), end)| (names, first..end))
+    }
+
+    /// Normals of the corners on this shape, by area over the polygons that share one, and the index of each corner's, `u32::MAX` for
+    /// none; nothing of a mesh without [`ObjMetadata::corner_normals`].
+    #[must_use]
+    pub fn corner_normals(&self) -> (Vec<Vec3>, Vec<u32>) {
+        let (mut normals, mut of_corner) = (Vec::new(), Vec::with_capacity(self.metadata.corner_normals.len()));
+        let mut known: HashMap<(u32, u32), u32> = HashMap::new();
+        for f in (0..self.polygon_count()).filter(|_| !self.metadata.corner_normals.is_empty()) {
+            let polygon = self.polygon(f);
+            let fan = (1..polygon.len() - 1).map(|i| [polygon[0], polygon[i], polygon[i + 1]]);
+            let cross: Vec3 = fan.map(|triangle| face_cross(&self.positions, triangle)).sum();
+            for (c, &vertex) in (self.starts[f] as usize..).zip(polygon) {
+                let shared = self.metadata.corner_normals[c];
+                if shared == u32::MAX {
+                    of_corner.push(u32::MAX);
+                    continue;
+                }
+                let index = *known.entry((vertex, shared)).or_insert_with(|| {
+                    normals.push(Vec3::zeros());
+                    normals.len() as u32 - 1
+                });
+                normals[index as usize] += cross;
+                of_corner.push(index);
+            }
+        }
+        let safe = |n: Vec3| Some(unit(n)).filter(|n| *n != Vec3::zeros()).unwrap_or_else(Vec3::z);
+        normals.iter_mut().for_each(|n| *n = safe(*n));
+        (normals, of_corner)
     }
 
     /// Fan triangulation `(q0, q_i, q_i+1)` of every polygon, in order; vertices are shared with `self`.

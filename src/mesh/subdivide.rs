@@ -183,7 +183,14 @@ fn divided_metadata(mesh: &PolygonMesh) -> Option<ObjMetadata> {
         }
     }
     u32::try_from(uvs.len()).ok()?;
-    Some(ObjMetadata { uvs, corner_uvs, material_libraries: old.material_libraries.clone(), statements })
+    let corner_normals = Vec::new(); // the limit surface has no hard edges
+    Some(ObjMetadata {
+        uvs,
+        corner_uvs,
+        corner_normals,
+        material_libraries: old.material_libraries.clone(),
+        statements,
+    })
 }
 
 #[cfg(test)]

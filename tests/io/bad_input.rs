@@ -92,6 +92,8 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
         ("minus_face.ply", ply(XYZ, &FACE.replace("uchar", "char"), &with(&[255; 8])), &["length of list", "-1"]),
         ("past.ply", ply(XYZ, FACE, &with(&[3, 0, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0])), &["face 0", "from 0 to 2", "found 3"]),
         ("two.ply", ply(XYZ, FACE, &with(&[2, 0, 0, 0, 0, 1, 0, 0, 0])), &["3 corners", "found 2"]),
+        ("texture.ply", format!("{ASCII}{FACE}property list uchar float texcoord\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 4 0 0 1 0\n").into_bytes(), &["6 texture coordinates of face 0", "found 4"]),
+        ("texture_nan.ply", format!("{ASCII}{FACE}property list uchar float texcoord\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 6 0 0 1 nan 0 1\n").into_bytes(), &["finite texture coordinates of face 0"]),
         ("list.ply", ply(XYZ, "element face 1\nproperty int a\n", &with(&[0; 4])), &["vertex_indices"]),
         ("strips.ply", ply(XYZ, "element tristrips 1\nproperty list int int vertex_indices\n", &with(&[0; 4])), &["strips"]),
         ("nan.ply", ply(XYZ, "", &nan), &["vertex 1", "finite"]),

@@ -41,6 +41,34 @@ fn obj_keeps_everything_but_comments() {
     assert_eq!(std::fs::read(&path).unwrap(), text);
 }
 
+/// Two quads that meet in a hard edge, the second of which has been turned up since the file was made.
+#[test]
+fn hard_edges_stay_hard_on_another_shape() {
+    let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nv 2 1 0\nv 3 0 0\nv 3 1 0\nvn 0 0 1\nvn 0.6 0 0.8\n\
+        f 1//1 2//1 3//1 4//1\nf 2//2 5//2 6//2 3//2\nf 5//2 7//2 8//2 6//2\nf 1 2 3\n";
+    let mesh = parse_obj(text.as_bytes(), Path::new("edge.obj")).unwrap();
+    let mut positions = mesh.positions.clone();
+    (4..8).for_each(|v| positions[v].z = 1.0);
+    let bent = mesh.with_positions(positions);
+    let (normals, of_corner) = bent.corner_normals();
+    let at = |c: usize| normals[of_corner[c] as usize];
+    let (flat, slope) = (Vec3::z(), Vec3::new(-1.0, 0.0, 1.0).normalize());
+    assert!((at(1) - flat).norm() < 1e-12 && (at(4) - slope).norm() < 1e-12, "one place, two normals");
+    assert!((at(5) - (slope * 2.0f64.sqrt() + flat).normalize()).norm() < 1e-12 && of_corner[5] == of_corner[8]);
+    assert_eq!(of_corner[12..], [u32::MAX; 3]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let [first, again] = ["first.obj", "again.obj"].map(|name| folder.path().join(name));
+    write_obj(&first, &bent).unwrap();
+    let read = read_obj(&first).unwrap();
+    assert_eq!(
+        (read.corner_normals(), read.metadata.corner_normals.clone()),
+        ((normals, of_corner.clone()), of_corner)
+    );
+    write_obj(&again, &read).unwrap();
+    assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&again).unwrap());
+}
+
 #[test]
 fn obj_coordinates_survive_to_the_last_bit() {
     let values = [1.0 / 3.0, 1e-310, f64::MAX, -0.0, 5e-324, 123_456_789.123_456_79, -2.5e17];
@@ -95,6 +123,26 @@ fn ply_binary(big: bool) -> Vec<u8> {
         put(&quality.to_le_bytes());
     }
     bytes
+}
+
+#[test]
+fn ply_keeps_texture_coordinates() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("textured.ply");
+    let mesh = template();
+    write_polygon_mesh(&path, &mesh).unwrap();
+    let read = read_ply(&path).unwrap().mesh;
+    let of = |mesh: &PolygonMesh| -> Vec<Option<[f32; 2]>> {
+        let PolygonMesh { metadata, .. } = mesh;
+        metadata.corner_uvs.iter().map(|&c| metadata.uvs.get(c as usize).map(|uv| uv.map(|x| x as f32))).collect()
+    };
+    assert_eq!((&read.positions, &read.corners, of(&read)), (&mesh.positions, &mesh.corners, of(&mesh)));
+    assert_eq!(read.metadata.uvs.len(), 7, "each once");
+    // of vertices, as Blender writes them
+    let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty float s\n\
+        property float t\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 2 0 1\n";
+    let mesh = parse_ply(text.as_bytes(), Path::new("b.ply")).unwrap().mesh;
+    assert_eq!((mesh.metadata.uvs[1], &mesh.metadata.corner_uvs[..]), ([1.0, 0.0], &[2, 0, 1][..]));
 }
 
 #[test]

@@ -55,6 +55,7 @@ fn write_textured_scan(bench: &Bench, pixels: u32) {
         corner_uvs: mesh.corners.clone(),
         material_libraries: vec!["scan.mtl".into()],
         statements: vec![(0, ObjStatement::Material("my skin".into()))],
+        ..ObjMetadata::default()
     };
     write_obj(&bench.path("scan.obj"), &mesh).unwrap();
     bench.write("scan.mtl", "newmtl my skin\nKd 0 0 0\nmap_Kd skin.png\n");
@@ -528,6 +529,8 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     // tiles beyond the first
     let mut template = read_obj(&bench.path("rig/template.obj")).unwrap();
     template.metadata.uvs.iter_mut().for_each(|uv| uv[0] += 2.0);
+    // every quad is flat by itself
+    template.metadata.corner_normals = (0..template.corners.len() as u32).map(|c| c / 4).collect();
     write_obj(&bench.path("rig/template.obj"), &template).unwrap();
     let fit =
         "register --template rig/template.obj --target case/scan.ply --landmarks case/landmarks.json --model rigid";
@@ -535,6 +538,8 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     assert!(run.code == 0 && run.stderr.contains("none.png"), "{}", run.stderr);
     let names_of = |path: &str| read_obj(&bench.path(path)).unwrap().metadata.material_libraries;
     assert_eq!(names_of("a_face.obj"), ["a_face.mtl"]);
+    let of_corner = read_obj(&bench.path("a_face.obj")).unwrap().metadata.corner_normals;
+    assert!(of_corner.iter().enumerate().all(|(c, n)| *n as usize == c), "each corner a normal of its own");
     assert_eq!(bench.read("a_face_my_skin.png"), png);
     let copied = String::from_utf8(bench.read("a_face.mtl")).unwrap();
     assert!(copied.ends_with("map_Kd a_face_my_skin.png\nbump none.png\n"), "{copied}");
@@ -549,11 +554,15 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
 
     for format in ["usda", "glb", "ply"] {
         let run = bench.run(&format!("{fit} --out f.{format}"));
-        let said = ["PLY holds no texture coordinates, groups, materials", "groups are in a note"];
+        let said = [
+            "PLY holds no groups, materials, smoothing groups, hard edges",
+            "groups, smoothing groups, hard edges are in a note",
+        ];
         let said = said.map(|words| run.stderr.contains(words));
         assert!(run.code == 0 && said == [format == "ply", format == "glb"], "{format}: {}", run.stderr);
     }
-    assert_eq!(read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata.statements, template.metadata.statements);
+    let kept = read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata;
+    assert!(kept.statements == template.metadata.statements && kept.corner_normals == of_corner);
     let uvs = read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata.uvs;
     assert!(uvs.iter().all(|uv| uv[0] >= 2.0) && !uvs.is_empty());
     let bytes = bench.read("f.glb");
@@ -564,9 +573,12 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     names.sort_unstable();
     assert_eq!(names, ["lips", "skin"]);
     let text = String::from_utf8(bench.read("f.usda")).unwrap();
-    for part in
-        ["familyName = \"materialBind\"", "rel material:binding = </Subject/Materials/material_", "def Material \""]
-    {
+    for part in [
+        "normal3f[] normals = [",
+        "familyName = \"materialBind\"",
+        "rel material:binding = </Subject/Materials/material_",
+        "def Material \"",
+    ] {
         assert!(text.contains(part), "{part}");
     }
 

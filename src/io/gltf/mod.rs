@@ -5,9 +5,10 @@
 //! the way in and out. Its numbers have 32 bits; a face that is written and read moves by less than 1e-4 mm.
 //!
 //! A vertex of glTF has one texture coordinate and there are triangles only. Vertex `i` of ours is vertex `i` of the
-//! written file; copies for further texture coordinates follow. Materials are by name, a primitive for each run of polygons. `extras.nonrigid` of the mesh says which vertices they are
-//! copies of, how many corners each polygon has (its fan of triangles is in order), and the statements of the OBJ file, so
-//! that reading gives the same polygons, texture indices and groups back:
+//! written file; copies for further texture coordinates follow. Materials are by name, a primitive for each run of
+//! polygons. `extras.nonrigid` of the mesh says which vertices they are copies of, how many corners each polygon has
+//! (its fan of triangles is in order), and the statements of the OBJ file, so that reading gives the same polygons,
+//! texture indices and groups back:
 //!
 //! ```json
 //! "extras": { "targetNames": ["jawOpen"], "nonrigid": { "vertices": 4, "copies": [2, 0], "uvs": [0, 1, 2, 4, 3, -1],

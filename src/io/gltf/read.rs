@@ -340,8 +340,10 @@ fn turn_over(mesh: &mut PolygonMesh) {
     for f in 0..mesh.polygon_count() {
         let corners = mesh.starts[f] as usize..mesh.starts[f + 1] as usize;
         mesh.corners[corners.clone()].reverse();
-        if let Some(uvs) = mesh.metadata.corner_uvs.get_mut(corners) {
-            uvs.reverse();
+        for of_corners in [&mut mesh.metadata.corner_uvs, &mut mesh.metadata.corner_normals] {
+            if let Some(of_polygon) = of_corners.get_mut(corners.clone()) {
+                of_polygon.reverse();
+            }
         }
     }
 }
@@ -386,10 +388,17 @@ fn joined(mut parts: Vec<Part>) -> GltfMesh {
             metadata.corner_uvs.extend(shifted);
             metadata.corner_uvs.resize(whole.corners.len(), u32::MAX);
         }
+        if !mesh.metadata.corner_normals.is_empty() {
+            metadata.corner_normals.resize(whole.corners.len() - mesh.corners.len(), u32::MAX);
+            metadata.corner_normals.extend(mesh.metadata.corner_normals);
+        }
         metadata.uvs.extend(mesh.metadata.uvs);
         metadata.material_libraries.extend(mesh.metadata.material_libraries);
         metadata.statements.push((polygons, ObjStatement::Object(name)));
         metadata.statements.extend(mesh.metadata.statements.into_iter().map(|(f, s)| (f + polygons, s)));
+    }
+    if !all.mesh.metadata.corner_normals.is_empty() {
+        all.mesh.metadata.corner_normals.resize(all.mesh.corners.len(), u32::MAX);
     }
     all
 }

@@ -23,6 +23,9 @@ pub(super) struct Note {
     /// Polygon before which it stands, `o`, `g`, `usemtl` or `s`, and what follows.
     pub statements: Vec<(u32, String, String)>,
     pub material_libraries: Vec<String>,
+    /// Which corners of a vertex share a normal, if the mesh says so.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub corner_normals: Vec<u32>,
     /// Of whoever called the writer.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub extras: Map<String, Value>,
@@ -96,6 +99,7 @@ pub(super) fn split(mesh: &PolygonMesh) -> (Triangles, Note) {
         polygons,
         statements: metadata.statements.iter().map(statement).collect(),
         material_libraries: metadata.material_libraries.clone(),
+        corner_normals: metadata.corner_normals.clone(),
         extras: Map::new(),
         copies,
         uvs,
@@ -156,6 +160,9 @@ pub(super) fn restore(file: &Triangles, note: Note) -> Result<Restored, String> 
     }
     let original = |c: &u32| if (*c as usize) < vertices { *c } else { note.copies[*c as usize - vertices] };
     mesh.corners = corners.iter().map(original).collect();
+    if !(note.corner_normals.is_empty() || note.corner_normals.len() == mesh.corners.len()) {
+        return Err(format!("{} of {} corner normals", note.corner_normals.len(), mesh.corners.len()));
+    }
     let statement = |(before, keyword, rest): (u32, String, String)| {
         let statement = ObjStatement::from_parts(&keyword, rest);
         statement.map(|s| (before, s)).ok_or_else(|| format!("statement {keyword:?}"))
@@ -167,6 +174,7 @@ pub(super) fn restore(file: &Triangles, note: Note) -> Result<Restored, String> 
             .map(|&c| u32::try_from(note.uvs[c as usize]).unwrap_or(u32::MAX))
             .collect(),
         uvs,
+        corner_normals: note.corner_normals,
         material_libraries: note.material_libraries,
         statements: note.statements.into_iter().map(statement).collect::<Result<_, _>>()?,
     };
