@@ -16,7 +16,7 @@ use nonrigid::io::{self, Scan, write_polygon_mesh};
 use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
-use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, register};
+use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, assess, register};
 use nonrigid::render::{
     Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_height, text_size,
 };
@@ -294,7 +294,7 @@ fn fit(model: &ModelKind, template: &Template, target: &Target) -> Result<(Fit, 
     let fit = Fit {
         accepted: result.history.last().map_or(0.0, |h| h.inliers),
         iterations: result.history.len(),
-        quality: Quality::measure(&input, &result.positions)?,
+        quality: assess(&input, &result)?.0,
     };
     Ok((fit, result.positions, result.start))
 }

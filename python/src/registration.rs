@@ -15,9 +15,9 @@ use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::nlls::NormalEquations;
 use nonrigid::registration::TERMS;
 use nonrigid::registration::{
-    self, DetailReport, InputFile, ModelFactory as _, ModelKind, Quality, RegistrationError, RegistrationInput,
+    self, DetailReport, InputFile, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
     RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord,
-    VertexColors, add_detail, register_with, scan_colors,
+    VertexColors, add_detail, assess, register_with, scan_colors,
 };
 use nonrigid::render::{registration_sheet, save_png};
 use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection};
@@ -412,10 +412,9 @@ fn register(
         let rounds = Some(subdivide).filter(|n| *n > 0 && result.stop == RegistrationStop::Finished);
         let detail = rounds.map(|n| add_detail(&input_of, &result, n, observer)).transpose();
         let detail = detail.map_err(registration_error)?;
+        let (quality, reliability) = assess(&input_of, &result).map_err(computation)?;
         let (faced, normals) = result.scan_facing.apply(&target, scan.file.normals.as_deref());
         let input_of = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input_of };
-        let quality = Quality::measure(&input_of, &result.positions).map_err(computation)?;
-        let reliability = Reliability::of(&input_of, &result, &quality);
         let colors = scan.file.colors.as_deref();
         let colors = colors.map(|colors| scan_colors(&input_of, colors, &result.positions)).transpose();
         let colors = colors.map_err(computation)?;

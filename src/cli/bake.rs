@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use rayon::prelude::*;
 
 use super::{Failure, say, warn};
 use crate::io::{self, Paint, Scan, write_atomically};
@@ -102,20 +103,19 @@ impl BakeArguments {
 
     /// Writes everything but the mesh, which is made to show the texture; its colours as a PNG, if there are any.
     pub fn write(&self, baked: &Baked, out: &Path, mesh: &mut PolygonMesh) -> Result<Option<Vec<u8>>, Failure> {
-        let color = encode_color(baked);
-        let mut files = vec![("color.png", color.clone()), ("seen.png", encode_seen(baked))];
-        for map in &self.bake {
-            let encoded = match map {
-                BakeMap::Normal => encode_normals(baked),
-                BakeMap::Displacement => encode_displacement(baked),
-            };
-            files.push((map.ending(), encoded));
-        }
-        for (ending, bytes) in files {
+        let of_map = |map: &BakeMap| match map {
+            BakeMap::Normal => (map.ending(), encode_normals as Encode),
+            BakeMap::Displacement => (map.ending(), encode_displacement as Encode),
+        };
+        let mut maps: Vec<(&str, Encode)> = vec![("color.png", encode_color), ("seen.png", encode_seen)];
+        maps.extend(self.bake.iter().map(of_map));
+        let encoded: Vec<Option<Vec<u8>>> = maps.par_iter().map(|(_, encode)| encode(baked)).collect();
+        for ((ending, _), bytes) in maps.iter().zip(&encoded) {
             if let Some(bytes) = bytes {
-                write_atomically(&beside(out, ending), |file| file.write_all(&bytes)).map_err(Failure::writing)?;
+                write_atomically(&beside(out, ending), |file| file.write_all(bytes)).map_err(Failure::writing)?;
             }
         }
+        let color = encoded.into_iter().next().flatten();
         if color.is_some() && is_obj(out) {
             let library = out.with_extension("mtl");
             let materials = show_texture(mesh, &file_name(&library));
@@ -163,11 +163,14 @@ impl BakeArguments {
             ));
         }
         if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) {
-            warn("a result in PLY has no UVs, so nothing shows the texture; give --out as .obj or .glb");
+            warn("a result in PLY does not name its texture; give --out as .obj, .glb or .usda for one that shows it");
         }
         Ok(())
     }
 }
+
+/// A map as a PNG file, if it was baked.
+type Encode = fn(&Baked) -> Option<Vec<u8>>;
 
 impl BakeMap {
     fn ending(self) -> &'static str {

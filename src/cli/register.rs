@@ -22,7 +22,8 @@ use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip,
-    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, register, scan_colors,
+    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess, register,
+    scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::texture::{BakeInput, Baked};
@@ -232,10 +233,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     progress.bar.finish_and_clear();
     let [registering, dividing] = [coarse - reading, clock.elapsed().as_secs_f64() - coarse];
 
+    let (quality, reliability) = assess(&input, &result).map_err(Failure::computation)?;
     let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
     let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
-    let quality = Quality::measure(&input, &result.positions).map_err(Failure::computation)?;
-    let reliability = Reliability::of(&input, &result, &quality);
     // From here on what is written: the finer mesh, if there is one.
     let input = detail.as_ref().map_or(input, |d| d.input(&faced, normals.as_deref()));
     let (template, positions) = (input.template, detail.as_ref().map_or(&result, |d| &d.result).positions.clone());

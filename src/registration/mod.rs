@@ -29,7 +29,7 @@ pub use evidence::{Coverage, Evidence};
 pub use facing::ScanFacing;
 pub use handedness::Handedness;
 pub use input::RegistrationInput;
-pub use reliability::{Calibration, Reliability, Risk, RiskCurve, WRONG_MM};
+pub use reliability::{Calibration, Reliability, Risk, RiskCurve, WRONG_MM, assess};
 pub use report::{InputFile, Quality, QualityError, Report, WITHIN_MM};
 pub use result::{NamedWeight, RegistrationObserver, RegistrationResult, RegistrationStop, StepRecord};
 pub use schedule::{

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Doubt, Evidence, Quality, RegistrationInput, RegistrationResult};
+use super::{Doubt, Evidence, Quality, QualityError, RegistrationInput, RegistrationResult};
 
 /// Root mean square error over the vertices that the scan shows above which a result counts as wrong, millimetres on a face
 /// (of 67 mm root mean square size); on other subjects the same share of the size.
@@ -34,10 +34,23 @@ pub struct Reliability {
     pub evidence: Evidence,
 }
 
+/// Measures a result on the scan, facing as it was registered, and judges it. `input` is that of the registration.
+///
+/// # Errors
+/// As [`Quality::measure`].
+pub fn assess(
+    input: &RegistrationInput<'_>,
+    result: &RegistrationResult,
+) -> Result<(Quality, Reliability), QualityError> {
+    let (scan, normals) = result.scan_facing.apply(input.scan, input.scan_normals);
+    let input = RegistrationInput { scan: &scan, scan_normals: normals.as_deref(), ..*input };
+    let quality = Quality::measure(&input, &result.positions)?;
+    let reliability = Reliability::of(&input, result, &quality);
+    Ok((quality, reliability))
+}
+
 impl Reliability {
-    /// Judges a result.
-    #[must_use]
-    pub fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
+    fn of(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
         static CALIBRATION: LazyLock<Calibration> =
             LazyLock::new(|| toml::from_str(include_str!("reliability.toml")).expect("proven: a test reads it"));
         let evidence = Evidence::new(input, result, quality);

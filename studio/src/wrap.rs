@@ -11,8 +11,8 @@ use nonrigid::io::{self, LengthUnit, MaterialFiles};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{
-    ModelFactory as _, ModelKind, Quality, RegistrationInput, RegistrationObserver, RegistrationResult, Reliability,
-    Report, Schedule, StepRecord, TERMS, WarmStart, register, scan_colors,
+    ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report, Schedule,
+    StepRecord, TERMS, WarmStart, assess, register, scan_colors,
 };
 use nonrigid::rig::{Regions, ShapeBasis};
 
@@ -270,10 +270,9 @@ impl WrapJob {
     /// What the library says.
     pub fn measure(&self, result: RegistrationResult) -> Result<WrapOutcome, Problem> {
         let scan = &self.scan.scan;
+        let (quality, reliability) = assess(&self.input(), &result).map_err(problem)?;
         let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
         let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..self.input() };
-        let quality = Quality::measure(&input, &result.positions).map_err(problem)?;
-        let reliability = Reliability::of(&input, &result, &quality);
         let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions));
         let colors = colors.transpose().map_err(problem)?;
         let surface = ScanDistance::new(&faced, normals.as_deref()).map_err(problem)?;

@@ -9,8 +9,8 @@ use nonrigid::landmark::{Landmark, TemplatePoint, parse_landmarks};
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    Doubt, ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, Reliability, Schedule,
-    StepRecord, find_start, register,
+    Doubt, ModelKind, RegistrationError, RegistrationInput, RegistrationResult, Schedule, StepRecord, assess,
+    find_start, register,
 };
 
 const SIDE: usize = 9;
@@ -163,7 +163,7 @@ fn a_landmark_of_huge_deviation_changes_nothing() {
         assert!(farthest(&a.positions, &b.positions) < 1e-6, "{start}");
         let scan = scan(&mesh);
         let input = RegistrationInput { landmarks: &with, ..RegistrationInput::new(&mesh, &scan) };
-        let doubts = Reliability::of(&input, &b, &Quality::measure(&input, &b.positions).unwrap()).doubts;
+        let doubts = assess(&input, &b).unwrap().1.doubts;
         assert!(!doubts.iter().any(|d| matches!(d, Doubt::Landmarks { .. })), "{doubts:?}");
     }
     // Nor does it narrow the search of a start.

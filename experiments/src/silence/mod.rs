@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use nonrigid::console::{Failure, say};
 use nonrigid::registration::{
-    Handedness, ModelFactory, ModelKind, Quality, RegistrationInput, Reliability, Schedule, StepRecord, register,
+    Handedness, ModelFactory, ModelKind, RegistrationInput, Reliability, Schedule, StepRecord, assess, register,
 };
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -309,8 +309,7 @@ pub fn run_job(sources: &Sources, job: &Job) -> Result<SilenceRow> {
     };
     match register(&input, &trial.model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())) {
         Ok(result) => {
-            let quality = Quality::measure(&input, &result.positions)?;
-            row.reliability = Some(Reliability::of(&input, &result, &quality));
+            row.reliability = Some(assess(&input, &result)?.1);
             row.rmse = Some(trial.case.score(&result.positions)?.0.rmse);
         }
         Err(e) => row.error = Some(e.to_string()),
