@@ -154,6 +154,9 @@ impl ScanSurface {
             }
         };
         let cell = |p: &Vec3| p.map(|x| (x / spacing).floor() as i64);
+        // nearest cells first: what is too near is mostly there
+        let mut around: Vec<[i64; 3]> = (0..27).map(|k| [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1]).collect();
+        around.sort_by_key(|d| d.map(i64::abs).iter().sum::<i64>());
         let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
         let mut chosen: Vec<(Vec3, Vec3)> = Vec::new();
         for (p, normal) in candidates {
@@ -162,8 +165,7 @@ impl ScanSurface {
                 let others = cells.get(&[at.x.saturating_add(dx), at.y.saturating_add(dy), at.z.saturating_add(dz)]);
                 others.is_some_and(|c| c.iter().any(|&i| (chosen[i as usize].0 - p).norm() < spacing))
             };
-            let taken = (-1..=1).any(|dx| (-1..=1).any(|dy| (-1..=1).any(|dz| near(dx, dy, dz))));
-            if !taken {
+            if !around.iter().any(|&[dx, dy, dz]| near(dx, dy, dz)) {
                 cells.entry(at.into()).or_default().push(chosen.len() as u32);
                 chosen.push((p, normal));
             }

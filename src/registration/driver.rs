@@ -12,7 +12,7 @@ use super::{
     KernelScale, Level, NamedWeight, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
     RegistrationStop, ScanFacing, Schedule, SolverOptions, StartSearch, StepAlgorithm, StepRecord, WarmStart,
 };
-use crate::correspondence::{Correspondences, ScanFlip, ScanSurface};
+use crate::correspondence::{Correspondences, ScanFlip, ScanOptions, ScanSurface};
 use crate::energy::{Deformation, DeformationModel as _, Options, OptionsError, Samples};
 use crate::landmark::{Landmark, TemplatePoint};
 use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
@@ -108,22 +108,39 @@ impl Run {
         let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
         let mut samples = Samples::vertices(template.mesh.positions.len());
         let on_template = landmark_samples(input.landmarks, &mut samples)?;
-        let mut problem = RegistrationProblem::new(model.build(&model_input(&template, &shapes, schedule))?, samples);
-        let x = first_parameters(&mut problem, model.name(), input.warm_start)?;
-        let faced = agreeing(input);
-        let start = match input.warm_start {
-            None => start_of(input, &faced.0, &template, schedule, cancel)?,
-            Some(warm) => warm_pose(warm, input.landmarks, problem.vertices(&x), template.centre),
+        let of_model = || -> Result<_, RegistrationError> {
+            let model_input = model_input(&template, &shapes, schedule);
+            let mut problem = RegistrationProblem::new(model.build(&model_input)?, samples);
+            let x = first_parameters(&mut problem, model.name(), input.warm_start)?;
+            Ok((problem, x))
         };
-        cancel.check()?;
+        // Neither needs the other, but that a warm start is where the model is.
+        let ((mut problem, x), placed) = match input.warm_start {
+            None => {
+                let of_scan = || {
+                    let faced = agreeing(input);
+                    let start = start_of(input, &faced.0, &template, schedule, cancel)?;
+                    cancel.check()?;
+                    Placed::new(faced, start, &template, &schedule.scan)
+                };
+                let (of_model, of_scan) = rayon::join(of_model, of_scan);
+                (of_model?, of_scan?)
+            }
+            Some(warm) => {
+                let (mut problem, x) = of_model()?;
+                let start = warm_pose(warm, input.landmarks, problem.vertices(&x), template.centre);
+                cancel.check()?;
+                ((problem, x), Placed::new(agreeing(input), start, &template, &schedule.scan)?)
+            }
+        };
         let vertices = problem.vertices(&x).to_vec();
-        let (scan, scan_facing) = place_scan(faced, &start, &template, &vertices, schedule)?;
+        let Placed { start, scan, facing, .. } = placed.facing_outwards(&template, &vertices, &schedule.scan)?;
         problem.terms = build_terms(terms, input.landmarks, &on_template, &start, &template, schedule)?;
         Ok(Self {
             template,
             scan,
             start,
-            scan_facing,
+            scan_facing: facing,
             problem,
             x,
             workspace: Workspace::new(),
@@ -390,36 +407,63 @@ fn warm_pose(warm: &WarmStart, landmarks: &[Landmark], vertices: &[Vec3], centre
     Start { pose, search: None, by_landmarks: None }
 }
 
-/// The scan in the model's frame, facing outwards, and what was done to it for that.
-fn place_scan(
-    (faced, turned): (Faced<'_>, usize),
-    start: &Start,
-    template: &Rest,
-    vertices: &[Vec3],
-    schedule: &Schedule,
-) -> Result<(ScanSurface, ScanFacing), RegistrationError> {
-    let placed = |(scan, normals): &Faced<'_>| {
-        let positions = scan.positions.iter().map(|&p| start.pose.apply_inverse(p) - template.centre).collect();
-        let normals: Option<Vec<Vec3>> =
-            normals.as_ref().map(|n| n.iter().map(|&n| start.pose.rotation.tr_mul(&n)).collect());
-        let scan = TriangleMesh { positions, triangles: scan.triangles.clone() };
-        ScanSurface::new(scan, normals.as_deref(), &schedule.scan)
-    };
-    let mut facing = ScanFacing { turned, flipped: schedule.scan.flip == ScanFlip::Yes };
-    if schedule.scan.flip == ScanFlip::Auto {
-        match &start.search {
-            Some(search) => facing.flipped = search.flipped,
-            None => {
-                let as_given = placed(&faced)?;
-                facing.flipped = template.sees_the_inside(&as_given, vertices);
-                if !facing.flipped {
-                    return Ok((as_given, facing));
-                }
-            }
-        }
+/// The scan where a start puts it, in the model's frame.
+struct Placed<'a> {
+    /// As given, with triangles that agree.
+    faced: Faced<'a>,
+    start: Start,
+    scan: ScanSurface,
+    facing: ScanFacing,
+}
+
+impl<'a> Placed<'a> {
+    /// Turned over where the schedule or the search of the start says so.
+    fn new(
+        (faced, turned): (Faced<'a>, usize),
+        start: Start,
+        template: &Rest,
+        options: &ScanOptions,
+    ) -> Result<Self, RegistrationError> {
+        let flipped = match options.flip {
+            ScanFlip::Yes => true,
+            ScanFlip::No => false,
+            ScanFlip::Auto => start.search.as_ref().is_some_and(|search| search.flipped),
+        };
+        let facing = ScanFacing { turned, flipped };
+        let scan = surface(&faced, &start, template.centre, options, flipped)?;
+        Ok(Self { faced, start, scan, facing })
     }
-    let scan = if facing.flipped { placed(&facing::flipped(faced))? } else { placed(&faced)? };
-    Ok((scan, facing))
+
+    /// Turned over besides where nothing has said yet which side is its front, and the template at those vertices sees the inside.
+    fn facing_outwards(
+        mut self,
+        template: &Rest,
+        vertices: &[Vec3],
+        options: &ScanOptions,
+    ) -> Result<Self, RegistrationError> {
+        let unsaid = options.flip == ScanFlip::Auto && self.start.search.is_none();
+        if unsaid && template.sees_the_inside(&self.scan, vertices) {
+            self.facing.flipped = true;
+            self.scan = surface(&self.faced, &self.start, template.centre, options, true)?;
+        }
+        Ok(self)
+    }
+}
+
+fn surface(
+    faced: &Faced<'_>,
+    start: &Start,
+    centre: Vec3,
+    options: &ScanOptions,
+    flipped: bool,
+) -> Result<ScanSurface, RegistrationError> {
+    let over = flipped.then(|| facing::flipped(faced.clone()));
+    let (scan, normals) = over.as_ref().unwrap_or(faced);
+    let positions = scan.positions.iter().map(|&p| start.pose.apply_inverse(p) - centre).collect();
+    let normals: Option<Vec<Vec3>> =
+        normals.as_ref().map(|n| n.iter().map(|&n| start.pose.rotation.tr_mul(&n)).collect());
+    let scan = TriangleMesh { positions, triangles: scan.triangles.clone() };
+    Ok(ScanSurface::new(scan, normals.as_deref(), options)?)
 }
 
 /// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.

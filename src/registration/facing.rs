@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::correspondence::ScanSurface;
@@ -53,7 +54,7 @@ pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
             sides.extend([(a, b), (b, c), (c, a)].map(side));
         }
     }
-    sides.sort_unstable();
+    sides.par_sort_unstable();
     let shared = || {
         let edges = sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)).filter(|edge| edge.len() == 2);
         edges.map(|edge| (edge[0].3 as usize, edge[1].3 as usize, edge[0].2 == edge[1].2))

@@ -4,6 +4,7 @@
 //! own visible side. But a scan of closed lips has surface *across* the gap, and a scan of open lips has none: at the middle
 //! of a gap of width `g` the scan is nearer than `g / 2`, the distance of the lips themselves, only if the lips are closed.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PointToPoint;
@@ -45,18 +46,18 @@ impl Seams {
         }
         let graph = WeightedGraph::euclidean(&EdgeGraph::of(rest), &rest.positions)?;
         let tree = ClosestVertices::new(&rest.positions)?;
-        let mut reach = Reach::new(&graph);
-        let (mut near, mut targets): (Vec<ClosestVertex>, Vec<u32>) = Default::default();
-        let mut pairs = Vec::new();
-        for (i, p) in rest.positions.iter().enumerate() {
-            tree.k_nearest(p, NEIGHBOURS, &mut near);
+        let scratch = || (Reach::new(&graph), Vec::new(), Vec::new());
+        let across = |(reach, near, targets): &mut (Reach<'_>, Vec<ClosestVertex>, Vec<u32>),
+                      (i, p): (usize, &Vec3)| {
+            tree.k_nearest(p, NEIGHBOURS, near);
             near.retain(|c| c.squared_distance <= width * width && c.vertex as usize != i);
             targets.clear();
             targets.extend(near.iter().map(|c| c.vertex));
-            let across = reach.first_beyond(i as u32, DETOUR * width, &targets);
-            pairs.extend(across.map(|j| (i as u32, j, (rest.positions[j as usize] - p).norm())));
-        }
-        Ok(Self { pairs })
+            let other = reach.first_beyond(i as u32, DETOUR * width, targets)?;
+            Some((i as u32, other, (rest.positions[other as usize] - p).norm()))
+        };
+        let found: Vec<_> = rest.positions.par_iter().enumerate().map_init(scratch, across).collect();
+        Ok(Self { pairs: found.into_iter().flatten().collect() })
     }
 
     /// Writes for every vertex the place that closes its seam to the width it has at rest, with weight one, where the scan
