@@ -289,8 +289,10 @@ impl Mesh {
             let reads: Vec<PathBuf> = reads.iter().chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
             let mut mesh = self.file.mesh.clone();
-            materials.write(&path, &mut mesh).map_err(input)?;
-            io::write_colored_mesh(&path, &mesh, self.file.colors.as_deref()).map_err(input)
+            let copied = materials.write(&path, &mut mesh).map_err(input)?;
+            io::write_colored_mesh(&path, &mesh, self.file.colors.as_deref()).map_err(input)?;
+            copied.keep();
+            Ok(())
         })
     }
 }

@@ -182,8 +182,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         write_report(folder, &before, &known, &regions, &names, &plans, &about)?;
         outcomes = plans.swap_remove(0);
     }
-    materials.write(out, &mut mesh).map_err(Failure::writing)?;
+    let copied = materials.write(out, &mut mesh).map_err(Failure::writing)?;
     io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
+    copied.keep();
     warn_of_format(out, &before);
     outcomes.iter().enumerate().filter_map(|(k, outcome)| torn(k + 1, outcome)).for_each(warn);
     lines.iter().try_for_each(say)

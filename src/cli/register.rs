@@ -15,7 +15,7 @@ use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, warn_of_format, write_json};
 use crate::correspondence::VertexMasks;
-use crate::io::{self, FilePlan, Inputs, MaterialFiles};
+use crate::io::{self, Copied, FilePlan, Inputs, MaterialFiles};
 use crate::landmark;
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh};
@@ -207,7 +207,11 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let files = input_files(&inputs);
     units.say();
     if shapes.is_empty() && a.model == ModelKind::Hybrid {
-        warn("no rig given: without blendshapes the hybrid model is the graph model");
+        let why = match a.rig.rig {
+            None => "no rig given",
+            Some(_) => "nothing of the rig is used (--identity-modes takes modes of it)",
+        };
+        warn(format_args!("{why}: without blendshapes the hybrid model is the graph model"));
     }
     let input = RegistrationInput {
         neutral: neutral.as_deref(),
@@ -269,9 +273,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let of_vertices = colors.as_ref().map(|c| &c.colors[..]);
     let before_images = clock.elapsed().as_secs_f64();
     let image = baked.as_ref().map(|baked| a.bake.write(baked, &a.out, &mut registered)).transpose()?.flatten();
-    if image.is_none() {
-        materials.write(&a.out, &mut registered).map_err(Failure::writing)?;
-    }
+    let unpainted = || materials.write(&a.out, &mut registered).map_err(Failure::writing);
+    let copied = image.is_none().then(unpainted).transpose()?;
     let images_seconds = clock.elapsed().as_secs_f64() - before_images;
     match image {
         Some(image) if has_extension(&a.out, "glb") => io::write_textured_glb(&a.out, &registered, &image),
@@ -281,6 +284,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         _ => io::write_colored_mesh(&a.out, &registered, of_vertices),
     }
     .map_err(Failure::writing)?;
+    copied.map(Copied::keep);
     if let Some((path, report)) = report {
         write_json(path, &report)?;
         let timing = Timing {

@@ -128,8 +128,9 @@ impl RigOutput {
             let materials = of_input.map(|path| materials_for(&out, &path, mesh)).unwrap_or_default();
             if !materials.is_empty() {
                 let mut mesh = mesh.with_positions(rig.neutral().to_vec());
-                materials.write(&out, &mut mesh).map_err(Failure::writing)?;
+                let copied = materials.write(&out, &mut mesh).map_err(Failure::writing)?;
                 io::write_obj(&out, &mesh).map_err(Failure::writing)?;
+                copied.keep();
             }
         }
         let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));

@@ -173,13 +173,15 @@ impl MaterialFiles {
         std::iter::once(mesh.with_extension("mtl")).chain(images).collect()
     }
 
-    /// Copies everything beside a mesh file, whose mesh is made to name it.
+    /// Copies everything beside a mesh file, whose mesh is made to name it. New files go again unless they are [kept](Copied::keep): who
+    /// cannot write the mesh leaves none.
     ///
     /// # Errors
     /// When a file cannot be read any more, or written.
-    pub fn write(&self, path: &Path, mesh: &mut PolygonMesh) -> Result<(), WriteError> {
+    pub fn write(&self, path: &Path, mesh: &mut PolygonMesh) -> Result<Copied, WriteError> {
+        let copied = Copied(self.writes(path).into_iter().filter(|file| !file.exists()).collect());
         if self.is_empty() {
-            return Ok(());
+            return Ok(copied);
         }
         for (image, name) in &self.images {
             let bytes = read_file(image).map_err(|e| WriteError::data(image, "an image to copy", e.to_string()))?;
@@ -197,7 +199,27 @@ impl MaterialFiles {
         })?;
         let names = std::iter::once(file_name(&library)).chain(self.gone.iter().cloned());
         mesh.metadata.material_libraries = names.collect();
-        Ok(())
+        Ok(copied)
+    }
+}
+
+/// New files beside a mesh that is yet to be written.
+#[derive(Debug)]
+#[must_use = "the files go again when this is dropped"]
+pub struct Copied(Vec<PathBuf>);
+
+impl Copied {
+    /// The mesh is written: the files stay.
+    pub fn keep(mut self) {
+        self.0.clear();
+    }
+}
+
+impl Drop for Copied {
+    fn drop(&mut self) {
+        for file in &self.0 {
+            let _ = std::fs::remove_file(file); // it may not have come to be
+        }
     }
 }
 
@@ -250,7 +272,9 @@ mod tests {
 
         let out = folder.path().join("out/the face.obj");
         put("out/x", "");
-        files.write(&out, &mut mesh).unwrap();
+        files.write(&out, &mut mesh.clone()).map(drop).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path().join("out")).unwrap().count(), 1, "what is not kept goes");
+        files.write(&out, &mut mesh).map(Copied::keep).unwrap();
         assert_eq!(mesh.metadata.material_libraries, ["the face.mtl", "none.mtl"]);
         let read = |name: &str| std::fs::read_to_string(folder.path().join("out").join(name)).unwrap();
         let library = read("the face.mtl");

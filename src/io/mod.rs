@@ -32,7 +32,7 @@ pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
-pub use material_files::MaterialFiles;
+pub use material_files::{Copied, MaterialFiles};
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
 pub use npz::{Npz, NpzContents};
 pub use obj::{parse_obj, read_obj, write_obj};

@@ -146,6 +146,7 @@ impl Doubt {
             }
             Risk::FewLandmarks | Risk::LandmarkFreedom => Self::FewLandmarks { count: evidence.landmarks },
             Risk::NoShapes => Self::NoShapes,
+            Risk::BeyondShapes | Risk::BeyondShapesSpread if evidence.shapes == 0 => Self::NoShapes,
             Risk::BeyondShapes | Risk::BeyondShapesSpread => Self::BeyondShapes { rms: evidence.beyond_shapes * size },
             Risk::WeightEnergy | Risk::WeightWorst => {
                 let ratio = |w: &&super::NamedWeight| w.value.abs();

@@ -310,8 +310,10 @@ impl WrapJob {
         let colors = outcome.colors.as_deref();
         let mesh = vault.add_file("wrapped.obj", |path| {
             let mut mesh = outcome.mesh.clone();
-            self.materials.write(path, &mut mesh)?;
-            Ok(io::write_colored_mesh(path, &mesh, colors)?)
+            let copied = self.materials.write(path, &mut mesh)?;
+            io::write_colored_mesh(path, &mesh, colors)?;
+            copied.keep();
+            Ok(())
         })?;
         let json = |value: serde_json::Result<String>| value.map_err(problem);
         let state = json(serde_json::to_string_pretty(&outcome.result.end))?;

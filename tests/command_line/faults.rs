@@ -62,7 +62,9 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     assert!(warnings.len() == 1 && !said.contains("error"), "{said}");
     let template = read_obj(&bench.path("rig/template.obj")).unwrap();
     let result = read_obj(&bench.path("r.obj")).unwrap();
-    assert_eq!(template.with_positions(result.positions.clone()), result);
+    let mut template = template.with_positions(result.positions.clone());
+    template.metadata.material_libraries = vec!["r.mtl".into()];
+    assert!(template == result);
     let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
     assert_eq!(report["stop"], "stopped_by_observer");
     let steps = report["history"].as_array().unwrap().len();
@@ -393,7 +395,7 @@ fn a_folder_that_cannot_be_written_is_an_error_of_writing() {
     if fs::write(folder.join("probe"), "").is_ok() {
         return skipped("nothing is closed to this process");
     }
-    unwritten(&bench, &format!("{FIT} --model rigid --out closed/r.obj"), &["closed/r.obj", "cannot be written"]);
+    unwritten(&bench, &format!("{FIT} --model rigid --out closed/r.obj"), &["closed/r.", "cannot be written"]);
     unwritten(&bench, &format!("{FIT} --out r.obj --picture closed/r.png"), &["closed/r.png", "cannot be written"]);
     assert!(files_in(&folder).is_empty());
 }

@@ -338,7 +338,8 @@ fn next_commands(data: &Data, out: &Path) -> String {
         if text.contains(char::is_whitespace) { format!("\"{text}\"") } else { text }
     };
     let (rig, template) = (quoted(data.rig_folder.clone()), quoted(data.rig_folder.join("template.obj")));
-    let case = data.cases_folder.join(&data.extreme().name);
+    let below = [data.cases_folder.clone(), data.cases_folder.join("cases")].map(|at| at.join(&data.extreme().name));
+    let case = below.iter().find(|at| at.is_dir()).unwrap_or(&below[0]).clone();
     let modes = data.rig.rig().shapes().iter().filter(|s| s.family == nonrigid::rig::Family::Identity).count();
     let modes = if modes > 0 { format!(" --identity-modes {}", modes.min(40)) } else { String::new() };
     format!(

@@ -189,11 +189,14 @@ impl Window {
                 let positions = self.positions(&case, &recipe)?.positions;
                 let mut mesh = hub.store.face(&hub.vault, &case)?.with_positions(positions);
                 hub.vault.add_file(&format!("morphed.{format}"), |path| {
-                    if format == "obj" {
-                        let face = hub.vault.path(&store::face_source(&case)?.at)?;
-                        io::MaterialFiles::of(&face, &mesh).write(path, &mut mesh)?;
-                    }
-                    Ok(io::write_polygon_mesh(path, &mesh)?)
+                    let materials = match format == "obj" {
+                        true => io::MaterialFiles::of(&hub.vault.path(&store::face_source(&case)?.at)?, &mesh),
+                        false => io::MaterialFiles::default(),
+                    };
+                    let copied = materials.write(path, &mut mesh)?;
+                    io::write_polygon_mesh(path, &mesh)?;
+                    copied.keep();
+                    Ok(())
                 })?
             }
             Export::Landmarks => {
