@@ -22,6 +22,10 @@ const OFF_THE_SCAN: f64 = 0.009;
 /// the least probability: 3 of 14 such starts of the design set were wrong.
 const RIVAL: (f64, f64) = (0.88, 0.2);
 
+/// Least probability where the shapes [tell](super::Handedness::Shapes) that the scan is mirrored; the design set has too few of those
+/// to calibrate by.
+const MIRRORED: f64 = 0.9;
+
 /// What a result says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reliability {
@@ -56,7 +60,9 @@ impl Reliability {
         let evidence = Evidence::new(input, result, quality);
         let off = evidence.coverage.distance > OFF_THE_SCAN;
         let rival = evidence.start_rival > RIVAL.0;
-        let known = [(off, Risk::Distance, 0.5), (rival, Risk::StartRival, RIVAL.1)];
+        let mirrored = evidence.handedness.against() > 0.0;
+        let known =
+            [(mirrored, Risk::Mirrored, MIRRORED), (off, Risk::Distance, 0.5), (rival, Risk::StartRival, RIVAL.1)];
         let known = known.into_iter().filter(|k| k.0);
         let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence), f64::max);
         let mut signs: Vec<Risk> = known.map(|k| k.1).collect();
