@@ -263,7 +263,8 @@ class Mesh:
             return NotImplemented
         mine, theirs = self.__reduce__()[1], other.__reduce__()[1]
         same = all(np.array_equal(a, b) if a is not None else b is None for a, b in zip(mine[:5], theirs[:5]))
-        return same and all(np.array_equal(a, b) for a, b in zip(mine[5][:2], theirs[5][:2])) and mine[5][2:] == theirs[5][2:]
+        (uvs, indices, *rest), (their_uvs, their_indices, *their_rest) = mine[5], theirs[5]
+        return same and all(map(np.array_equal, (uvs, *indices), (their_uvs, *their_indices))) and rest == their_rest
 
     __hash__ = None  # type: ignore[assignment]
 
