@@ -15,7 +15,7 @@ use super::interrupt::Interrupt;
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, warn_of_format, write_json};
 use crate::correspondence::VertexMasks;
-use crate::io::{self, Copied, FilePlan, Inputs, MaterialFiles};
+use crate::io::{self, FilePlan, Inputs, MaterialFiles};
 use crate::landmark;
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh};
@@ -284,7 +284,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         _ => io::write_colored_mesh(&a.out, &registered, of_vertices),
     }
     .map_err(Failure::writing)?;
-    copied.map(Copied::keep);
+    if let Some(copied) = copied {
+        copied.keep();
+    }
     if let Some((path, report)) = report {
         write_json(path, &report)?;
         let timing = Timing {
