@@ -578,9 +578,8 @@ pub fn write_ply(path: &Path, mesh: &TriangleMesh, options: PlyOptions<'_>) -> R
     write_faces(path, &mesh.positions, mesh.triangles.len(), 3, faces, None, options)
 }
 
-/// Writes polygons as binary little-endian PLY, texture coordinates of corners as MeshLab does (none of a polygon that
-/// has none; 0, 0 of a corner that has none in one that has).
-/// Groups and materials have no place in it.
+/// Writes polygons as binary little-endian PLY, texture coordinates of corners as MeshLab does: none of a polygon that has none,
+/// 0, 0 of a corner that alone has none. Groups and materials have no place in it.
 ///
 /// # Errors
 /// As [`write_ply`]; and when texture indices do not belong to the corners.

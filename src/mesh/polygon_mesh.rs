@@ -101,10 +101,9 @@ impl PolygonMesh {
         let mut known: HashMap<(u32, u32), u32> = HashMap::new();
         for f in (0..self.polygon_count()).filter(|_| !self.metadata.corner_normals.is_empty()) {
             let polygon = self.polygon(f);
-            let fan = (1..polygon.len() - 1).map(|i| [polygon[0], polygon[i], polygon[i + 1]]);
-            let cross: Vec3 = fan.map(|triangle| face_cross(&self.positions, triangle)).sum();
+            let cross: Vec3 = fan(polygon).map(|triangle| face_cross(&self.positions, triangle)).sum();
             for (c, &vertex) in (self.starts[f] as usize..).zip(polygon) {
-                let shared = self.metadata.corner_normals[c];
+                let shared = self.metadata.corner_normals.get(c).copied().unwrap_or(u32::MAX);
                 if shared == u32::MAX {
                     of_corner.push(u32::MAX);
                     continue;
@@ -137,10 +136,7 @@ impl PolygonMesh {
     fn fan(&self) -> Vec<[u32; 3]> {
         let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.polygon_count()));
         for f in 0..self.polygon_count() {
-            let q = self.polygon(f);
-            for i in 1..q.len().saturating_sub(1) {
-                triangles.push([q[0], q[i], q[i + 1]]);
-            }
+            triangles.extend(fan(self.polygon(f)));
         }
         triangles
     }
@@ -166,4 +162,9 @@ impl From<TriangleMesh> for PolygonMesh {
             metadata: ObjMetadata::default(),
         }
     }
+}
+
+/// Triangles of a polygon, all from its first corner.
+fn fan(q: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+    (1..q.len().saturating_sub(1)).map(move |i| [q[0], q[i], q[i + 1]])
 }
