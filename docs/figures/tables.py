@@ -318,3 +318,89 @@ def drag(run):
         steps = [float(r["milliseconds"]) for r in of if int(r["moving"]) == nearest]
         measured[model] = {"moving": nearest, "milliseconds": statistics.median(steps)}
     return measured
+
+
+# What is taken from the hybrid's default schedule, one at a time, by sed.
+PARTS = {
+    "default": "",
+    "expressions": "/^beyond/d",
+    "scan": "/^terms.scan_to_template/d",
+    "symmetric": "/^terms.symmetric/d; s/^terms.point_to_plane = { weight = 0.0 }/terms.point_to_plane = { weight = 1.0 }/",
+    "nodes": "s/^nodes = 600/nodes = 400/",
+    "rim": "/^reject_rim/d",
+    "everywhere": "/^coarse_nodes/d; s/coarse = true, //",
+    "vertices": "/^thinned/d",
+}
+
+
+@table("parts", needs="data")
+def parts(run):
+    "The hybrid's default schedule, one part changed at a time: mean rmse on three sets, rms of the identities, mm; processor seconds of a registration."
+    sets = {"s101": generated(run, "s101", "--seed 101 --cases 10"), "s102": generated(run, "s102", "--seed 102"), "ict": ICT}
+    run("data-gen --seed 7 --out seed7")
+    measured = {}
+    for part, change in PARTS.items():
+        run(f"sed '{change}' ../../src/model/schedules/hybrid.toml > {part}.toml")
+        of = {name: bench(run, f"bench-{part}-{name}", *data, f"--models hybrid --config {part}.toml")["hybrid"]["mean_rmse"]
+              for name, data in sets.items()}
+        run("experiments consistency --population $NONRIGID_DATA/population/faces.npy --template-of-population $NONRIGID_DATA/population/template.ply "
+            f"--rig $NONRIGID_DATA/ict-facekit/narrow --models hybrid --config {part}.toml --out identities-{part}")
+        of["identities"] = run.json(f"identities-{part}/consistency.json")["rows"][0]["rms"]
+        command = (f"nonrigid register --threads 1 --config {part}.toml --template seed7/rig/template.obj --rig seed7/rig --identity-modes 40 "
+                   f"--target {DEMO}/scan.ply --landmarks {DEMO}/landmarks.json --out {part}.obj")
+        run.commands.append(command)
+        of["seconds"] = min(run.cpu_seconds(command) for _ in range(3))
+        measured[part] = of
+    return measured
+
+
+@table("detail")
+def detail(run):
+    "Distance of the true surface (the scan without faults) from the result, mm, before and after `--subdivide 2`."
+    options = "--seed 101 --vertices 3000 --case same_open"
+    run(f"data-gen {options} --out detail")
+    run(f"data-gen {options} --noise 0 --spikes 0 --outliers 0 --loose-parts 0 --holes 0 --out detail-clean")
+    case, rigs = "cases/same_open", {"before": "detail/rig", "after": "detail-fine"}
+    run(f"nonrigid rig subdivide --rig {rigs['before']} --rounds 2 --out {rigs['after']}")
+    measured: dict[str, dict] = {"median": {}, "p95": {}}
+    for column, rounds in [("before", ""), ("after", " --subdivide 2")]:
+        run(f"nonrigid register --template detail/rig/template.obj --rig detail/rig --identity-modes 40 --target detail/{case}/scan.ply "
+            f"--landmarks detail/{case}/landmarks.json{rounds} --out detail-{column}.obj")
+        said = json.loads(run(f"nonrigid eval --json --result detail-{column}.obj --template {rigs[column]}/template.obj --target detail-clean/{case}/scan.ply"))
+        for row, of in measured.items():
+            of[column] = said["scan_to_result"][row]
+    return measured
+
+
+@table("flicker")
+def flicker(run):
+    "Error and flicker of generated sequences of a second at 60 and 15 frames a second, mm."
+    run("experiments flicker --seeds 101,102,7,301 --cutoffs 2.5,4,6 --out flicker")
+    ways = {"alone": "as they are", "before": "0.5 to frame before", "line": "1 to where two lead", "third-2.5": "smooth 2.5 Hz", "third-4": "smooth 4 Hz",
+            "third-6": "smooth 6 Hz"}
+    rows = {name: (101, way) for name, way in ways.items()}
+    rows |= {f"s{seed}-{name}": (seed, way) for seed in [102, 7, 301] for name, way in [("alone", "as they are"), ("4", "smooth 4 Hz")]}
+    said = {(row["seed"], row["way"], row["frames_per_second"]): row for row in run.json("flicker/flicker.json")}
+    of = lambda seed, way: {f"{column}{rate}": said[seed, way, rate][key] for rate in [60, 15] for column, key in [("error", "rmse"), ("flicker", "flicker")]}
+    return {name: of(*row) for name, row in rows.items()}
+
+
+@table("sequence")
+def sequence(run):
+    "Starts of the frames of a sequence (hybrid, 40 identity modes): rmse in mm, processor seconds of a frame on one thread."
+    measured = {}
+    for name, fps, landmarks, warm in [("cold", 15, 1, 0), ("warm", 15, 1, 1), ("warm-alone", 15, 0, 1), ("warm-alone-4", 4, 0, 1)]:
+        data = f"sequence{fps}"
+        run(f"data-gen --seed 11 --frames 12 --fps {fps} --out {data}")
+        # The first frame always has its landmarks.
+        given = "--landmarks $f/landmarks.json" if landmarks else "$([ -e $was ] || echo --landmarks $f/landmarks.json)"
+        start = "$([ ! -e $was ] || echo --warm-start $was)" if warm else ""
+        command = (f"was=none; for f in {data}/sequence/frame_*; do n={name}-$(basename $f); nonrigid register --threads 1 --template {data}/rig/template.obj "
+                   f"--rig {data}/rig --identity-modes 40 --target $f/scan.ply {given} {start} --state $n.state.json --out $n.obj || exit; was=$n.state.json; done")
+        run.commands.append(command)
+        seconds = run.cpu_seconds(command) / 12
+        said = run(f"for f in {data}/sequence/frame_*; do nonrigid eval --json --result {name}-$(basename $f).obj --template {data}/rig/template.obj "
+                   "--truth $f/truth.npy --observed $f/observed.npy | jq -c .; done")
+        rmse = [json.loads(line)["rmse"] for line in said.splitlines()]
+        measured[name] = {"mean": statistics.mean(rmse), "worst": max(rmse), "seconds": seconds}
+    return measured
