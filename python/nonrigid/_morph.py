@@ -16,7 +16,7 @@ from ._mesh import Floats, Mesh, PathLike, indices, is_npy, is_path, names_of, w
 from ._registration import _landmarks
 from ._rig import Rig, _vertices
 
-MorphModel = Literal["direct", "hybrid", "blendshape", "gpmm", "graph", "arap", "poisson", "laplacian", "mass_spring", "fem", "free"]
+MorphModel = Literal["direct", "hybrid", "blendshape", "gpmm", "graph", "arap", "poisson", "laplacian", "mass_spring", "fem", "ffd", "free"]
 
 
 class Preset(NamedTuple):

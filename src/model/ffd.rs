@@ -21,6 +21,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::on_patch::{PatchFactory, PatchInput};
 use super::smooth_rows::SmoothRows;
 use super::vertex_assembly::{CHUNK, VertexAssembly, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
@@ -58,6 +59,8 @@ pub struct Ffd {
     pub lambda_smooth: f64,
     rest: Vec<Vec3>,
     lattice: SurfaceLattice,
+    /// Block of each control point among the parameters; none of those that are held at rest.
+    blocks: Vec<Option<u32>>,
     rows: SmoothRows,
     items: Vec<Item>,
     assembly: Assembly,
@@ -125,8 +128,26 @@ impl Ffd {
         let area: f64 = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
         let scale = (area / reference_vertices / ACROSS as f64).sqrt() / options.spacing;
         let rows = second_differences(&lattice, scale);
+        let blocks = (0..lattice.control_points() as u32).map(Some).collect();
         let (rest, items, assembly) = (mesh.positions.clone(), Vec::new(), Assembly::default());
-        Ok(Self { lambda_smooth, rest, lattice, rows, items, assembly })
+        Ok(Self { lambda_smooth, rest, lattice, blocks, rows, items, assembly })
+    }
+
+    /// Holds the marked vertices at rest: the control points that move one are not parameters. Vertices near them move less than they
+    /// would, or not at all.
+    ///
+    /// # Panics
+    /// If there is not one mark per vertex.
+    #[must_use]
+    pub fn with_held(mut self, held: &[bool]) -> Self {
+        assert_eq!(held.len(), self.rest.len(), "one mark per vertex");
+        let mut at_rest = vec![false; self.lattice.control_points()];
+        for v in (0..held.len()).filter(|v| held[*v]) {
+            self.lattice.of(v as u32).filter(|(_, w)| *w > 0.0).for_each(|(k, _)| at_rest[k as usize] = true);
+        }
+        let mut free = 0..;
+        self.blocks = at_rest.iter().map(|at_rest| if *at_rest { None } else { free.next() }).collect();
+        self
     }
 
     /// Number of control points.
@@ -135,9 +156,20 @@ impl Ffd {
         self.lattice.control_points()
     }
 
-    fn place(&mut self, x: &[f64]) {
-        self.rows.place(|k| parameters(x, k as usize));
+    /// Number of control points that are parameters.
+    fn free_points(&self) -> usize {
+        self.blocks.iter().flatten().count()
     }
+
+    fn place(&mut self, x: &[f64]) {
+        let blocks = &self.blocks;
+        self.rows.place(|k| displacement(blocks, x, k));
+    }
+}
+
+/// Of a control point.
+fn displacement(blocks: &[Option<u32>], x: &[f64], k: u32) -> Vec3 {
+    blocks[k as usize].map_or_else(Vec3::zeros, |block| parameters(x, block as usize))
 }
 
 impl DeformationModel for Ffd {
@@ -150,7 +182,7 @@ impl DeformationModel for Ffd {
     }
 
     fn parameter_len(&self) -> usize {
-        3 * self.lattice.control_points()
+        3 * self.free_points()
     }
 
     fn rest_parameters(&self) -> Vec<f64> {
@@ -159,11 +191,16 @@ impl DeformationModel for Ffd {
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        let block = |k: u32| self.blocks[k as usize];
         let mut alike: BTreeMap<Vec<u32>, Item> = BTreeMap::new();
         for s in 0..samples.len() {
             let mut moved_by: BTreeMap<u32, f64> = BTreeMap::new();
             for &(v, share) in samples.corners(s) {
-                self.lattice.of(v).for_each(|(k, w)| *moved_by.entry(k).or_default() += share * w);
+                let free = self.lattice.of(v).filter_map(|(k, w)| Some((block(k)?, w)));
+                free.for_each(|(k, w)| *moved_by.entry(k).or_default() += share * w);
+            }
+            if moved_by.is_empty() {
+                continue;
             }
             let item = alike.entry(moved_by.keys().copied().collect()).or_default();
             item.samples.push(s as u32);
@@ -177,10 +214,12 @@ impl DeformationModel for Ffd {
                 self.items.push(Item { samples: samples.to_vec(), weights: weights.to_vec() });
             }
         }
-        let cliques = self.rows.cliques().chain(blocks.iter().map(Vec::as_slice));
-        let structure = BlockStructure::new(&vec![3; self.lattice.control_points()], Assembly::pairs(cliques), 0)
+        let rows: Vec<Vec<u32>> =
+            self.rows.cliques().map(|row| row.iter().filter_map(|k| block(*k)).collect()).collect();
+        let cliques = rows.iter().chain(&blocks).map(Vec::as_slice);
+        let structure = BlockStructure::new(&vec![3; self.free_points()], Assembly::pairs(cliques), 0)
             .expect("proven: all pairs are control points");
-        self.rows.analyse(&structure, |k| Some(k as usize));
+        self.rows.analyse(&structure, |k| block(k).map(|block| block as usize));
         self.assembly =
             Assembly::new(blocks.iter().map(Vec::as_slice), &structure, |item| 3 * self.items[item].samples.len());
         structure
@@ -188,11 +227,11 @@ impl DeformationModel for Ffd {
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
         out.resize(self.rest.len(), Vec3::zeros());
-        let (rest, lattice) = (&self.rest, &self.lattice);
+        let (rest, lattice, blocks) = (&self.rest, &self.lattice, &self.blocks);
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             for (k, p) in chunk.iter_mut().enumerate() {
                 let v = c * CHUNK + k;
-                *p = rest[v] + lattice.of(v as u32).map(|(k, w)| parameters(x, k as usize) * w).sum::<Vec3>();
+                *p = rest[v] + lattice.of(v as u32).map(|(k, w)| displacement(blocks, x, k) * w).sum::<Vec3>();
             }
         });
     }
@@ -263,5 +302,31 @@ impl ModelFactory for Factory {
         let LatticeOptions { spacing } = input.options.read()?;
         let options = LatticeOptions { spacing: input.length(spacing) };
         Ok(Box::new(Ffd::new(input.rest, options, input.reference_vertices, 1.0)?))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+/// The lattice on a patch is this much finer at most than one with as many cells over the region as a graph has nodes.
+const FINEST: i32 = 8;
+
+impl PatchFactory for Factory {
+    /// As many cells over the region as a graph has nodes; finer where every control point would move a held vertex.
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let cells = input.nodes.min(input.moving.div_ceil(2)).max(1);
+        let widest = (input.vertex_area * input.moving as f64 / cells as f64).sqrt();
+        let area: f64 = face_areas(&input.mesh.positions, &input.mesh.triangles).iter().sum();
+        // With this number of vertices E_smooth is that of the bi-Laplacian: lambda times a vertex' area times the integral.
+        let vertices = (area / input.vertex_area).max(1.0);
+        for finer in 0..=FINEST {
+            let options = LatticeOptions { spacing: widest / 2f64.powi(finer) };
+            let ffd = Ffd::new(input.mesh, options, vertices, input.gradient_weight().powi(2))?.with_held(input.held);
+            if ffd.free_points() > 0 {
+                return Ok(Box::new(ffd));
+            }
+        }
+        Err(ModelError::Other("no lattice moves the region without what is held: it is too thin".to_owned()))
     }
 }

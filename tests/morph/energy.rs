@@ -20,7 +20,9 @@ const LAPLACIAN: MorphModel = MorphModel::Energy(ModelKind::Laplacian);
 const GPMM: MorphModel = MorphModel::Energy(ModelKind::Gpmm);
 const SPRINGS: MorphModel = MorphModel::Energy(ModelKind::MassSpring);
 const TISSUE: MorphModel = MorphModel::Energy(ModelKind::Fem);
-const ENERGIES: [MorphModel; 10] = [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM, SPRINGS, TISSUE];
+const LATTICE: MorphModel = MorphModel::Energy(ModelKind::Ffd);
+const ENERGIES: [MorphModel; 11] =
+    [FREE, ARAP, GRAPH, BLENDSHAPE, HYBRID, POISSON, LAPLACIAN, GPMM, SPRINGS, TISSUE, LATTICE];
 
 /// A generated face, its first identity modes, and a soft round mask on the tip of its nose.
 struct Face {

@@ -11,6 +11,7 @@ use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness};
+use nonrigid::morph::{EnergyOptions, MorphModel};
 use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, Options, Silent, Workspace};
 use nonrigid::registration::{ModelKind, RegistrationObserver, StepRecord, register};
 use nonrigid::rig::ShapeBasis;
@@ -23,6 +24,7 @@ use serde_json::{Value, json};
 use crate::generated::{Face, bend, face, first_standard_case};
 use crate::processor_time::busy_share;
 use crate::scan_bench::BenchRig;
+use crate::surgery::{Masked, Patient};
 
 /// What a run does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -32,6 +34,8 @@ pub enum Configuration {
     Solver(SolverRun),
     /// Whole registrations of the hybrid.
     Registration(RegistrationRun),
+    /// The memory of a mask on a model.
+    Morph(MorphRun),
 }
 
 /// A solve.
@@ -74,6 +78,19 @@ pub struct RegistrationRun {
     pub seed: u64,
 }
 
+/// Masks of presets on a generated face.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MorphRun {
+    /// Vertices of the face, about.
+    pub vertices: usize,
+    /// Identity modes for the models with blendshapes.
+    pub modes: usize,
+    /// Names of the presets, and millimetres.
+    pub masks: Vec<(String, f64)>,
+    /// What moves.
+    pub models: Vec<MorphModel>,
+}
+
 impl Configuration {
     /// Threads of the run.
     #[must_use]
@@ -81,6 +98,7 @@ impl Configuration {
         match self {
             Self::Solver(run) => run.threads,
             Self::Registration(run) => run.threads,
+            Self::Morph(_) => 1,
         }
     }
 
@@ -92,6 +110,7 @@ impl Configuration {
         let measured = match self {
             Self::Solver(run) => solve(run)?,
             Self::Registration(run) => register_scan(run)?,
+            Self::Morph(run) => morph(run)?,
         };
         let mut all = serde_json::to_value(self)?;
         for (into, from) in all.as_object_mut().into_iter().zip(measured.as_object()) {
@@ -234,6 +253,26 @@ fn register_scan(run: &RegistrationRun) -> Result<Value> {
         "registration_seconds": whole,
         "peak_bytes": peak_bytes(),
     }))
+}
+
+/// How much the process grows until a model has moved a mask, for each mask the bytes of every model.
+fn morph(run: &MorphRun) -> Result<Value> {
+    let patient = Patient::generated(run.vertices, run.modes)?;
+    let mut grown = Vec::new();
+    for (mask, amount) in &run.masks {
+        let masked = Masked::new(patient.clone(), mask, *amount)?;
+        let of = |model: &MorphModel| -> Result<Option<u64>> {
+            reset_peak();
+            let before = peak_bytes();
+            match model {
+                MorphModel::Direct => masked.step.apply(&masked.triangles.positions)?,
+                _ => masked.energy(*model, &EnergyOptions::default())?.solve()?.0,
+            };
+            Ok(before.zip(peak_bytes()).map(|(before, peak)| peak.saturating_sub(before)))
+        };
+        grown.push(run.models.iter().map(of).collect::<Result<Vec<_>>>()?);
+    }
+    Ok(json!({ "grown_bytes": grown }))
 }
 
 /// Looks at the clock before the first step (scan indexed, start found, model built) and after every one.

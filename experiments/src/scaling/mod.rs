@@ -24,7 +24,7 @@ use crate::this_program;
 
 mod measure;
 
-pub use measure::{Configuration, RegistrationRun, SolverRun};
+pub use measure::{Configuration, MorphRun, RegistrationRun, SolverRun};
 pub(crate) use measure::{peak_bytes, reset_peak};
 
 /// Numbers separated by commas, or `none`.
@@ -224,6 +224,9 @@ fn describe(configuration: &Configuration) -> String {
         Configuration::Registration(r) => {
             format!("scan of {} triangles, template of {} vertices, threads {}", r.triangles, r.template, r.threads)
         }
+        Configuration::Morph(r) => {
+            format!("{} masks on {} models, {} vertices", r.masks.len(), r.models.len(), r.vertices)
+        }
     }
 }
 
@@ -244,6 +247,11 @@ pub fn run_apart(program: &Path, configuration: &Configuration) -> Result<Value>
     let failed = |what: String| Failure::computation(format!("{}: {what}", describe(configuration)));
     let mut command = Command::new(program);
     command.args(["scaling", "--run"]).arg(serde_json::to_string(configuration)?).stdin(Stdio::null());
+    if matches!(configuration, Configuration::Morph(_)) {
+        // What is freed goes back to the system at once, so that what one model leaves is not what the next takes. glibc reads these.
+        let settings = [("ARENA_MAX", "1"), ("TRIM_THRESHOLD_", "0"), ("MMAP_THRESHOLD_", "4096")];
+        command.envs(settings.map(|(name, value)| (format!("MALLOC_{name}"), value)));
+    }
     let output = command.output().map_err(|e| failed(format!("cannot be started: {e}")))?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
