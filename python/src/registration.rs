@@ -407,16 +407,16 @@ fn register(
             warm_start: warm_start.map(|w| &w.state),
             ..RegistrationInput::new(mesh, &target)
         };
-        let result =
+        let mut result =
             register_with(&input_of, &model, &TERMS, &schedule.schedule, observer).map_err(registration_error)?;
         let rounds = Some(subdivide).filter(|n| *n > 0 && result.stop == RegistrationStop::Finished);
         let detail = rounds.map(|n| add_detail(&input_of, &result, n, observer)).transpose();
         let detail = detail.map_err(registration_error)?;
         let (quality, reliability) = assess(&input_of, &result).map_err(computation)?;
-        let (faced, normals) = result.scan_facing.apply(&target, scan.file.normals.as_deref());
-        let input_of = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input_of };
+        // what is kept of the result keeps no scan
+        let surface = std::mem::take(&mut result.scan);
         let colors = scan.file.colors.as_deref();
-        let colors = colors.map(|colors| scan_colors(&input_of, colors, &result.positions)).transpose();
+        let colors = colors.map(|colors| scan_colors(&input_of, &surface, colors, &result.positions)).transpose();
         let colors = colors.map_err(computation)?;
         let roles: [(&str, &[Input]); 10] = [
             ("template", &template.files),
@@ -437,9 +437,10 @@ fn register(
         let colors_observed = colors.as_ref().map(VertexColors::observed_count);
         let (mut finer, mut of_finer) = (None, None);
         if let Some(detail) = detail {
-            let input = detail.input(&faced, normals.as_deref());
+            let input = detail.input(&target, scan.file.normals.as_deref());
             let positions = &detail.result.positions;
-            let colors = scan.file.colors.as_deref().map(|colors| scan_colors(&input, colors, positions)).transpose();
+            let colors = scan.file.colors.as_deref();
+            let colors = colors.map(|colors| scan_colors(&input, &surface, colors, positions)).transpose();
             let colors = colors.map_err(computation)?.map(|c| c.colors);
             of_finer = Some(DetailReport::measure(&input, &detail).map_err(computation)?);
             finer = Some(MeshFile { mesh: detail.template.with_positions(positions.clone()), normals: None, colors });

@@ -238,17 +238,16 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let [registering, dividing] = [coarse - reading, clock.elapsed().as_secs_f64() - coarse];
 
     let (quality, reliability) = assess(&input, &result).map_err(Failure::computation)?;
-    let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
-    let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..input };
     // From here on what is written: the finer mesh, if there is one.
-    let input = detail.as_ref().map_or(input, |d| d.input(&faced, normals.as_deref()));
+    let input = detail.as_ref().map_or(input, |d| d.input(input.scan, input.scan_normals));
     let (template, positions) = (input.template, detail.as_ref().map_or(&result, |d| &d.result).positions.clone());
     let finer = detail.as_ref().map(|d| DetailReport::measure(&input, d)).transpose().map_err(Failure::computation)?;
-    let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &positions)).transpose();
+    let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, &result.scan, colors, &positions)).transpose();
     let colors = colors.map_err(Failure::computation)?;
     let mut registered = template.with_positions(positions);
     let before_texture = clock.elapsed().as_secs_f64();
     let shown = VertexMasks::new(input.mask, input.free_mask, vec![false; template.positions.len()]).data;
+    let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
     let baked = a.bake.bake(&BakeInput {
         template: &registered,
         mask: Some(&shown),

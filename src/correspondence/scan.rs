@@ -1,16 +1,17 @@
 //! The scan, prepared for the searches of a registration: triangles or a cloud of points with normals behind one interface.
 
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+use std::sync::Arc;
 
 use rayon::prelude::*;
-
 use thiserror::Error;
 
 use super::ScanOptions;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
-use crate::mesh::{MeshError, OrientedPoints, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, OrientedPoints, Pose, TriangleMesh, Vec3};
 
 /// Why a scan cannot be searched.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -35,14 +36,21 @@ pub enum ScanError {
 }
 
 /// A scan prepared for closest-point queries: the surface of its triangles or, without any, of its points with normals
-/// ([`OrientedPoints`]).
-#[derive(Debug)]
+/// ([`OrientedPoints`]). Prepared once, it is searched from any frame ([`seen_from`](Self::seen_from)); copies share it.
+///
+/// The default has no surface: nothing is found.
+#[derive(Clone)]
 pub struct ScanSurface {
-    surface: Surface,
+    /// Near the origin, also where the scan is far from it: boxes have 32 bits.
+    surface: Arc<Surface>,
+    /// From the frame of whoever asks to that of the surface.
+    frame: Pose,
+    /// By which its normals are multiplied: -1 where it is turned over.
+    side: f64,
     reject_boundary: bool,
+    vertices: usize,
 }
 
-#[derive(Debug)]
 enum Surface {
     Triangles { mesh: TriangleMesh, normals: Vec<Vec3>, boundary: OpenBoundary, tree: ClosestPoint },
     Points(OrientedPoints),
@@ -68,52 +76,47 @@ impl ScanSurface {
     ///
     /// # Errors
     /// When a coordinate is not finite, there are neither triangles nor normals, or not as many normals as vertices.
-    pub fn new(mesh: TriangleMesh, normals: Option<&[Vec3]>, options: &ScanOptions) -> Result<Self, ScanError> {
-        let unusable = ScanError::from;
+    pub fn new(mut mesh: TriangleMesh, normals: Option<&[Vec3]>, options: &ScanOptions) -> Result<Self, ScanError> {
         check_normals(&mesh, normals)?;
-        let reject_boundary = options.reject_boundary;
-        if let (true, Some(normals)) = (mesh.triangles.is_empty(), normals) {
-            let points = OrientedPoints::new(&mesh.positions, normals, options.normal_smoothing).map_err(unusable)?;
-            return Ok(Self { surface: Surface::Points(points), reject_boundary });
-        }
-        let tree = || ClosestPoint::new(&mesh).map_err(unusable);
-        let rest = || {
-            let mut normals = match normals {
-                Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
-                None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
-            };
-            let edges = EdgeGraph::of(&mesh);
-            for _ in 0..options.normal_smoothing {
-                normals = smooth_normals(&edges, &normals);
+        let vertices = mesh.positions.len();
+        let origin = origin_near(&mesh);
+        mesh.positions.iter_mut().for_each(|p| *p -= origin);
+        let surface = match normals {
+            Some(normals) if mesh.triangles.is_empty() => {
+                Surface::Points(OrientedPoints::new(&mesh.positions, normals, options.normal_smoothing)?)
             }
-            (normals, OpenBoundary::of(&mesh))
+            _ => Surface::of_triangles(mesh, normals, options.normal_smoothing)?,
         };
-        let (tree, (normals, boundary)) = rayon::join(tree, rest);
-        Ok(Self { surface: Surface::Triangles { mesh, normals, boundary, tree: tree? }, reject_boundary })
+        let frame = Pose { translation: -origin, ..Pose::identity() };
+        let reject_boundary = options.reject_boundary;
+        Ok(Self { surface: Arc::new(surface), frame, side: 1.0, reject_boundary, vertices })
+    }
+
+    /// Vertices of the scan, with or without a surface.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.vertices
+    }
+
+    /// The same surface for whoever asks in another frame, which `pose` takes to the present one.
+    #[must_use]
+    pub fn seen_from(&self, pose: &Pose) -> Self {
+        Self { frame: self.frame.after(pose), ..self.clone() }
+    }
+
+    /// The same surface, facing the other way.
+    #[must_use]
+    pub fn turned_over(self) -> Self {
+        Self { side: -self.side, ..self }
     }
 
     /// The closest point within the square root of `squared_reach`. The answer does not depend on the hint, a
     /// [`Hit::feature`].
     pub(crate) fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
-        match &self.surface {
-            Surface::Triangles { mesh, normals, boundary, tree, .. } => {
-                let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
-                let corners = mesh.triangles[hit.triangle as usize];
-                let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
-                Some(Hit {
-                    feature: hit.triangle,
-                    point: hit.point,
-                    barycentric: hit.barycentric,
-                    normal: normal.try_normalize(0.0).unwrap_or_default(),
-                    on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
-                })
-            }
-            Surface::Points(points) => {
-                let hit = points.query(p, hint, squared_reach)?;
-                let (feature, point, normal) = (hit.index, hit.point, hit.normal);
-                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
-            }
-        }
+        let p = self.frame.apply(*p);
+        let hit = self.surface.closest(&p, hint, squared_reach * self.frame.scale.powi(2))?;
+        let normal = self.frame.rotation.tr_mul(&hit.normal) * self.side;
+        Some(Hit { point: self.frame.apply_inverse(hit.point), normal, ..hit })
     }
 
     /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
@@ -125,7 +128,7 @@ impl ScanSurface {
     /// [`closest_within`](Self::closest_within), with what is known of the scan there.
     pub(crate) fn closest_hit(&self, p: Vec3, reach: f64) -> Option<Hit> {
         // A disc may be nearer than its point.
-        let search = if matches!(self.surface, Surface::Points(_)) { f64::INFINITY } else { reach * reach };
+        let search = if matches!(*self.surface, Surface::Points(_)) { f64::INFINITY } else { reach * reach };
         let hit = self.closest(&p, None, search)?;
         (!hit.on_boundary && (hit.point - p).norm_squared() <= reach * reach).then_some(hit)
     }
@@ -142,24 +145,16 @@ impl ScanSurface {
     /// scan lies in space.
     #[must_use]
     pub fn spread(&self, spacing: f64) -> (Vec<(Vec3, Vec3)>, f64) {
-        let (candidates, area): (Vec<(Vec3, Vec3)>, f64) = match &self.surface {
-            Surface::Triangles { mesh, normals, boundary, .. } => {
-                let inside = used(mesh).filter(|&v| !(self.reject_boundary && boundary.vertices()[v]));
-                let area = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
-                (inside.map(|v| (mesh.positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
-            }
-            Surface::Points(points) => {
-                let inside = (0..points.points().len()).filter(|&i| !(self.reject_boundary && points.on_edge(i)));
-                (inside.map(|i| (points.points()[i], points.normals()[i])).collect(), points.area())
-            }
-        };
+        let (candidates, area) = self.surface.points(self.reject_boundary);
+        let frame = &self.frame;
+        let placed = |(p, n): (Vec3, Vec3)| (frame.apply_inverse(p), frame.rotation.tr_mul(&n) * self.side);
         let cell = |p: &Vec3| p.map(|x| (x / spacing).floor() as i64);
         // nearest cells first: what is too near is mostly there
         let mut around: Vec<[i64; 3]> = (0..27).map(|k| [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1]).collect();
         around.sort_by_key(|d| d.map(i64::abs).iter().sum::<i64>());
-        let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        let mut cells: HashMap<[i64; 3], Vec<u32>, BuildHasherDefault<CellHasher>> = HashMap::default();
         let mut chosen: Vec<(Vec3, Vec3)> = Vec::new();
-        for (p, normal) in candidates {
+        for (p, normal) in candidates.into_iter().map(placed) {
             let at = cell(&p);
             let near = |dx: i64, dy: i64, dz: i64| {
                 let others = cells.get(&[at.x.saturating_add(dx), at.y.saturating_add(dy), at.z.saturating_add(dz)]);
@@ -170,8 +165,128 @@ impl ScanSurface {
                 chosen.push((p, normal));
             }
         }
-        let each = area / chosen.len().max(1) as f64;
+        let each = area / frame.scale.powi(2) / chosen.len().max(1) as f64;
         (chosen, each)
+    }
+
+    /// What corners or points have, at a point that was found.
+    pub(crate) fn mixed(&self, hit: &Hit, of_vertices: &[Vec3]) -> Option<Vec3> {
+        let Surface::Triangles { mesh, .. } = &*self.surface else { return None };
+        let corners = mesh.triangles[hit.feature as usize];
+        Some(corners.iter().zip(hit.barycentric).map(|(&c, b)| of_vertices[c as usize] * b).sum())
+    }
+
+    /// Normals of the file, facing as the surface does.
+    pub(crate) fn facing(&self, normal: &Vec3) -> Vec3 {
+        normal * self.side
+    }
+}
+
+impl Default for ScanSurface {
+    fn default() -> Self {
+        let nothing =
+            Surface::of_triangles(TriangleMesh::default(), None, 0).expect("proven: no triangle can be wrong");
+        Self { surface: Arc::new(nothing), frame: Pose::identity(), side: 1.0, reject_boundary: true, vertices: 0 }
+    }
+}
+
+/// In a line: a scan has millions of numbers.
+impl std::fmt::Debug for ScanSurface {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (triangles, points) = match &*self.surface {
+            Surface::Triangles { mesh, .. } => (mesh.triangles.len(), mesh.positions.len()),
+            Surface::Points(points) => (0, points.points().len()),
+        };
+        let mut shown = f.debug_struct("ScanSurface");
+        shown.field("triangles", &triangles).field("points", &points).field("frame", &self.frame);
+        shown.field("side", &self.side).field("reject_boundary", &self.reject_boundary).finish()
+    }
+}
+
+impl Surface {
+    fn of_triangles(mesh: TriangleMesh, normals: Option<&[Vec3]>, smoothing: usize) -> Result<Self, MeshError> {
+        let rest = || {
+            let mut normals = match normals {
+                Some(normals) => normals.iter().map(|n| n.try_normalize(0.0).unwrap_or_default()).collect(),
+                None => vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area),
+            };
+            let edges = EdgeGraph::of(&mesh);
+            for _ in 0..smoothing {
+                normals = smooth_normals(&edges, &normals);
+            }
+            (normals, OpenBoundary::of_edges(&edges, &mesh.triangles))
+        };
+        let (tree, (normals, boundary)) = rayon::join(|| ClosestPoint::new(&mesh), rest);
+        Ok(Self::Triangles { tree: tree?, mesh, normals, boundary })
+    }
+
+    fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
+        match self {
+            Self::Triangles { mesh, normals, boundary, tree, .. } => {
+                let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
+                let corners = mesh.triangles[hit.triangle as usize];
+                let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
+                Some(Hit {
+                    feature: hit.triangle,
+                    point: hit.point,
+                    barycentric: hit.barycentric,
+                    normal: normal.try_normalize(0.0).unwrap_or_default(),
+                    on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
+                })
+            }
+            Self::Points(points) => {
+                let hit = points.query(p, hint, squared_reach)?;
+                let (feature, point, normal) = (hit.index, hit.point, hit.normal);
+                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
+            }
+        }
+    }
+
+    /// All points with a normal, without the boundary if that is not believed; and the area.
+    fn points(&self, without_boundary: bool) -> (Vec<(Vec3, Vec3)>, f64) {
+        match self {
+            Self::Triangles { mesh, normals, boundary, .. } => {
+                let inside = used(mesh).filter(|&v| !(without_boundary && boundary.vertices()[v]));
+                let area = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
+                (inside.map(|v| (mesh.positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
+            }
+            Self::Points(points) => {
+                let inside = (0..points.points().len()).filter(|&i| !(without_boundary && points.on_edge(i)));
+                (inside.map(|i| (points.points()[i], points.normals()[i])).collect(), points.area())
+            }
+        }
+    }
+}
+
+/// A point near the scan: near the triangles or, without any, the points. The origin is near enough for a scan within some eight times
+/// its size; others come near it by a multiple of a power of two, so that no digit is lost and no vertex feels another one.
+fn origin_near(mesh: &TriangleMesh) -> Vec3 {
+    let corners = mesh.triangles.iter().flatten().filter_map(|&v| mesh.positions.get(v as usize));
+    let points: Box<dyn Iterator<Item = &Vec3>> =
+        if mesh.triangles.is_empty() { Box::new(mesh.positions.iter()) } else { Box::new(corners) };
+    let ends = points.map(|p| (*p, *p)).reduce(|(low, high), (p, _)| (low.inf(&p), high.sup(&p)));
+    let Some((low, high)) = ends else { return Vec3::zeros() };
+    let grid = (16.0 * (high - low).amax()).log2().ceil().exp2();
+    let near = (low * 0.5 + high * 0.5).map(|x| (x / grid).round() * grid);
+    // what is not finite is named by the tree
+    if near.iter().all(|x| x.is_finite()) { near } else { Vec3::zeros() }
+}
+
+/// Spreads the numbers of a cell; the standard library's hasher withstands attackers and takes five times as long.
+#[derive(Default)]
+struct CellHasher(u64);
+
+impl Hasher for CellHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        for chunk in bytes.chunks(8) {
+            let mut number = [0; 8];
+            number[..chunk.len()].copy_from_slice(chunk);
+            self.0 = (self.0.rotate_left(23) ^ u64::from_le_bytes(number)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        }
+    }
+
+    fn finish(&self) -> u64 {
+        self.0 ^ self.0 >> 32
     }
 }
 
@@ -204,7 +319,7 @@ fn smooth_normals(edges: &EdgeGraph, normals: &[Vec3]) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::testing::sheet;
+    use crate::mesh::testing::{noise, sheet};
 
     fn cloud(mesh: &TriangleMesh) -> ScanSurface {
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
@@ -231,6 +346,39 @@ mod tests {
                 assert!((a.unwrap() - b.unwrap()).norm() < 0.02, "{p}");
             }
             assert!(on_cloud.closest_within(p + Vec3::z() * 3.0, 1.0).is_none());
+        }
+    }
+
+    #[test]
+    fn whoever_asks_in_another_frame_finds_the_same_points_there() {
+        // uneven, so that no two neighbours of a point are equally near
+        let uneven = |c: f64, r: f64, seed: usize| 0.05 * noise((31.0 * r + c) as usize + seed);
+        let place =
+            |c, r| Vec3::new(0.5 * c + uneven(c, r, 0), 0.5 * r + uneven(c, r, 5000), 0.01 * (c - 15.0).powi(2));
+        let mesh = sheet(31, 31, place);
+        let far = Vec3::new(4e9, -5e9, 3e9);
+        let pose = Pose { scale: 2.5, ..Pose::rigid(Vec3::new(0.3, -1.1, 0.7), far) };
+        let placed = |mesh: &TriangleMesh| TriangleMesh {
+            positions: mesh.positions.iter().map(|p| pose.apply(*p)).collect(),
+            ..mesh.clone()
+        };
+        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let turned: Vec<Vec3> = normals.iter().map(|n| pose.rotation * n).collect();
+        for triangles in [mesh.triangles.clone(), Vec::new()] {
+            let mesh = TriangleMesh { triangles, ..mesh.clone() };
+            let of = |mesh, normals| ScanSurface::new(mesh, Some(normals), &ScanOptions::default()).unwrap();
+            let (here, there) = (of(mesh.clone(), &normals[..]), of(placed(&mesh), &turned).seen_from(&pose));
+            let over = there.clone().turned_over();
+            for i in 0..100 {
+                let p = Vec3::new(f64::from(i % 10) * 1.7 - 0.9, f64::from(i / 10) * 1.6 - 0.8, 0.7);
+                let [a, b, c] = [&here, &there, &over].map(|s| s.closest(&p, None, 9.0).unwrap());
+                assert!((a.point - b.point).norm() < 1e-5 && (a.normal - b.normal).norm() < 1e-5, "{p}: {a:?} {b:?}");
+                assert_eq!((a.on_boundary, c.normal), (b.on_boundary, -b.normal));
+                assert!(there.closest(&p, None, 1e-4).is_none());
+            }
+            let ((a, area), (b, same)) = (here.spread(1.3), there.spread(1.3));
+            assert!(a.len() == b.len() && (area - same).abs() < 1e-5 && a.len() > 60, "{} {}", a.len(), b.len());
+            assert!(a.iter().zip(&b).all(|(a, b)| (a.0 - b.0).norm() < 1e-5 && (a.1 - b.1).norm() < 1e-5));
         }
     }
 

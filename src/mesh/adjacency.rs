@@ -14,7 +14,7 @@ pub struct Rows {
 
 impl Rows {
     /// Counting sort of `(row, item)` pairs; items keep their order within a row.
-    fn collect(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+    pub(crate) fn collect(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
         let mut starts = vec![0u32; rows + 1];
         for (row, _) in pairs.clone() {
             starts[row as usize + 1] += 1;
@@ -328,10 +328,19 @@ impl OpenBoundary {
     /// When a triangle indexes past the vertices.
     #[must_use]
     pub fn of(mesh: &TriangleMesh) -> Self {
-        let graph = EdgeGraph::of(mesh);
-        let open = |a, b| graph.find(a, b).is_some_and(|e| graph.faces[e] == 1);
-        let sides = mesh.triangles.iter().map(|&[a, b, c]| [open(b, c), open(c, a), open(a, b)]).collect();
-        Self { vertices: graph.boundary_vertices(), sides }
+        Self::of_edges(&EdgeGraph::of(mesh), &mesh.triangles)
+    }
+
+    /// [`of`](Self::of), where the edges of the triangles are known.
+    #[must_use]
+    pub fn of_edges(graph: &EdgeGraph, triangles: &[[u32; 3]]) -> Self {
+        let vertices = graph.boundary_vertices();
+        let open = |a: u32, b: u32| {
+            let may_be = vertices[a as usize] && vertices[b as usize];
+            may_be && graph.find(a, b).is_some_and(|e| graph.faces[e] == 1)
+        };
+        let sides = triangles.iter().map(|&[a, b, c]| [open(b, c), open(c, a), open(a, b)]).collect();
+        Self { vertices, sides }
     }
 
     /// Whether the point of triangle `index` (with these corners) at `barycentric` lies on the boundary: on an open side,

@@ -56,6 +56,13 @@ impl Pose {
         self.rotation * p * self.scale + self.translation
     }
 
+    /// First `first`, then this.
+    #[must_use]
+    pub fn after(&self, first: &Self) -> Self {
+        let (scale, rotation) = (self.scale * first.scale, self.rotation * first.rotation);
+        Self { scale, rotation, translation: self.apply(first.translation) }
+    }
+
     /// `R' (p - t) / s`.
     #[must_use]
     pub fn apply_inverse(&self, p: Vec3) -> Vec3 {

@@ -341,6 +341,12 @@ impl ItemRows<'_> {
     }
 }
 
+/// Without room for more: from step to step there are about as many rows, and they are most of the memory of a solver.
+fn resize_exactly(numbers: &mut Vec<f64>, length: usize) {
+    numbers.reserve_exact(length.saturating_sub(numbers.len()));
+    numbers.resize(length, 0.0);
+}
+
 struct Linearize<'a, F: FillRows> {
     chunk: &'a mut Chunk,
     scratch: &'a mut F::Scratch,
@@ -369,8 +375,8 @@ impl<F: FillRows> WithSimd for Linearize<'_, F> {
         chunk.row_starts.push(count);
         chunk.y_starts.push(numbers);
         let width = border_pitch(border);
-        chunk.y.resize(numbers as usize, 0.0);
-        chunk.u.resize(count as usize * width, 0.0);
+        resize_exactly(&mut chunk.y, numbers as usize);
+        resize_exactly(&mut chunk.u, count as usize * width);
         for item in 0..items {
             let range = chunk.row_starts[item] as usize..chunk.row_starts[item + 1] as usize;
             if range.is_empty() {

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::input::check_mask;
 use super::{RegistrationError, RegistrationInput, WITHIN_MM};
-use crate::correspondence::{ScanOptions, ScanSurface, VertexMasks};
+use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::{Components, EdgeGraph};
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
@@ -50,14 +50,16 @@ impl VertexColors {
     }
 }
 
-/// Colours the template, registered to `positions` in the scan's frame, by the scan, whose vertices have `colors`. Colours are
-/// interpolated as light ([`srgb`](crate::mesh::srgb)).
+/// Colours the template, registered to `positions` in the scan's frame, by the scan, whose vertices have `colors`; `surface` is that
+/// scan as it was registered ([`RegistrationResult::scan`](super::RegistrationResult::scan)). Colours are interpolated as light
+/// ([`srgb`](crate::mesh::srgb)).
 ///
 /// # Errors
-/// When there is not one colour per scan vertex, the scan has no surface, the template's geometry cannot be used, or positions or
+/// When there is not one colour per scan vertex, the surface is that of another scan, the template's geometry cannot be used, or positions or
 /// masks are not one per template vertex.
 pub fn scan_colors(
     input: &RegistrationInput<'_>,
+    surface: &ScanSurface,
     colors: &[[u8; 3]],
     positions: &[Vec3],
 ) -> Result<VertexColors, RegistrationError> {
@@ -65,6 +67,9 @@ pub fn scan_colors(
     if found != expected {
         let message = format!("found {found} colours for {expected} vertices, expected one each");
         return Err(RegistrationError::Scan(message));
+    }
+    if surface.vertex_count() != expected {
+        return Err(RegistrationError::Scan("its surface is that of another scan".to_owned()));
     }
     let mut template = input.template.triangulate();
     if positions.len() != template.positions.len() {
@@ -78,7 +83,7 @@ pub fn scan_colors(
     check_mask("free mask", input.free_mask, positions.len())?;
     let light: Vec<Vec3> = colors.iter().map(|&c| to_light(c)).collect();
     let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
-    let seen = observed(input, &light, &template, &masks)?;
+    let seen = observed(input, surface, &light, &template, &masks)?;
     let observed = seen.iter().map(Option::is_some).collect();
     let colors = diffused(&EdgeGraph::of(&template), seen);
     Ok(VertexColors { colors: colors.into_iter().map(|c| c.map_or(UNSEEN_COLOR, from_light)).collect(), observed })
@@ -87,13 +92,12 @@ pub fn scan_colors(
 /// The light that the scan shows at each vertex.
 fn observed(
     input: &RegistrationInput<'_>,
+    surface: &ScanSurface,
     light: &[Vec3],
     template: &TriangleMesh,
     masks: &VertexMasks,
 ) -> Result<Vec<Option<Vec3>>, RegistrationError> {
-    let scan = input.scan;
-    let surface = ScanSurface::new(scan.clone(), input.scan_normals, &ScanOptions::default())?;
-    let points = if scan.triangles.is_empty() { Some(CloudColors::new(input, light)?) } else { None };
+    let points = if input.scan.triangles.is_empty() { Some(CloudColors::new(input, surface, light)?) } else { None };
     let normals = vertex_normals(&template.positions, &template.triangles, NormalWeighting::Area);
     let at = |v: usize| {
         if masks.data[v] <= 0.0 {
@@ -103,13 +107,10 @@ fn observed(
         if hit.normal.dot(&normals[v]) < FACING {
             return None;
         }
-        Some(match &points {
-            Some(points) => points.at(&hit.point, &hit.normal),
-            None => {
-                let corners = scan.triangles[hit.feature as usize];
-                corners.iter().zip(hit.barycentric).map(|(&c, b)| light[c as usize] * b).sum()
-            }
-        })
+        match &points {
+            Some(points) => Some(points.at(&hit.point, &hit.normal)),
+            None => surface.mixed(&hit, light),
+        }
     };
     Ok((0..template.positions.len()).into_par_iter().map(at).collect())
 }
@@ -121,12 +122,12 @@ struct CloudColors {
 }
 
 impl CloudColors {
-    fn new(input: &RegistrationInput<'_>, light: &[Vec3]) -> Result<Self, RegistrationError> {
+    fn new(input: &RegistrationInput<'_>, surface: &ScanSurface, light: &[Vec3]) -> Result<Self, RegistrationError> {
         let normals = input.scan_normals.unwrap_or_default();
         let directed = || (0..normals.len()).filter(|&i| normals[i].norm_squared() > 0.0);
         let places: Vec<Vec3> = directed().map(|i| input.scan.positions[i]).collect();
         let tree = ClosestVertices::new(&places).map_err(|e: MeshError| RegistrationError::Scan(e.to_string()))?;
-        Ok(Self { points: directed().map(|i| (normals[i], light[i])).collect(), tree })
+        Ok(Self { points: directed().map(|i| (surface.facing(&normals[i]), light[i])).collect(), tree })
     }
 
     fn at(&self, p: &Vec3, normal: &Vec3) -> Vec3 {

@@ -31,7 +31,7 @@ pub struct Detail {
 }
 
 impl Detail {
-    /// What it is measured and painted by: the finer mesh at rest, its masks, and the scan, facing outwards.
+    /// What it is measured and painted by: the finer mesh at rest, its masks, and the scan.
     #[must_use]
     pub fn input<'a>(&'a self, scan: &'a TriangleMesh, scan_normals: Option<&'a [Vec3]>) -> RegistrationInput<'a> {
         RegistrationInput {
@@ -114,8 +114,8 @@ impl DetailReport {
             vertices: detail.base.len(),
             polygons: detail.template.polygon_count(),
             steps: detail.result.history.len(),
-            before: Quality::measure(input, &detail.base)?,
-            quality: Quality::measure(input, &detail.result.positions)?,
+            before: Quality::measure(input, &detail.result.scan, &detail.base)?,
+            quality: Quality::measure(input, &detail.result.scan, &detail.result.positions)?,
         })
     }
 }

@@ -66,7 +66,9 @@ type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn Regis
 /// start.
 struct Run {
     template: Rest,
+    /// In its own frame, and as it is seen from here.
     scan: ScanSurface,
+    scan_here: ScanSurface,
     start: Start,
     scan_facing: ScanFacing,
     problem: RegistrationProblem,
@@ -117,11 +119,13 @@ impl Run {
         // Neither needs the other, but that a warm start is where the model is.
         let ((mut problem, x), placed) = match input.warm_start {
             None => {
-                let of_scan = || {
-                    let faced = agreeing(input);
-                    let start = start_of(input, &faced.0, &template, schedule, cancel)?;
+                let of_scan = || -> Result<_, RegistrationError> {
+                    let (faced, turned) = agreeing(input);
+                    let start = || start_of(input, &faced, &template, schedule, cancel);
+                    let (start, scan) = rayon::join(start, || surface(&faced, &schedule.scan));
+                    let start = start?;
                     cancel.check()?;
-                    Placed::new(faced, start, &template, &schedule.scan)
+                    Ok(Placed::new(scan?, turned, start, schedule.scan.flip))
                 };
                 let (of_model, of_scan) = rayon::join(of_model, of_scan);
                 (of_model?, of_scan?)
@@ -130,15 +134,17 @@ impl Run {
                 let (mut problem, x) = of_model()?;
                 let start = warm_pose(warm, input.landmarks, problem.vertices(&x), template.centre);
                 cancel.check()?;
-                ((problem, x), Placed::new(agreeing(input), start, &template, &schedule.scan)?)
+                let (faced, turned) = agreeing(input);
+                ((problem, x), Placed::new(surface(&faced, &schedule.scan)?, turned, start, schedule.scan.flip))
             }
         };
         let vertices = problem.vertices(&x).to_vec();
-        let Placed { start, scan, facing, .. } = placed.facing_outwards(&template, &vertices, &schedule.scan)?;
+        let Placed { start, scan, facing } = placed.facing_outwards(&template, &vertices, schedule.scan.flip);
         problem.terms = build_terms(terms, input.landmarks, &on_template, &start, &template, schedule)?;
         Ok(Self {
-            template,
+            scan_here: scan.seen_from(&start.frame(template.centre)),
             scan,
+            template,
             start,
             scan_facing: facing,
             problem,
@@ -253,9 +259,9 @@ impl Run {
     /// Lets the model have the resolution that a level asks for.
     fn set_resolution(&mut self, options: &Options) {
         if let Some(x) = self.problem.model.set_resolution(options, &self.x) {
+            self.workspace = Workspace::new();
             self.problem.analyse();
             self.x = x;
-            self.workspace = Workspace::new();
             self.vertices.copy_from_slice(self.problem.vertices(&self.x));
         }
     }
@@ -272,9 +278,9 @@ impl Run {
 
     /// The closest point of the scan for every vertex; and the model hears what is not seen.
     fn find_correspondences(&mut self, level: &Level, at: &At<'_>) -> Result<(), RegistrationError> {
-        let Self { template, scan, correspondences, .. } = self;
+        let Self { template, scan_here, correspondences, .. } = self;
         let accept = level.acceptance(template.unit);
-        correspondences.find(scan, &self.vertices, &template.mesh, &template.masks, &accept);
+        correspondences.find(scan_here, &self.vertices, &template.mesh, &template.masks, &accept);
         if !correspondences.any() {
             return Err(RegistrationError::NoOverlap { level: at.level.to_owned(), cap: level.distance_cap });
         }
@@ -299,7 +305,7 @@ impl Run {
             pose_predictions(&mut self.predictions, &self.vertices, &self.correspondences.weights);
         }
         let step = Step {
-            scan: &self.scan,
+            scan: &self.scan_here,
             vertices: &self.vertices,
             rest: &self.template.mesh,
             masks: &self.template.masks,
@@ -355,6 +361,7 @@ impl Run {
             end: WarmStart { model, pose, parameters },
             start_search: search,
             start_landmarks: by_landmarks,
+            scan: self.scan,
             scan_facing: self.scan_facing,
             weights,
             accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
@@ -407,63 +414,38 @@ fn warm_pose(warm: &WarmStart, landmarks: &[Landmark], vertices: &[Vec3], centre
     Start { pose, search: None, by_landmarks: None }
 }
 
-/// The scan where a start puts it, in the model's frame.
-struct Placed<'a> {
-    /// As given, with triangles that agree.
-    faced: Faced<'a>,
+/// A scan, and the start that puts it over the template.
+struct Placed {
     start: Start,
     scan: ScanSurface,
     facing: ScanFacing,
 }
 
-impl<'a> Placed<'a> {
-    /// Turned over where the schedule or the search of the start says so.
-    fn new(
-        (faced, turned): (Faced<'a>, usize),
-        start: Start,
-        template: &Rest,
-        options: &ScanOptions,
-    ) -> Result<Self, RegistrationError> {
-        let flipped = match options.flip {
+impl Placed {
+    /// The scan, of which so many triangles were turned, turned over where the schedule or the search of the start says so.
+    fn new(scan: ScanSurface, turned: usize, start: Start, flip: ScanFlip) -> Self {
+        let flipped = match flip {
             ScanFlip::Yes => true,
             ScanFlip::No => false,
             ScanFlip::Auto => start.search.as_ref().is_some_and(|search| search.flipped),
         };
-        let facing = ScanFacing { turned, flipped };
-        let scan = surface(&faced, &start, template.centre, options, flipped)?;
-        Ok(Self { faced, start, scan, facing })
+        let scan = if flipped { scan.turned_over() } else { scan };
+        Self { start, scan, facing: ScanFacing { turned, flipped } }
     }
 
     /// Turned over besides where nothing has said yet which side is its front, and the template at those vertices sees the inside.
-    fn facing_outwards(
-        mut self,
-        template: &Rest,
-        vertices: &[Vec3],
-        options: &ScanOptions,
-    ) -> Result<Self, RegistrationError> {
-        let unsaid = options.flip == ScanFlip::Auto && self.start.search.is_none();
-        if unsaid && template.sees_the_inside(&self.scan, vertices) {
+    fn facing_outwards(mut self, template: &Rest, vertices: &[Vec3], flip: ScanFlip) -> Self {
+        let unsaid = flip == ScanFlip::Auto && self.start.search.is_none();
+        if unsaid && template.sees_the_inside(&self.scan.seen_from(&self.start.frame(template.centre)), vertices) {
             self.facing.flipped = true;
-            self.scan = surface(&self.faced, &self.start, template.centre, options, true)?;
+            self.scan = self.scan.turned_over();
         }
-        Ok(self)
+        self
     }
 }
 
-fn surface(
-    faced: &Faced<'_>,
-    start: &Start,
-    centre: Vec3,
-    options: &ScanOptions,
-    flipped: bool,
-) -> Result<ScanSurface, RegistrationError> {
-    let over = flipped.then(|| facing::flipped(faced.clone()));
-    let (scan, normals) = over.as_ref().unwrap_or(faced);
-    let positions = scan.positions.iter().map(|&p| start.pose.apply_inverse(p) - centre).collect();
-    let normals: Option<Vec<Vec3>> =
-        normals.as_ref().map(|n| n.iter().map(|&n| start.pose.rotation.tr_mul(&n)).collect());
-    let scan = TriangleMesh { positions, triangles: scan.triangles.clone() };
-    Ok(ScanSurface::new(scan, normals.as_deref(), options)?)
+fn surface((scan, normals): &Faced<'_>, options: &ScanOptions) -> Result<ScanSurface, RegistrationError> {
+    Ok(ScanSurface::new(scan.clone().into_owned(), normals.as_deref(), options)?)
 }
 
 /// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.
@@ -475,14 +457,13 @@ fn build_terms(
     template: &Rest,
     schedule: &Schedule,
 ) -> Result<Vec<Box<dyn RegistrationTerm>>, RegistrationError> {
-    let pose = start.pose;
-    let sigma = schedule.sigma.landmark * template.unit * pose.scale;
+    let frame = start.frame(template.centre);
+    let sigma = schedule.sigma.landmark * template.unit * frame.scale;
     let suspects = start.by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
     let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
-    let placed = |l: &Landmark| pose.apply_inverse(l.target) - template.centre;
+    let placed = |l: &Landmark| frame.apply_inverse(l.target);
     let landmarks: Vec<(usize, Vec3, f64)> =
         landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();
-    let frame = Pose { translation: pose.apply(template.centre), ..pose };
     let none = Options::new();
     let build = |term: &&dyn TermFactory| {
         let options = schedule.terms.get(term.name()).unwrap_or(&none);

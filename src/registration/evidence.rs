@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Handedness, Quality, QualityError, RegistrationInput, RegistrationResult};
-use crate::correspondence::{ScanOptions, ScanSurface, VertexMasks};
+use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::landmark::Landmark;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
@@ -115,8 +115,7 @@ pub(super) struct Seen {
 
 impl Seen {
     /// Compares a result with the scan, both ways.
-    pub fn new(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
-        let scan = ScanSurface::new(input.scan.clone(), input.scan_normals, &ScanOptions::default())?;
+    pub fn new(input: &RegistrationInput<'_>, scan: &ScanSurface, positions: &[Vec3]) -> Result<Self, QualityError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(positions);
         let size = size(&surface_points(positions, input.template.corners.iter().copied()));
@@ -147,7 +146,7 @@ impl Seen {
             on_scan: share(near.len()),
             unseen: share(unseen),
             contradicted: 1.0 - share(near.len()) - share(unseen),
-            scan_missed: scan_missed(&scan, &mesh, size)?,
+            scan_missed: scan_missed(scan, &mesh, size)?,
             distance: at(0.5).unwrap_or(0.0),
             distance_p90: at(0.9).unwrap_or(0.0),
             turn: turn / near.len().max(1) as f64,

@@ -3,10 +3,10 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::correspondence::ScanSurface;
+use crate::mesh::adjacency::Rows;
 use crate::mesh::normals::face_areas;
 use crate::mesh::{TriangleMesh, Vec3};
 
@@ -46,27 +46,16 @@ pub(super) fn flipped((scan, normals): Faced<'_>) -> Faced<'_> {
 /// made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left alone. The scan, and how many
 /// triangles were turned.
 pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
-    // Edge, whether the triangle runs along it upwards, triangle.
-    let mut sides: Vec<(u32, u32, bool, u32)> = Vec::with_capacity(3 * scan.triangles.len());
-    for (k, &[a, b, c]) in scan.triangles.iter().enumerate() {
-        if a != b && b != c && c != a {
-            let side = |(p, q): (u32, u32)| (p.min(q), p.max(q), p < q, k as u32);
-            sides.extend([(a, b), (b, c), (c, a)].map(side));
-        }
-    }
-    sides.par_sort_unstable();
-    let shared = || {
-        let edges = sides.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)).filter(|edge| edge.len() == 2);
-        edges.map(|edge| (edge[0].3 as usize, edge[1].3 as usize, edge[0].2 == edge[1].2))
-    };
-    if !shared().any(|(.., disagree)| disagree) {
+    // Two triangles at an edge that only they share, and whether they run along it the same way.
+    let shared = shared_edges(scan);
+    if !shared.iter().any(|&(.., disagree)| disagree) {
         return (Cow::Borrowed(scan), 0);
     }
     let mut neighbours: Vec<[(u32, bool); 3]> = vec![[(u32::MAX, false); 3]; scan.triangles.len()];
-    for (i, j, disagree) in shared() {
+    for (i, j, disagree) in shared {
         for (from, to) in [(i, j), (j, i)] {
-            if let Some(free) = neighbours[from].iter_mut().find(|n| n.0 == u32::MAX) {
-                *free = (to as u32, disagree);
+            if let Some(free) = neighbours[from as usize].iter_mut().find(|n| n.0 == u32::MAX) {
+                *free = (to, disagree);
             }
         }
     }
@@ -103,6 +92,27 @@ pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
     let mut scan = scan.clone();
     scan.triangles.iter_mut().zip(turn).filter(|t| t.1 == Some(true)).for_each(|t| t.0.swap(1, 2));
     (Cow::Owned(scan), turned)
+}
+
+/// The triangles at each edge that has just two, and whether both run along it in the same direction; by the edges' vertices.
+fn shared_edges(scan: &TriangleMesh) -> Vec<(u32, u32, bool)> {
+    let side = |s: u32| {
+        let (t, corner) = (scan.triangles[s as usize / 3], s as usize % 3);
+        (t[corner], t[(corner + 1) % 3])
+    };
+    let flat = |[a, b, c]: [u32; 3]| a == b || b == c || c == a;
+    let proper = (0..scan.triangles.len() as u32).filter(|&k| !flat(scan.triangles[k as usize]));
+    let sides = proper.flat_map(|k| 3 * k..3 * k + 3);
+    let lowest = Rows::collect(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
+    let (mut shared, mut row) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new());
+    for low in 0..lowest.len() {
+        row.clear();
+        row.extend(lowest.row(low).iter().map(|&s| (side(s).0.max(side(s).1), side(s).0 == low as u32, s / 3)));
+        row.sort_unstable();
+        let edges = row.chunk_by(|x, y| x.0 == y.0).filter(|edge| edge.len() == 2);
+        shared.extend(edges.map(|edge| (edge[0].2, edge[1].2, edge[0].1 == edge[1].1)));
+    }
+    shared
 }
 
 /// Cosine between two normals that agree, and minus that between those that do not.

@@ -46,10 +46,8 @@ pub fn assess(
     input: &RegistrationInput<'_>,
     result: &RegistrationResult,
 ) -> Result<(Quality, Reliability), QualityError> {
-    let (scan, normals) = result.scan_facing.apply(input.scan, input.scan_normals);
-    let input = RegistrationInput { scan: &scan, scan_normals: normals.as_deref(), ..*input };
-    let quality = Quality::measure(&input, &result.positions)?;
-    let reliability = Reliability::of(&input, result, &quality);
+    let quality = Quality::measure(input, &result.scan, &result.positions)?;
+    let reliability = Reliability::of(input, result, &quality);
     Ok((quality, reliability))
 }
 

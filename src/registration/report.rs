@@ -11,7 +11,7 @@ use super::{
     Coverage, DetailReport, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop,
     Reliability, ScanFacing, Schedule, StartSearch, StepRecord,
 };
-use crate::correspondence::ScanError;
+use crate::correspondence::ScanSurface;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::io::{Input, KnownUnit, sha256_of_file};
 use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
@@ -66,11 +66,15 @@ pub struct Quality {
 pub const WITHIN_MM: f64 = 3.0;
 
 impl Quality {
-    /// Measures a result.
+    /// Measures a result on the scan as it was registered; that of `input` takes no part.
     ///
     /// # Errors
-    /// When the scan has an unusable triangle or the vertex counts differ.
-    pub fn measure(input: &RegistrationInput<'_>, positions: &[Vec3]) -> Result<Self, QualityError> {
+    /// When the vertex counts differ.
+    pub fn measure(
+        input: &RegistrationInput<'_>,
+        scan: &ScanSurface,
+        positions: &[Vec3],
+    ) -> Result<Self, QualityError> {
         for (what, mask) in [("the mask", input.mask), ("the free mask", input.free_mask)] {
             let (expected, found) = (positions.len(), mask.map_or(positions.len(), <[f64]>::len));
             if found != expected {
@@ -79,7 +83,7 @@ impl Quality {
         }
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
-        let (seen, mesh) = rayon::join(|| Seen::new(input, positions), || MeshQuality::new(&template, positions));
+        let (seen, mesh) = rayon::join(|| Seen::new(input, scan, positions), || MeshQuality::new(&template, positions));
         let Seen { distances, coverage, .. } = seen?;
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
@@ -99,15 +103,12 @@ impl Quality {
 /// Why a result could not be measured.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum QualityError {
-    /// The scan.
+    /// Its geometry cannot be used.
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// The result.
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),
-    /// The scan has no surface.
-    #[error(transparent)]
-    Scan(#[from] ScanError),
 }
 
 /// The report, as it is written to JSON.

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 use serde::Serialize;
 
 use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, WarmStart};
+use crate::correspondence::ScanSurface;
 #[cfg(doc)]
 use crate::energy::Deformation;
 use crate::mesh::{Pose, Vec3};
@@ -110,6 +111,9 @@ pub struct RegistrationResult {
     pub start_search: Option<StartSearch>,
     /// What the landmarks say of the start, where three or more gave it.
     pub start_landmarks: Option<LandmarkStart>,
+    /// The scan as it was registered, in its own frame, for what is measured on it and taken from it. Large: whoever keeps results
+    /// does better without ([`std::mem::take`]).
+    pub scan: ScanSurface,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.

@@ -194,6 +194,13 @@ pub(super) struct Start {
     pub by_landmarks: Option<LandmarkStart>,
 }
 
+impl Start {
+    /// From the model's frame, which has the template's `centre` at its origin, to the scan's.
+    pub fn frame(&self, centre: Vec3) -> Pose {
+        Pose { translation: self.pose.apply(centre), ..self.pose }
+    }
+}
+
 /// The start of a registration: by three or more landmarks in closed form, otherwise by search. Where the landmarks leave much
 /// of the pose open, it is searched as well, and the better one counts.
 pub(super) fn find_start(

@@ -44,11 +44,7 @@ impl WarmStart {
     pub(super) fn pose_by(&self, landmarks: &[(Vec3, Vec3, f64)]) -> Pose {
         let moved = landmarks.iter().map(|&(p, q, weight)| (self.pose.apply(p), q, weight));
         match weighted_closest_pose(moved, PoseKind::Rigid) {
-            Ok(motion) => Pose {
-                scale: self.pose.scale,
-                rotation: motion.rotation * self.pose.rotation,
-                translation: motion.apply(self.pose.translation),
-            },
+            Ok(motion) => motion.after(&self.pose),
             Err(_) => self.pose,
         }
     }

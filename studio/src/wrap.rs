@@ -268,12 +268,14 @@ impl WrapJob {
     ///
     /// # Errors
     /// What the library says.
-    pub fn measure(&self, result: RegistrationResult) -> Result<WrapOutcome, Problem> {
+    pub fn measure(&self, mut result: RegistrationResult) -> Result<WrapOutcome, Problem> {
         let scan = &self.scan.scan;
         let (quality, reliability) = assess(&self.input(), &result).map_err(problem)?;
         let (faced, normals) = result.scan_facing.apply(&scan.mesh, scan.normals.as_deref());
-        let input = RegistrationInput { scan: &faced, scan_normals: normals.as_deref(), ..self.input() };
-        let colors = scan.colors.as_deref().map(|colors| scan_colors(&input, colors, &result.positions));
+        // what is kept of the result keeps no scan
+        let registered = std::mem::take(&mut result.scan);
+        let colors = scan.colors.as_deref();
+        let colors = colors.map(|colors| scan_colors(&self.input(), &registered, colors, &result.positions));
         let colors = colors.transpose().map_err(problem)?;
         let surface = ScanDistance::new(&faced, normals.as_deref()).map_err(problem)?;
         let distances = result.positions.iter().map(|p| surface.of(p)).collect();

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::support::Bench;
+use nonrigid::correspondence::{ScanOptions, ScanSurface};
 use nonrigid::io::{
     PlyOptions, parse_gltf, read_mesh_file, read_obj, read_scan, write_colored_mesh, write_obj, write_ply,
 };
@@ -38,6 +39,15 @@ fn colors(points: &[Vec3]) -> Vec<[u8; 3]> {
     points.iter().map(|p| from_light(light(p))).collect()
 }
 
+fn colored(
+    input: &RegistrationInput<'_>,
+    colors: &[[u8; 3]],
+    positions: &[Vec3],
+) -> Result<VertexColors, RegistrationError> {
+    let surface = ScanSurface::new(input.scan.clone(), input.scan_normals, &ScanOptions::default()).unwrap();
+    scan_colors(input, &surface, colors, positions)
+}
+
 /// Largest difference in light at the observed vertices from what the formula says.
 fn error(found: &VertexColors, positions: &[Vec3]) -> f64 {
     let off = |((c, p), _): ((&[u8; 3], &Vec3), &bool)| (to_light(*c) - light(p)).amax();
@@ -56,7 +66,7 @@ fn a_formula_on_a_surface_arrives_as_exactly_as_triangles_and_points_interpolate
         let colors = colors(&scan.positions);
         let step = 40.0 / (side - 1) as f64;
         let normals = vertex_normals(&scan.positions, &scan.triangles, NormalWeighting::Area);
-        let found = scan_colors(&RegistrationInput::new(&template, &scan), &colors, &template.positions).unwrap();
+        let found = colored(&RegistrationInput::new(&template, &scan), &colors, &template.positions).unwrap();
         // Linear interpolation: an eighth of the squared longest edge times the second derivative along it.
         let bound = 2.0 * step * step / 8.0 * 2.0 * 0.3 / 16.0 + ROUNDING;
         let off = error(&found, &template.positions);
@@ -66,7 +76,7 @@ fn a_formula_on_a_surface_arrives_as_exactly_as_triangles_and_points_interpolate
         assert!(found.observed_count() >= 58 * 58, "{}", found.observed_count());
         scan.triangles.clear();
         let input = RegistrationInput { scan_normals: Some(&normals), ..RegistrationInput::new(&template, &scan) };
-        let found = scan_colors(&input, &colors, &template.positions).unwrap();
+        let found = colored(&input, &colors, &template.positions).unwrap();
         let off = error(&found, &template.positions);
         // The mean of points is exact to first order only where they lie evenly: half a step times the slope.
         let bound = 0.5 * step * 0.3 / 4.0 + ROUNDING;
@@ -88,7 +98,7 @@ fn what_the_scan_does_not_show_is_harmonic() {
     template.positions.extend([Vec3::new(0.0, 0.0, 90.0), Vec3::new(1.0, 0.0, 90.0), Vec3::new(0.0, 1.0, 90.0)]);
     template.corners.extend([first, first + 1, first + 2]);
     template.starts.push(template.corners.len() as u32);
-    let found = scan_colors(&RegistrationInput::new(&template, &scan), &colors, &template.positions).unwrap();
+    let found = colored(&RegistrationInput::new(&template, &scan), &colors, &template.positions).unwrap();
     let (mut hidden, mut worst) = (0, 0.0_f64);
     for (v, p) in template.positions.iter().enumerate().take(first as usize) {
         if inside(p) {
@@ -115,7 +125,7 @@ fn only_what_is_near_faces_the_same_way_and_is_not_masked_is_observed() {
         }
         let template = PolygonMesh::from(mesh);
         let input = RegistrationInput { mask, ..RegistrationInput::new(&template, &scan) };
-        let found = scan_colors(&input, &colors, &template.positions).unwrap();
+        let found = colored(&input, &colors, &template.positions).unwrap();
         assert!(
             found.colors.iter().all(|c| *c == if found.observed_count() > 0 { [200, 100, 50] } else { UNSEEN_COLOR })
         );
@@ -128,8 +138,11 @@ fn only_what_is_near_faces_the_same_way_and_is_not_masked_is_observed() {
     mask[..20].fill(0.3);
     assert_eq!(observed(1.0, false, Some(&mask)), 20);
     let template = PolygonMesh::from(grid(11, 0.0, |_, _| 0.0));
-    let refused = scan_colors(&RegistrationInput::new(&template, &scan), &colors[1..], &template.positions);
+    let input = RegistrationInput::new(&template, &scan);
+    let refused = colored(&input, &colors[1..], &template.positions);
     assert!(matches!(refused, Err(RegistrationError::Scan(message)) if message.contains("1680 colours for 1681")));
+    let refused = scan_colors(&input, &ScanSurface::default(), &colors, &template.positions);
+    assert!(matches!(refused, Err(RegistrationError::Scan(message)) if message.contains("another scan")));
 }
 
 #[test]

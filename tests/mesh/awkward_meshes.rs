@@ -327,7 +327,7 @@ fn every_model_finds_every_template_moved() {
                         (0..truth.len()).filter(|&v| template.corners.contains(&(v as u32))).collect();
                     let squares: f64 = seen.iter().map(|&v| (result.positions[v] - truth[v]).norm_squared()).sum();
                     let rms = (squares / seen.len() as f64).sqrt();
-                    let quality = Quality::measure(&input, &result.positions);
+                    let quality = Quality::measure(&input, &result.scan, &result.positions);
                     // Triangles that nothing joins, of free vertices, slide along the scan where they have no landmark.
                     // So do small parts under the paper's energy alone, which lets each go its own way.
                     let slides = (name, model) == ("duplicate vertices, joined by nothing", ModelKind::Free)

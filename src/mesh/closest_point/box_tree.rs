@@ -36,22 +36,54 @@ impl Bounds {
             self.high[axis] = self.high[axis].max(other.high[axis]);
         }
     }
+}
 
-    fn half_area(&self) -> f64 {
+/// A box of the tree, rounded outwards; the fourth coordinate is there for the registers.
+#[derive(Debug, Clone, Copy)]
+struct Rounded {
+    low: [f32; 4],
+    high: [f32; 4],
+}
+
+impl Rounded {
+    const EMPTY: Self = Self { low: [f32::INFINITY; 4], high: [f32::NEG_INFINITY; 4] };
+
+    fn new(bounds: &Bounds) -> Self {
+        let ([a, b, c], [d, e, f]) = (bounds.low.map(below), bounds.high.map(above));
+        Self { low: [a, b, c, 0.0], high: [d, e, f, 0.0] }
+    }
+
+    fn include(&mut self, other: &Self) {
+        for axis in 0..4 {
+            self.low[axis] = least(self.low[axis], other.low[axis]);
+            self.high[axis] = greatest(self.high[axis], other.high[axis]);
+        }
+    }
+
+    fn half_area(&self) -> f32 {
         let [x, y, z] = [0, 1, 2].map(|axis| (self.high[axis] - self.low[axis]).max(0.0));
         x * y + y * z + z * x
     }
 
-    fn center(&self, axis: usize) -> f64 {
-        0.5 * self.low[axis] + 0.5 * self.high[axis]
+    fn centers(&self) -> [f32; 4] {
+        std::array::from_fn(|axis| 0.5 * self.low[axis] + 0.5 * self.high[axis])
     }
 }
 
-/// One child of a node: its box, rounded outwards, and what it is.
+// One instruction each, where the standard library's take care of NaN.
+
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+fn greatest(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// One child of a node: its box and what it is.
 #[derive(Debug, Clone, Copy)]
 struct Child {
-    low: [f32; 3],
-    high: [f32; 3],
+    bounds: Rounded,
     /// First slot of a leaf, or index of a node.
     first: u32,
     /// Slots in a leaf, 0 for a node.
@@ -59,16 +91,10 @@ struct Child {
 }
 
 impl Child {
-    const NONE: Self = Self { low: [f32::MAX; 3], high: [f32::MAX; 3], first: 0, count: EMPTY };
+    const NONE: Self = Self { bounds: Rounded { low: [f32::MAX; 4], high: [f32::MAX; 4] }, first: 0, count: EMPTY };
 
-    fn new(bounds: &Bounds, first: usize, count: usize) -> Self {
-        let (first, count) = (first as u32, count as u32);
-        Self { low: bounds.low.map(below), high: bounds.high.map(above), first, count }
-    }
-
-    fn half_area(&self) -> f32 {
-        let [x, y, z] = [0, 1, 2].map(|axis| self.high[axis] - self.low[axis]);
-        x * y + y * z + z * x
+    fn new(bounds: &Rounded, first: usize, count: usize) -> Self {
+        Self { bounds: *bounds, first: first as u32, count: count as u32 }
     }
 }
 
@@ -85,8 +111,8 @@ impl Node {
     fn new(children: &[Child]) -> Self {
         let child = |i: usize| children.get(i).unwrap_or(&Child::NONE);
         Self {
-            low: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).low[axis])),
-            high: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).high[axis])),
+            low: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).bounds.low[axis])),
+            high: std::array::from_fn(|axis| std::array::from_fn(|i| child(i).bounds.high[axis])),
             first: std::array::from_fn(|i| child(i).first),
             count: std::array::from_fn(|i| child(i).count),
         }
@@ -143,7 +169,7 @@ impl Best {
 impl BoxTree {
     pub fn build(boxes: impl ExactSizeIterator<Item = Bounds>) -> Self {
         // Boxes move with their numbers: a million of them are more than the caches hold, and every level reads all.
-        let mut items: Vec<Item> = boxes.zip(0..).collect();
+        let mut items: Vec<Item> = boxes.map(|bounds| Rounded::new(&bounds)).zip(0..).collect();
         let mut tree = Self::default();
         if !items.is_empty() {
             let mut pairs = Vec::with_capacity(items.len() / 2 + 1);
@@ -160,7 +186,10 @@ impl BoxTree {
         let mut children = children.to_vec();
         while children.len() < WIDTH {
             let inner = children.iter().enumerate().filter(|(_, child)| child.count == 0);
-            let Some((largest, _)) = inner.max_by(|a, b| a.1.half_area().total_cmp(&b.1.half_area())) else { break };
+            let Some((largest, _)) = inner.max_by(|a, b| a.1.bounds.half_area().total_cmp(&b.1.bounds.half_area()))
+            else {
+                break;
+            };
             let opened = children.swap_remove(largest);
             children.extend(pairs[opened.first as usize]);
         }
@@ -202,18 +231,23 @@ impl BoxTree {
         Arch::new().dispatch(Search { tree: self, query, best, leaf });
     }
 
-    /// Visits the leaves whose box meets `query`, both closed.
+    /// Visits the leaves whose box meets `query`, both closed and rounded outwards.
     pub fn meeting(&self, query: &Bounds, mut leaf: impl FnMut(Range<usize>)) {
+        let query = Rounded::new(query);
         let (mut short, mut long) = ([0u32; STACK], Vec::new());
         let stack = if self.stack <= STACK { &mut short[..] } else { with_length(&mut long, self.stack) };
         let mut height = usize::from(!self.nodes.is_empty());
         while height > 0 {
             height -= 1;
             let node = &self.nodes[stack[height] as usize];
-            for i in 0..WIDTH {
-                let meets = (0..3).all(|axis| {
-                    f64::from(node.low[axis][i]) <= query.high[axis] && f64::from(node.high[axis][i]) >= query.low[axis]
-                });
+            let mut meets = [true; WIDTH];
+            for axis in 0..3 {
+                for (i, meets) in meets.iter_mut().enumerate() {
+                    // no branch: registers compare them together
+                    *meets &= (node.low[axis][i] <= query.high[axis]) & (node.high[axis][i] >= query.low[axis]);
+                }
+            }
+            for (i, meets) in meets.into_iter().enumerate() {
                 let (first, count) = (node.first[i], node.count[i]);
                 if !meets || count == EMPTY {
                     continue;
@@ -362,16 +396,16 @@ impl<Q: Query, F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, Q, F> 
 }
 
 /// A box, and the number of what lies in it.
-type Item = (Bounds, u32);
+type Item = (Rounded, u32);
 
-fn bounds_of(items: &[Item]) -> Bounds {
-    let mut bounds = Bounds::EMPTY;
+fn bounds_of(items: &[Item]) -> Rounded {
+    let mut bounds = Rounded::EMPTY;
     items.iter().for_each(|(b, _)| bounds.include(b));
     bounds
 }
 
 /// The child that holds `items`, slots from `first` on, in the box `bounds`: a leaf, or one of `pairs`.
-fn halve(items: &mut [Item], first: usize, bounds: &Bounds, depth: usize, pairs: &mut Vec<[Child; 2]>) -> Child {
+fn halve(items: &mut [Item], first: usize, bounds: &Rounded, depth: usize, pairs: &mut Vec<[Child; 2]>) -> Child {
     if items.len() <= LEAF {
         return Child::new(bounds, first, items.len());
     }
@@ -402,41 +436,40 @@ fn halve(items: &mut [Item], first: usize, bounds: &Bounds, depth: usize, pairs:
 }
 
 /// Reorders `items` into two parts; returns the size of the first and the boxes of both. Neither part is empty.
-fn split(items: &mut [Item], depth: usize) -> (usize, Bounds, Bounds) {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
+fn split(items: &mut [Item], depth: usize) -> (usize, Rounded, Rounded) {
+    let mut low = [f32::INFINITY; 4];
+    let mut high = [f32::NEG_INFINITY; 4];
     for (bounds, _) in items.iter() {
-        for axis in 0..3 {
-            let center = bounds.center(axis);
-            low[axis] = low[axis].min(center);
-            high[axis] = high[axis].max(center);
+        for (axis, center) in bounds.centers().into_iter().enumerate() {
+            low[axis] = least(low[axis], center);
+            high[axis] = greatest(high[axis], center);
         }
     }
     let extent = [0, 1, 2].map(|axis| high[axis] - low[axis]);
     let axis = (0..3).fold(0, |widest, axis| if extent[axis] > extent[widest] { axis } else { widest });
-    let scale = BINS as f64 / extent[axis];
+    let scale = BINS as f32 / extent[axis];
     if depth < HALVES_FROM_DEPTH && scale.is_finite() && scale > 0.0 {
-        let bin = |item: &Item| (((item.0.center(axis) - low[axis]) * scale) as usize).min(BINS - 1);
-        let mut bins = [(Bounds::EMPTY, 0usize); BINS];
+        let bin = |item: &Item| (((item.0.centers()[axis] - low[axis]) * scale) as usize).min(BINS - 1);
+        let mut bins = [(Rounded::EMPTY, 0usize); BINS];
         for item in items.iter() {
             let (bounds, count) = &mut bins[bin(item)];
             bounds.include(&item.0);
             *count += 1;
         }
         // cost of the part from bin b on, for every cut b
-        let mut after = [f64::INFINITY; BINS];
+        let mut after = [f32::INFINITY; BINS];
         let (mut bounds, mut count) = bins[BINS - 1];
         for b in (1..BINS).rev() {
-            after[b] = bounds.half_area() * count as f64;
+            after[b] = bounds.half_area() * count as f32;
             bounds.include(&bins[b - 1].0);
             count += bins[b - 1].1;
         }
-        let (mut bounds, mut count) = (Bounds::EMPTY, 0);
-        let mut best = (f64::INFINITY, 0);
+        let (mut bounds, mut count) = (Rounded::EMPTY, 0);
+        let mut best = (f32::INFINITY, 0);
         for b in 1..BINS {
             bounds.include(&bins[b - 1].0);
             count += bins[b - 1].1;
-            let cost = bounds.half_area() * count as f64 + after[b];
+            let cost = bounds.half_area() * count as f32 + after[b];
             if count > 0 && count < items.len() && cost < best.0 {
                 best = (cost, b);
             }
@@ -449,14 +482,14 @@ fn split(items: &mut [Item], depth: usize) -> (usize, Bounds, Bounds) {
                     middle += 1;
                 }
             }
-            let (mut left, mut right) = (Bounds::EMPTY, Bounds::EMPTY);
+            let (mut left, mut right) = (Rounded::EMPTY, Rounded::EMPTY);
             bins[..best.1].iter().for_each(|(b, _)| left.include(b));
             bins[best.1..].iter().for_each(|(b, _)| right.include(b));
             return (middle, left, right);
         }
     }
     let middle = items.len() / 2;
-    let by_center = |a: &Item, b: &Item| a.0.center(axis).total_cmp(&b.0.center(axis)).then(a.1.cmp(&b.1));
+    let by_center = |a: &Item, b: &Item| a.0.centers()[axis].total_cmp(&b.0.centers()[axis]).then(a.1.cmp(&b.1));
     items.select_nth_unstable_by(middle, by_center);
     (middle, bounds_of(&items[..middle]), bounds_of(&items[middle..]))
 }

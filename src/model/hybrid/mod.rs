@@ -407,6 +407,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for Hybrid<T, W> {
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
+        self.assembly = Assembly::default(); // its memory serves the next one
         self.samples = NodeSamples::new(samples, &self.graph);
         let edges = self.regulariser.items::<T>(&self.graph);
         let items = || self.samples.nodes.iter().map(Vec::as_slice);
