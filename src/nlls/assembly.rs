@@ -206,7 +206,9 @@ impl Assembly {
                 *end += run.len() as u32;
                 Some(Run { start: run[0].0, width: run[0].1, end: *end })
             });
-            BlockItems { items, runs: runs.collect(), pairs: pairs.into_iter().map(|pair| pair.2).collect() }
+            // As much memory as they need: `into_iter` would collect into what they were sorted in.
+            let (items, runs) = (items.as_slice().to_vec(), runs.collect());
+            BlockItems { items, runs, pairs: pairs.iter().map(|pair| pair.2).collect() }
         });
         Self { by_block: by_block.collect(), chunks, partials: Vec::new(), border: 0 }
     }

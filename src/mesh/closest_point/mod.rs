@@ -58,10 +58,11 @@ impl ClosestPoint {
     /// # Errors
     /// When a triangle indexes past the vertices, or a vertex of one is not finite.
     pub fn new(mesh: &TriangleMesh) -> Result<Self, MeshError> {
-        let corners = corners_of(&mesh.positions, &mesh.triangles)?;
-        let tree = BoxTree::build(corners.iter().map(box_of));
-        let triangles = tree.order.iter().map(|&t| corners[t as usize]).collect();
-        let mut slots = vec![0; corners.len()];
+        check(&mesh.positions, &mesh.triangles)?;
+        let tree = BoxTree::build(mesh.triangles.iter().map(|t| box_of(&corners(&mesh.positions, t))));
+        let triangles: Vec<_> =
+            tree.order.iter().map(|&t| corners(&mesh.positions, &mesh.triangles[t as usize])).collect();
+        let mut slots = vec![0; triangles.len()];
         tree.order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
         Ok(Self { tree, triangles, slots })
     }
@@ -76,9 +77,10 @@ impl ClosestPoint {
     /// When there are not as many triangles as before.
     pub fn move_to(&mut self, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshError> {
         assert_eq!(triangles.len(), self.triangles.len(), "the triangles that the tree was built for");
-        let corners = corners_of(positions, triangles)?;
-        let order = self.tree.order.iter();
-        self.triangles.iter_mut().zip(order).for_each(|(slot, &t)| *slot = corners[t as usize]);
+        check(positions, triangles)?;
+        for (slot, &t) in self.triangles.iter_mut().zip(&self.tree.order) {
+            *slot = corners(positions, &triangles[t as usize]);
+        }
         self.tree.refit(|slot| box_of(&self.triangles[slot]));
         Ok(())
     }
@@ -212,18 +214,21 @@ impl ClosestPoint {
     }
 }
 
-fn corners_of(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<[Point; 3]>, MeshError> {
-    let corners = triangles.iter().enumerate().map(|(triangle, indices)| {
-        let mut points = [[0.0; 3]; 3];
-        for (point, &index) in points.iter_mut().zip(indices) {
+/// Refuses triangles that [`corners`] cannot be asked for.
+fn check(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshError> {
+    for (triangle, indices) in triangles.iter().enumerate() {
+        for &index in indices {
             let Some(position) = positions.get(index as usize) else {
                 return Err(MeshError::IndexOutOfRange { triangle, index, count: positions.len() });
             };
-            *point = finite(index as usize, position)?;
+            finite(index as usize, position)?;
         }
-        Ok(points)
-    });
-    corners.collect()
+    }
+    Ok(())
+}
+
+fn corners(positions: &[Vec3], triangle: &[u32; 3]) -> [Point; 3] {
+    triangle.map(|i| positions[i as usize].into())
 }
 
 fn box_of(corners: &[Point; 3]) -> Bounds {
