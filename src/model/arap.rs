@@ -15,6 +15,7 @@ use super::edge_weights::{EdgeWeights, WeightedEdges};
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
+use super::vertex_model::VertexModel;
 use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh};
 
@@ -43,7 +44,7 @@ impl CellKind for Spokes {
 }
 
 /// An as-rigid-as-possible surface. Cell `i` is the star of vertex `i`.
-pub type Arap = RigidCells<Spokes>;
+pub type Arap = VertexModel<RigidCells<Spokes>>;
 
 impl Arap {
     /// The surface at rest on `mesh` (millimetres).
@@ -60,7 +61,7 @@ impl Arap {
         for (i, star) in edges.stars(mesh.positions.len()).into_iter().enumerate() {
             cells.push(&mesh.positions, star.into_iter().map(|(j, w)| (i as u32, j, w)));
         }
-        Ok(Self::of(&mesh.positions, &edges, cells, Some(options.solver), lambda_smooth))
+        Ok(Self::of_cells(&mesh.positions, &edges, cells, Some(options.solver), lambda_smooth))
     }
 }
 

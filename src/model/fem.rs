@@ -22,11 +22,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::elements::Elements;
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
 use super::rotation_fit::closest_rotation;
 use super::vertex_assembly::{CHUNK, VertexAssembly};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use super::vertex_model::{VertexModel, VertexRegulariser};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3, determinant};
 use crate::nlls::{BlockStructure, NormalEquations};
@@ -63,18 +64,20 @@ impl OptionTable for TissueOptions {
 const TIE: f64 = 1e-3;
 
 /// Soft tissue under a skin.
-pub struct Fem {
-    /// `lambda`, Young's modulus.
-    pub lambda_smooth: f64,
+pub type Fem = VertexModel<Tissue>;
+
+/// The tissue; `lambda` is Young's modulus.
+pub struct Tissue {
     options: TissueOptions,
     layer: InnerLayer,
-    assembly: VertexAssembly,
     elements: Elements<4>,
     at_rest: Vec<AtRest>,
+    states: Vec<State>,
     anchors: Elements<1>,
     /// `A_i / T^2` of each anchor.
     anchor_weights: Vec<f64>,
-    now: Now,
+    /// How far each has moved.
+    anchors_moved: Vec<Vec3>,
 }
 
 /// What is known of an element before it moves.
@@ -86,14 +89,7 @@ struct AtRest {
     weight: f64,
 }
 
-/// Everything that follows from `x` alone, kept until `x` changes.
-#[derive(Default)]
-struct Now {
-    x: Vec<f64>,
-    nodes: Vec<Vec3>,
-    states: Vec<State>,
-}
-
+/// And what it is strained to.
 #[derive(Clone, Copy)]
 struct State {
     turn: UnitQuaternion<f64>,
@@ -134,79 +130,29 @@ impl Fem {
             }
         }
         let joined: Vec<[u32; 2]> = corners.iter().flat_map(|t| [1, 2, 3].map(|k| [t[0], t[k]])).collect();
-        let assembly = VertexAssembly::new(layer.nodes.clone(), mesh.positions.len(), &joined);
-        Ok(Self {
-            lambda_smooth,
+        let vertices = VertexAssembly::new(layer.nodes.clone(), mesh.positions.len(), &joined);
+        let still = State { turn: UnitQuaternion::identity(), rotation: Matrix3::identity(), strain: Matrix3::zeros() };
+        let tissue = Tissue {
             options,
             layer,
-            assembly,
+            states: vec![still; at_rest.len()],
             elements: Elements::new(corners),
             at_rest,
             anchors: Elements::new(anchors),
             anchor_weights,
-            now: Now::default(),
-        })
+            anchors_moved: Vec::new(),
+        };
+        Ok(Self::of(tissue, vertices, lambda_smooth))
     }
 
     /// The layer of tissue at rest.
     #[must_use]
     pub fn layer(&self) -> &InnerLayer {
-        &self.layer
+        &self.regulariser.layer
     }
+}
 
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.layer.nodes[..self.vertex_count()].to_vec();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored. The nodes below
-    /// them stay free.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.assembly.hold(held, positions);
-        self.now = Now::default();
-        self
-    }
-
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.assembly.unobserved_shifts()
-    }
-
-    /// Rotations and strains at `x`.
-    fn strain(&mut self, x: &[f64]) {
-        let Now { x: last, nodes, states } = &mut self.now;
-        if last == x && !nodes.is_empty() {
-            return;
-        }
-        last.clear();
-        last.extend_from_slice(x);
-        self.assembly.positions(x, nodes, |_, v| v);
-        let still = State { turn: UnitQuaternion::identity(), rotation: Matrix3::identity(), strain: Matrix3::zeros() };
-        states.resize(self.at_rest.len(), still);
-        let (nodes, corners, at_rest) = (&*nodes, &self.elements.nodes, &self.at_rest);
-        states.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, state) in chunk.iter_mut().enumerate() {
-                let (corners, gradients) = (corners[c * CHUNK + k], at_rest[c * CHUNK + k].gradients);
-                let f: Matrix3<f64> =
-                    corners.iter().zip(&gradients).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
-                state.turn = closest_rotation(&f, &state.turn);
-                state.rotation = state.turn.to_rotation_matrix().into_inner();
-                let turned_back = state.rotation.tr_mul(&f);
-                state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
-            }
-        });
-    }
-
+impl Tissue {
     /// `mu` and `kappa`.
     fn lame(&self) -> [f64; 2] {
         let nu = self.options.poisson;
@@ -222,59 +168,50 @@ fn shape_gradients([a, b, c, d]: [Vec3; 4]) -> [Vec3; 4] {
     [-(b + c + d), b, c, d]
 }
 
-impl DeformationModel for Fem {
-    fn name(&self) -> &'static str {
-        "fem"
-    }
+impl VertexRegulariser for Tissue {
+    const NAME: &'static str = "fem";
 
-    fn vertex_count(&self) -> usize {
-        self.assembly.vertex_count()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.assembly.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        self.assembly.rest_parameters()
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
-        let structure = self.assembly.analyse(samples, self.elements.cliques());
-        self.elements.analyse(&self.assembly, &structure, 6);
-        self.anchors.analyse(&self.assembly, &structure, 3);
+    fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
+        let structure = vertices.analyse(samples, self.elements.cliques());
+        self.elements.analyse(vertices, &structure, 6);
+        self.anchors.analyse(vertices, &structure, 3);
         structure
     }
 
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        self.assembly.positions(x, out, |_, v| v);
-        out.truncate(self.assembly.vertex_count());
+    fn fit(&mut self, nodes: &[Vec3]) {
+        let (corners, at_rest) = (&self.elements.nodes, &self.at_rest);
+        self.states.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, state) in chunk.iter_mut().enumerate() {
+                let (corners, gradients) = (corners[c * CHUNK + k], at_rest[c * CHUNK + k].gradients);
+                let f: Matrix3<f64> =
+                    corners.iter().zip(&gradients).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
+                state.turn = closest_rotation(&f, &state.turn);
+                state.rotation = state.turn.to_rotation_matrix().into_inner();
+                let turned_back = state.rotation.tr_mul(&f);
+                state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
+            }
+        });
+        let moved = |[k]: &[u32; 1]| nodes[*k as usize] - self.layer.nodes[*k as usize];
+        self.anchors_moved.clear();
+        self.anchors_moved.extend(self.anchors.nodes.iter().map(moved));
     }
 
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.assembly.pull_back(field, equations);
-    }
-
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.strain(x);
+    fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
         let [mu, kappa] = self.lame();
         let of = |(rest, state): (&AtRest, &State)| {
             rest.weight * (mu * state.strain.norm_squared() + kappa / 2.0 * state.strain.trace().powi(2))
         };
-        let elastic: f64 = self.at_rest.iter().zip(&self.now.states).map(of).sum();
-        out.push(("elasticity", self.lambda_smooth * elastic));
+        let elastic: f64 = self.at_rest.iter().zip(&self.states).map(of).sum();
+        out.push(("elasticity", lambda * elastic));
         if self.options.anchor > 0.0 {
-            let (nodes, rest) = (&self.now.nodes, &self.layer.nodes);
-            let moved = |[k]: &[u32; 1]| (nodes[*k as usize] - rest[*k as usize]).norm_squared();
-            let sum: f64 = self.anchors.nodes.iter().zip(&self.anchor_weights).map(|(k, w)| w * moved(k)).sum();
-            out.push(("anchor", self.lambda_smooth * sum));
+            let each = self.anchors_moved.iter().zip(&self.anchor_weights).map(|(moved, w)| w * moved.norm_squared());
+            out.push(("anchor", lambda * each.sum::<f64>()));
         }
     }
 
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.strain(x);
+    fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
         let [mu, kappa] = self.lame();
-        let (at_rest, states, lambda) = (&self.at_rest, &self.now.states, self.lambda_smooth);
+        let (at_rest, states) = (&self.at_rest, &self.states);
         // mu |eps|^2 + (kappa / 2) tr(eps)^2 = mu |eps + third tr(eps) 1|^2
         let third = ((1.0 + 1.5 * kappa / mu).sqrt() - 1.0) / 3.0;
         self.elements.add(equations, |e, _| {
@@ -294,27 +231,11 @@ impl DeformationModel for Fem {
             }
             (rows, residuals)
         });
-        let (nodes, rest, weights) = (&self.now.nodes, &self.layer.nodes, &self.anchor_weights);
-        self.anchors.add(equations, |i, [k]| {
+        let (moved, weights) = (&self.anchors_moved, &self.anchor_weights);
+        self.anchors.add(equations, |i, _| {
             let root = (lambda * weights[i]).sqrt();
-            let moved = (nodes[k as usize] - rest[k as usize]) * root;
-            ([[Vec3::x() * root], [Vec3::y() * root], [Vec3::z() * root]], moved.into())
+            ([[Vec3::x() * root], [Vec3::y() * root], [Vec3::z() * root]], (moved[i] * root).into())
         });
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
-    }
-}
-
-impl RegistrationModel for Fem {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
     }
 }
 

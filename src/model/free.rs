@@ -20,11 +20,12 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
 use super::smooth_rows::SmoothRows;
-use super::vertex_assembly::{VertexAssembly, parameters};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use super::vertex_assembly::VertexAssembly;
+use super::vertex_model::{VertexModel, VertexRegulariser};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -53,10 +54,11 @@ pub struct FreeOptions {
 }
 
 /// Free vertices under a Laplacian.
-pub struct Free {
-    /// `lambda` of the regulariser.
-    pub lambda_smooth: f64,
-    assembly: VertexAssembly,
+pub type Free = VertexModel<Smooth>;
+
+/// The Laplacian of displacements, squared.
+pub struct Smooth {
+    rest: Vec<Vec3>,
     rows: SmoothRows,
 }
 
@@ -134,89 +136,32 @@ impl Free {
             Smoothness::Laplacian => laplacian(&edges),
             Smoothness::BiLaplacian => bilaplacian(mesh, &edges, &options),
         };
-        let assembly = VertexAssembly::new(mesh.positions.clone(), mesh.positions.len(), &edges.joined());
-        Ok(Self { lambda_smooth, assembly, rows })
-    }
-
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.assembly.rest.clone();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.assembly.hold(held, positions);
-        self
-    }
-
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.assembly.unobserved_shifts()
-    }
-
-    fn place(&mut self, x: &[f64]) {
-        let assembly = &self.assembly;
-        self.rows.place(|v| match assembly.block(v) {
-            Some(block) => parameters(x, block),
-            None => assembly.fixed[v as usize] - assembly.rest[v as usize],
-        });
+        let rest = &mesh.positions;
+        let vertices = VertexAssembly::new(rest.clone(), rest.len(), &edges.joined());
+        Ok(Self::of(Smooth { rest: rest.clone(), rows }, vertices, lambda_smooth))
     }
 }
 
-impl DeformationModel for Free {
-    fn name(&self) -> &'static str {
-        "free"
-    }
+impl VertexRegulariser for Smooth {
+    const NAME: &'static str = "free";
 
-    fn vertex_count(&self) -> usize {
-        self.assembly.rest.len()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.assembly.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        vec![0.0; self.parameter_len()]
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
-        let structure = self.assembly.analyse(samples, self.rows.cliques());
-        self.rows.analyse(&structure, |v| self.assembly.block(v));
+    fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
+        let structure = vertices.analyse(samples, self.rows.cliques());
+        self.rows.analyse(&structure, |v| vertices.block(v));
         structure
     }
 
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        let rest = &self.assembly.rest;
-        self.assembly.positions(x, out, |v, d| rest[v] + d);
+    fn fit(&mut self, nodes: &[Vec3]) {
+        let rest = &self.rest;
+        self.rows.place(|v| nodes[v as usize] - rest[v as usize]);
     }
 
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.assembly.pull_back(field, equations);
+    fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
+        out.push(("smoothness", lambda * self.rows.energy()));
     }
 
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.place(x);
-        out.push(("smoothness", self.lambda_smooth * self.rows.energy()));
-    }
-
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.place(x);
-        self.rows.add_to(equations, self.lambda_smooth);
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
+    fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
+        self.rows.add_to(equations, lambda);
     }
 }
 
@@ -231,17 +176,6 @@ pub struct SmoothOptions {
 }
 
 impl OptionTable for SmoothOptions {}
-
-impl RegistrationModel for Free {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
-    }
-}
 
 pub(super) struct Factory;
 
@@ -306,7 +240,7 @@ mod tests {
 
     fn energy(mesh: &TriangleMesh, options: FreeOptions, field: impl Fn(&Vec3) -> Vec3) -> f64 {
         let mut model = Free::new(mesh, options, 2.0).unwrap();
-        let x: Vec<f64> = mesh.positions.iter().flat_map(|p| <[f64; 3]>::from(field(p))).collect();
+        let x: Vec<f64> = mesh.positions.iter().flat_map(|p| <[f64; 3]>::from(p + field(p))).collect();
         let mut energies = Vec::new();
         model.regulariser_energy(&x, &mut energies);
         energies[0].1

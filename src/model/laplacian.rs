@@ -21,12 +21,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::free::take_out_slope;
 use super::on_patch::{PatchFactory, PatchInput};
 use super::star_similarity::{Frames, Star, StarFit};
 use super::vertex_assembly::{CHUNK, VertexAssembly};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use super::vertex_model::{VertexModel, VertexRegulariser};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{Assembly, BlockStructure, NormalEquations};
 
@@ -49,16 +50,17 @@ impl Default for LaplacianOptions {
 impl OptionTable for LaplacianOptions {}
 
 /// A surface that keeps its differential coordinates.
-pub struct Laplacian {
-    /// `lambda` of the regulariser.
-    pub lambda_smooth: f64,
+pub type Laplacian = VertexModel<Differentials>;
+
+/// The differential coordinates.
+pub struct Differentials {
     frames: Frames,
-    vertices: VertexAssembly,
     stars: Vec<Star>,
+    fits: Vec<StarFit>,
     rows: Vec<Row>,
+    residuals: Vec<Vec3>,
     /// The rows as items of the assembler.
     assembly: Assembly,
-    fitted: Fit,
 }
 
 /// Three residuals, `T delta - sum_k c_k v_k`.
@@ -71,19 +73,12 @@ struct Row {
 
 struct Entry {
     vertex: u32,
+    /// Its block, if it is free.
+    block: Option<usize>,
     /// Which member of the star it is, if it is one.
     member: Option<u32>,
     /// `c_k`.
     coefficient: f64,
-}
-
-/// Everything that follows from `x` alone, kept until `x` changes.
-#[derive(Default)]
-struct Fit {
-    x: Vec<f64>,
-    positions: Vec<Vec3>,
-    stars: Vec<StarFit>,
-    residuals: Vec<Vec3>,
 }
 
 impl Laplacian {
@@ -121,65 +116,16 @@ impl Laplacian {
         for (&[loose, anchor], weight) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
             rows.push(Row::new(&stars, anchor as usize, loose, weight.sqrt(), &[(anchor, 1.0)], n));
         }
-        Ok(Self {
-            lambda_smooth,
+        let vertices = VertexAssembly::new(n.clone(), n.len(), &edges.joined());
+        let differentials = Differentials {
             frames: options.frames,
-            vertices: VertexAssembly::new(n.clone(), n.len(), &edges.joined()),
+            fits: stars.iter().map(|_| StarFit::identity()).collect(),
             stars,
+            residuals: vec![Vec3::zeros(); rows.len()],
             rows,
             assembly: Assembly::default(),
-            fitted: Fit::default(),
-        })
-    }
-
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.vertices.rest.clone();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.vertices.hold(held, positions);
-        self.fitted = Fit::default();
-        self
-    }
-
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.vertices.unobserved_shifts()
-    }
-
-    fn fit(&mut self, x: &[f64]) {
-        let Fit { x: last, positions, stars: fits, residuals } = &mut self.fitted;
-        if last == x && !positions.is_empty() {
-            return;
-        }
-        last.clear();
-        last.extend_from_slice(x);
-        self.vertices.positions(x, positions, |_, v| v);
-        let (stars, rows, frames, v) = (&self.stars, &self.rows, self.frames, &*positions);
-        fits.resize_with(stars.len(), StarFit::identity);
-        fits.par_chunks_mut(CHUNK).zip(stars.par_chunks(CHUNK)).for_each(|(fits, stars)| {
-            fits.iter_mut().zip(stars).for_each(|(fit, star)| fit.update(star, frames, v));
-        });
-        let fits = &*fits;
-        residuals.resize(rows.len(), Vec3::zeros());
-        residuals.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK)).for_each(|(residuals, rows)| {
-            for (residual, row) in residuals.iter_mut().zip(rows) {
-                let laplacian: Vec3 = row.entries.iter().map(|e| v[e.vertex as usize] * e.coefficient).sum();
-                *residual = fits[row.star as usize].apply(row.delta) - laplacian;
-            }
-        });
+        };
+        Ok(Self::of(differentials, vertices, lambda_smooth))
     }
 }
 
@@ -187,10 +133,11 @@ impl Row {
     /// `scale sum_j w_j (. - n_j)` for vertex `i`, which moves as the star does.
     fn new(stars: &[Star], star: usize, i: u32, scale: f64, others: &[(u32, f64)], n: &[Vec3]) -> Self {
         let members = stars[star].members.iter().enumerate();
-        let member = |(k, &vertex): (usize, &u32)| Entry { vertex, member: Some(k as u32), coefficient: 0.0 };
+        let member =
+            |(k, &vertex): (usize, &u32)| Entry { vertex, block: None, member: Some(k as u32), coefficient: 0.0 };
         let mut entries: Vec<Entry> = members.map(member).collect();
         if entries.iter().all(|e| e.vertex != i) {
-            entries.push(Entry { vertex: i, member: None, coefficient: 0.0 });
+            entries.push(Entry { vertex: i, block: None, member: None, coefficient: 0.0 });
         }
         entries.sort_unstable_by_key(|e| e.vertex);
         let mut delta = Vec3::zeros();
@@ -205,64 +152,56 @@ impl Row {
     }
 
     /// Its free blocks, ascending, each with its entry.
-    fn free<'a>(&'a self, vertices: &'a VertexAssembly) -> impl Iterator<Item = (u32, &'a Entry)> + 'a {
-        self.entries.iter().filter_map(|e| Some((vertices.block(e.vertex)? as u32, e)))
+    fn free(&self) -> impl Iterator<Item = (u32, &Entry)> {
+        self.entries.iter().filter_map(|e| Some((e.block? as u32, e)))
     }
 }
 
-impl DeformationModel for Laplacian {
-    fn name(&self) -> &'static str {
-        "laplacian"
-    }
+impl VertexRegulariser for Differentials {
+    const NAME: &'static str = "laplacian";
 
-    fn vertex_count(&self) -> usize {
-        self.vertices.rest.len()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.vertices.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        self.vertices.rest_parameters()
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
+        for entry in self.rows.iter_mut().flat_map(|row| &mut row.entries) {
+            entry.block = vertices.block(entry.vertex);
+        }
         let cliques: Vec<Vec<u32>> =
             self.rows.iter().map(|row| row.entries.iter().map(|e| e.vertex).collect()).collect();
-        let structure = self.vertices.analyse(samples, cliques.iter().map(Vec::as_slice));
-        let items: Vec<Vec<u32>> =
-            self.rows.iter().map(|row| row.free(&self.vertices).map(|free| free.0).collect()).collect();
+        let structure = vertices.analyse(samples, cliques.iter().map(Vec::as_slice));
+        let items: Vec<Vec<u32>> = self.rows.iter().map(|row| row.free().map(|free| free.0).collect()).collect();
         self.assembly = Assembly::new(items.iter().map(Vec::as_slice), &structure, |_| 3);
         structure
     }
 
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        self.vertices.positions(x, out, |_, v| v);
+    fn fit(&mut self, nodes: &[Vec3]) {
+        let (stars, rows, frames) = (&self.stars, &self.rows, self.frames);
+        self.fits.par_chunks_mut(CHUNK).zip(stars.par_chunks(CHUNK)).for_each(|(fits, stars)| {
+            fits.iter_mut().zip(stars).for_each(|(fit, star)| fit.update(star, frames, nodes));
+        });
+        let fits = &self.fits;
+        self.residuals.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK)).for_each(|(residuals, rows)| {
+            for (residual, row) in residuals.iter_mut().zip(rows) {
+                let laplacian: Vec3 = row.entries.iter().map(|e| nodes[e.vertex as usize] * e.coefficient).sum();
+                *residual = fits[row.star as usize].apply(row.delta) - laplacian;
+            }
+        });
     }
 
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.vertices.pull_back(field, equations);
+    fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
+        let sum: f64 = self.residuals.iter().map(Vec3::norm_squared).sum();
+        out.push(("differential coordinates", lambda * sum));
     }
 
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.fit(x);
-        let sum: f64 = self.fitted.residuals.iter().map(Vec3::norm_squared).sum();
-        out.push(("differential coordinates", self.lambda_smooth * sum));
-    }
-
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.fit(x);
-        let (rows, stars, fitted, vertices) = (&self.rows, &self.stars, &self.fitted, &self.vertices);
-        let (frames, root) = (self.frames, self.lambda_smooth.sqrt());
+    fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
+        let (rows, stars, fits, residuals) = (&self.rows, &self.stars, &self.fits, &self.residuals);
+        let (frames, root) = (self.frames, lambda.sqrt());
         self.assembly.linearize(
             0,
             |_| 3,
             |item, out| {
                 let row = &rows[item];
-                let (star, fit) = (&stars[row.star as usize], &fitted.stars[row.star as usize]);
+                let (star, fit) = (&stars[row.star as usize], &fits[row.star as usize]);
                 let by_member = fit.derivative(star, frames, row.delta * root);
-                for (slot, (_, entry)) in row.free(vertices).enumerate() {
+                for (slot, (_, entry)) in row.free().enumerate() {
                     let mut m = Matrix3::from_diagonal_element(-root * entry.coefficient);
                     if let Some(member) = entry.member {
                         m += by_member(member as usize);
@@ -273,25 +212,10 @@ impl DeformationModel for Laplacian {
                         }
                     }
                 }
-                out.set_residuals((fitted.residuals[item] * root).as_slice());
+                out.set_residuals((residuals[item] * root).as_slice());
             },
         );
         self.assembly.add_to(equations);
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
-    }
-}
-
-impl RegistrationModel for Laplacian {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
     }
 }
 

@@ -21,10 +21,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::elements::Elements;
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
 use super::vertex_assembly::{CHUNK, VertexAssembly};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use super::vertex_model::{VertexModel, VertexRegulariser};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{face_areas, vertex_areas};
 use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3};
@@ -57,14 +58,13 @@ const SHORTEST: f64 = 1e-2;
 const TIE: f64 = 1e-3;
 
 /// A surface on springs.
-pub struct MassSpring {
-    /// `lambda` of the springs.
-    pub lambda_smooth: f64,
-    assembly: VertexAssembly,
-    springs: Elements<2>,
+pub type MassSpring = VertexModel<Springs>;
+
+/// The springs.
+pub struct Springs {
+    ends: Elements<2>,
     laws: Vec<Law>,
-    nodes: Vec<Vec3>,
-    energies: Vec<f64>,
+    now: Vec<Now>,
 }
 
 /// Stiffness and rest length of a spring.
@@ -72,6 +72,13 @@ pub struct MassSpring {
 struct Law {
     stiffness: f64,
     length: f64,
+}
+
+/// From its second end to its first, and how much longer it is than at rest.
+#[derive(Debug, Clone, Copy)]
+struct Now {
+    along: Vec3,
+    longer: f64,
 }
 
 impl MassSpring {
@@ -119,41 +126,15 @@ impl MassSpring {
             length: distance(a, b),
         });
         let laws: Vec<Law> = laws.collect();
-        let assembly = VertexAssembly::new(layer.nodes, mesh.positions.len(), &net.ends);
-        let energies = vec![0.0; laws.len()];
-        Ok(Self { lambda_smooth, assembly, springs: Elements::new(net.ends), laws, nodes: Vec::new(), energies })
+        let vertices = VertexAssembly::new(layer.nodes, mesh.positions.len(), &net.ends);
+        let now = vec![Now { along: Vec3::zeros(), longer: 0.0 }; laws.len()];
+        Ok(Self::of(Springs { ends: Elements::new(net.ends), laws, now }, vertices, lambda_smooth))
     }
 
     /// Ends, `k_ij` and `l_ij` of all springs. Ends from [`vertex_count`](DeformationModel::vertex_count) on are inner nodes.
     pub fn springs(&self) -> impl Iterator<Item = ([u32; 2], f64, f64)> + '_ {
-        self.springs.nodes.iter().zip(&self.laws).map(|(ends, law)| (*ends, law.stiffness, law.length))
-    }
-
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.assembly.rest[..self.vertex_count()].to_vec();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored. The nodes below
-    /// them stay free.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.assembly.hold(held, positions);
-        self
-    }
-
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.assembly.unobserved_shifts()
+        let Springs { ends, laws, .. } = &self.regulariser;
+        ends.nodes.iter().zip(laws).map(|(ends, law)| (*ends, law.stiffness, law.length))
     }
 }
 
@@ -181,78 +162,39 @@ fn edge_areas(mesh: &TriangleMesh, graph: &EdgeGraph) -> Vec<f64> {
     shares
 }
 
-impl DeformationModel for MassSpring {
-    fn name(&self) -> &'static str {
-        "mass_spring"
-    }
+impl VertexRegulariser for Springs {
+    const NAME: &'static str = "mass_spring";
 
-    fn vertex_count(&self) -> usize {
-        self.assembly.vertex_count()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.assembly.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        self.assembly.rest_parameters()
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
-        let structure = self.assembly.analyse(samples, self.springs.cliques());
-        self.springs.analyse(&self.assembly, &structure, 1);
+    fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
+        let structure = vertices.analyse(samples, self.ends.cliques());
+        self.ends.analyse(vertices, &structure, 1);
         structure
     }
 
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        self.assembly.positions(x, out, |_, v| v);
-        out.truncate(self.assembly.vertex_count());
-    }
-
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.assembly.pull_back(field, equations);
-    }
-
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.assembly.positions(x, &mut self.nodes, |_, v| v);
-        let (nodes, ends, laws) = (&self.nodes, &self.springs.nodes, &self.laws);
-        self.energies.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, energy) in chunk.iter_mut().enumerate() {
+    fn fit(&mut self, nodes: &[Vec3]) {
+        let (ends, laws) = (&self.ends.nodes, &self.laws);
+        self.now.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (k, now) in chunk.iter_mut().enumerate() {
                 let [a, b] = ends[c * CHUNK + k].map(|v| nodes[v as usize]);
-                let Law { stiffness, length } = laws[c * CHUNK + k];
-                *energy = stiffness * ((a - b).norm() - length).powi(2);
+                *now = Now { along: a - b, longer: (a - b).norm() - laws[c * CHUNK + k].length };
             }
         });
-        out.push(("springs", self.lambda_smooth * self.energies.iter().sum::<f64>()));
     }
 
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.assembly.positions(x, &mut self.nodes, |_, v| v);
-        let (nodes, laws, lambda) = (&self.nodes, &self.laws, self.lambda_smooth);
-        self.springs.add(equations, |s, ends| {
-            let [a, b] = ends.map(|v| nodes[v as usize]);
-            let Law { stiffness, length } = laws[s];
-            let root = (lambda * stiffness).sqrt();
-            let (along, now) = ((a - b), (a - b).norm());
+    fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
+        let each = self.laws.iter().zip(&self.now).map(|(law, now)| law.stiffness * now.longer.powi(2));
+        out.push(("springs", lambda * each.sum::<f64>()));
+    }
+
+    fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
+        let (laws, now) = (&self.laws, &self.now);
+        self.ends.add(equations, |s, _| {
+            let (root, Now { along, longer }) = ((lambda * laws[s].stiffness).sqrt(), now[s]);
+            let length = along.norm();
             // Where both ends meet there is no direction, and the spring pulls nowhere.
-            let along = if now > 0.0 { along * (root / now) } else { Vec3::zeros() };
-            ([[along, -along]], [root * (now - length)])
+            let along = if length > 0.0 { along * (root / length) } else { Vec3::zeros() };
+            ([[along, -along]], [root * longer])
         });
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
-    }
-}
-
-impl RegistrationModel for MassSpring {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
     }
 }
 

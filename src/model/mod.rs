@@ -1,6 +1,6 @@
 //! Deformation models, one file each, with the options that it reads from a schedule and its factory; a new one is a line of the
 //! table below besides. Those of nodes and blendshapes are the hybrid with one node or without shapes; those of
-//! vertices share `vertex_assembly.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
+//! vertices state a regulariser each, the rest is `vertex_model.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
 //! [`nlls::Assembly`](crate::nlls::Assembly).
 
 mod affine;
@@ -34,6 +34,7 @@ mod star_similarity;
 mod sumner;
 mod transform;
 mod vertex_assembly;
+mod vertex_model;
 
 pub use affine::{Affine, AffineOptions};
 pub use arap::{Arap, ArapOptions, RigidityOptions, Spokes};
@@ -61,6 +62,7 @@ pub use sumner::{Sumner, SumnerOptions, sumner};
 pub use transform::{
     AffineMap, AffineMotion, AngleAxisMotion, NodeTransform, QuaternionMotion, RigidMotion, SimilarityMotion,
 };
+pub use vertex_model::{VertexModel, VertexRegulariser};
 
 use serde::{Deserialize, Serialize};
 

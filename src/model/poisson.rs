@@ -30,6 +30,7 @@ use super::edge_weights::{EdgeWeights, LARGEST_COTANGENT, WeightedEdges, cotange
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
+use super::vertex_model::VertexModel;
 use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::adjacency::{EdgeGraph, vertex_triangles};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
@@ -69,7 +70,7 @@ impl CellKind for Patches {
 }
 
 /// A surface whose gradients follow a guidance field. Cell `t` is the patch round triangle `t`.
-pub type Poisson = RigidCells<Patches>;
+pub type Poisson = VertexModel<RigidCells<Patches>>;
 
 /// `cot / 2` of all angles of an equilateral triangle.
 const EQUILATERAL: [f64; 3] = [0.288_675_134_594_812_9; 3];
@@ -110,7 +111,7 @@ impl Poisson {
             cells.push(rest, merged.chain(ties.iter().copied()));
         }
         let solver = (options.guidance == Guidance::Turned).then_some(options.solver);
-        Ok(Self::of(rest, &edges, cells, solver, lambda_smooth))
+        Ok(Self::of_cells(rest, &edges, cells, solver, lambda_smooth))
     }
 }
 

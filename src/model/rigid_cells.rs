@@ -28,10 +28,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::WeightedEdges;
-use super::factory::{RegistrationModel, SmoothLevel};
 use super::rotation_fit::closest_rotation;
 use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
-use crate::energy::{DeformationModel, NamedEnergy, Options, OptionsError, QuadricField, Samples};
+use super::vertex_model::{VertexModel, VertexRegulariser};
+use crate::energy::{NamedEnergy, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -59,15 +59,15 @@ pub trait CellKind: Send + Sync + 'static {
     const FEWEST_TURNING: usize = 0;
 }
 
-/// A surface whose cells should move rigidly: [`Arap`](super::Arap) or [`Poisson`](super::Poisson).
+/// What keeps the cells of a surface rigid, of [`Arap`](super::Arap) or [`Poisson`](super::Poisson).
 pub struct RigidCells<K> {
-    /// `lambda` of the regulariser.
-    pub lambda_smooth: f64,
     /// `None` for rotations that are the identity.
     solver: Option<ArapSolver>,
-    assembly: VertexAssembly,
     cells: Cells,
-    fitted: Fit,
+    /// Where the vertices are, how the cells are turned, and their energies.
+    nodes: Vec<Vec3>,
+    rotations: Vec<UnitQuaternion<f64>>,
+    fits: Vec<CellFit>,
     /// `L`, a scalar for every stored block.
     stiffness: Vec<f64>,
     rows: CellRows,
@@ -142,15 +142,6 @@ impl Cells {
     }
 }
 
-/// Everything that follows from `x` alone, kept until `x` changes.
-#[derive(Default)]
-struct Fit {
-    x: Vec<f64>,
-    positions: Vec<Vec3>,
-    rotations: Vec<UnitQuaternion<f64>>,
-    cells: Vec<CellFit>,
-}
-
 #[derive(Clone, Copy)]
 struct CellFit {
     rotation: Matrix3<f64>,
@@ -177,96 +168,45 @@ struct Target {
     start: u32,
 }
 
-impl<K: CellKind> RigidCells<K> {
+impl<K: CellKind> VertexModel<RigidCells<K>> {
     /// The surface at rest. `edges` say which vertices hang together.
-    pub(super) fn of(
+    pub(super) fn of_cells(
         rest: &[Vec3],
         edges: &WeightedEdges,
         cells: Cells,
         solver: Option<ArapSolver>,
         lambda_smooth: f64,
     ) -> Self {
-        Self {
-            lambda_smooth,
+        let regulariser = RigidCells {
             solver,
-            assembly: VertexAssembly::new(rest.to_vec(), rest.len(), &edges.joined()),
+            nodes: Vec::new(),
+            rotations: vec![UnitQuaternion::identity(); cells.len()],
+            fits: vec![CellFit { rotation: Matrix3::identity(), energy: 0.0 }; cells.len()],
             cells,
-            fitted: Fit::default(),
             stiffness: Vec::new(),
             rows: CellRows::default(),
             pulls: Vec::new(),
             coupling: Vec::new(),
             kind: PhantomData,
-        }
-    }
-
-    /// Holds the marked vertices at rest: they are not parameters, and their positions are copied bit for bit.
-    ///
-    /// # Panics
-    /// If there is not one mark per vertex.
-    #[must_use]
-    pub fn with_held(self, held: &[bool]) -> Self {
-        let rest = self.assembly.rest.clone();
-        self.with_held_at(held, &rest)
-    }
-
-    /// Holds the marked vertices at the given positions, bit for bit; positions of other vertices are ignored.
-    ///
-    /// # Panics
-    /// If there is not one mark and one position per vertex.
-    #[must_use]
-    pub fn with_held_at(mut self, held: &[bool], positions: &[Vec3]) -> Self {
-        self.assembly.hold(held, positions);
-        self.fitted = Fit::default();
-        self
+        };
+        Self::of(regulariser, VertexAssembly::new(rest.to_vec(), rest.len(), &edges.joined()), lambda_smooth)
     }
 
     /// The best rotation of every cell at `x`.
     pub fn rotations(&mut self, x: &[f64]) -> impl Iterator<Item = Rotation3<f64>> + '_ {
         self.fit(x);
-        self.fitted.rotations.iter().map(|q| q.to_rotation_matrix())
+        self.regulariser.rotations.iter().map(|q| q.to_rotation_matrix())
     }
+}
 
-    /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.
-    #[must_use]
-    pub fn unobserved_shifts(&self) -> usize {
-        self.assembly.unobserved_shifts()
-    }
-
-    /// The local step.
-    fn fit(&mut self, x: &[f64]) {
-        let Fit { x: last, positions, rotations, cells: fits } = &mut self.fitted;
-        if last == x && !positions.is_empty() {
-            return;
-        }
-        last.clear();
-        last.extend_from_slice(x);
-        self.assembly.positions(x, positions, |_, v| v);
-        let (cells, v, turning) = (&self.cells, &*positions, self.solver.is_some());
-        rotations.resize(cells.len(), UnitQuaternion::identity());
-        fits.resize(cells.len(), CellFit { rotation: Matrix3::identity(), energy: 0.0 });
-        let chunks = fits.par_chunks_mut(CHUNK).zip(rotations.par_chunks_mut(CHUNK)).enumerate();
-        chunks.for_each(|(chunk, (fits, rotations))| {
-            for (k, (fit, rotation)) in fits.iter_mut().zip(rotations).enumerate() {
-                let c = chunk * CHUNK + k;
-                if turning {
-                    let a = cells.at(c, v).map(|(edge, e)| e * edge.weight * edge.rest.transpose()).sum();
-                    *rotation = closest_rotation(&a, rotation);
-                    fit.rotation = rotation.to_rotation_matrix().into_inner();
-                }
-                let strain = |(edge, e): (&CellEdge, Vec3)| edge.weight * (e - fit.rotation * edge.rest).norm_squared();
-                fit.energy = cells.at(c, v).map(strain).sum();
-            }
-        });
-    }
-
+impl<K: CellKind> RigidCells<K> {
     /// Where members and, for the joint solver, their pairs lie in the equations.
-    fn analyse_rows(&mut self, structure: &BlockStructure) {
+    fn analyse_rows(&mut self, vertices: &VertexAssembly, structure: &BlockStructure) {
         let joint = self.solver == Some(ArapSolver::Joint);
         let mut uses: Vec<(usize, MemberUse)> = Vec::new();
         let mut targets = Vec::new();
         for c in 0..self.cells.len() {
-            let block = |m| self.assembly.block(self.cells.members[m]).map(|block| (m as u32, block));
+            let block = |m| vertices.block(self.cells.members[m]).map(|block| (m as u32, block));
             let free = self.cells.member_range(c).filter_map(block);
             for (member, row) in free.clone() {
                 let first = targets.len() as u32;
@@ -289,7 +229,7 @@ impl<K: CellKind> RigidCells<K> {
 
     /// Pulls of all members, and their `C_c` and `D_c^-1 C_c` if there are any.
     fn linearize_cells(&mut self) {
-        let (cells, fits, v) = (&self.cells, &self.fitted.cells, &self.fitted.positions);
+        let (cells, fits, v) = (&self.cells, &self.fits, &self.nodes);
         split_cells(&cells.member_starts, 0, &mut self.pulls, &|c, pulls| {
             pulls.fill(Vec3::zeros());
             for (edge, e) in cells.at(c, v) {
@@ -342,37 +282,23 @@ fn split_cells<T: Send>(starts: &[u32], first: usize, of_members: &mut [T], fill
     );
 }
 
-impl<K: CellKind> DeformationModel for RigidCells<K> {
-    fn name(&self) -> &'static str {
-        K::NAME
-    }
+impl<K: CellKind> VertexRegulariser for RigidCells<K> {
+    const NAME: &'static str = K::NAME;
 
-    fn vertex_count(&self) -> usize {
-        self.assembly.rest.len()
-    }
-
-    fn parameter_len(&self) -> usize {
-        self.assembly.parameter_len()
-    }
-
-    fn rest_parameters(&self) -> Vec<f64> {
-        self.assembly.rest_parameters()
-    }
-
-    fn analyse(&mut self, samples: &Samples) -> BlockStructure {
+    fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
         let cells = &self.cells;
         let structure = match self.solver {
-            Some(ArapSolver::Joint) => self.assembly.analyse(samples, (0..cells.len()).map(|c| cells.members(c))),
+            Some(ArapSolver::Joint) => vertices.analyse(samples, (0..cells.len()).map(|c| cells.members(c))),
             Some(ArapSolver::LocalGlobal) | None => {
                 let of = |c| cells.edges(c).iter().map(move |e| e.ends.map(|end| cells.members(c)[end as usize]));
                 let edges: Vec<[u32; 2]> = (0..cells.len()).flat_map(of).collect();
-                self.assembly.analyse(samples, edges.iter().map(|e| &e[..]))
+                vertices.analyse(samples, edges.iter().map(|e| &e[..]))
             }
         };
         self.stiffness = vec![0.0; structure.slot_count()];
         for c in 0..cells.len() {
             for edge in cells.edges(c) {
-                let ends = edge.ends.map(|end| self.assembly.block(cells.members(c)[end as usize]));
+                let ends = edge.ends.map(|end| vertices.block(cells.members(c)[end as usize]));
                 for row in ends.into_iter().flatten() {
                     self.stiffness[structure.row_slots(row).end - 1] += edge.weight;
                 }
@@ -382,30 +308,38 @@ impl<K: CellKind> DeformationModel for RigidCells<K> {
                 }
             }
         }
-        self.analyse_rows(&structure);
+        self.analyse_rows(vertices, &structure);
         structure
     }
 
-    fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
-        self.assembly.positions(x, out, |_, v| v);
+    /// The local step.
+    fn fit(&mut self, nodes: &[Vec3]) {
+        self.nodes.clear();
+        self.nodes.extend_from_slice(nodes);
+        let (cells, turning) = (&self.cells, self.solver.is_some());
+        let chunks = self.fits.par_chunks_mut(CHUNK).zip(self.rotations.par_chunks_mut(CHUNK)).enumerate();
+        chunks.for_each(|(chunk, (fits, rotations))| {
+            for (k, (fit, rotation)) in fits.iter_mut().zip(rotations).enumerate() {
+                let c = chunk * CHUNK + k;
+                if turning {
+                    let a = cells.at(c, nodes).map(|(edge, e)| e * edge.weight * edge.rest.transpose()).sum();
+                    *rotation = closest_rotation(&a, rotation);
+                    fit.rotation = rotation.to_rotation_matrix().into_inner();
+                }
+                let strain = |(edge, e): (&CellEdge, Vec3)| edge.weight * (e - fit.rotation * edge.rest).norm_squared();
+                fit.energy = cells.at(c, nodes).map(strain).sum();
+            }
+        });
     }
 
-    fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        self.assembly.pull_back(field, equations);
+    fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
+        out.push((K::ENERGY, lambda * self.fits.iter().map(|c| c.energy).sum::<f64>()));
     }
 
-    fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {
-        self.fit(x);
-        let sum: f64 = self.fitted.cells.iter().map(|c| c.energy).sum();
-        out.push((K::ENERGY, self.lambda_smooth * sum));
-    }
-
-    fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
-        self.fit(x);
+    fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
         self.linearize_cells();
         let structure = equations.structure().clone();
-        let (stiffness, rows, pulls, coupling, lambda) =
-            (&self.stiffness, &self.rows, &self.pulls, &self.coupling, self.lambda_smooth);
+        let (stiffness, rows, pulls, coupling) = (&self.stiffness, &self.rows, &self.pulls, &self.coupling);
         equations.for_each_block_row(&|i, mut row| {
             add_scalars(&mut row, &stiffness[structure.row_slots(i)], lambda);
             let uses = &rows.uses[rows.starts[i] as usize..rows.starts[i + 1] as usize];
@@ -415,10 +349,6 @@ impl<K: CellKind> DeformationModel for RigidCells<K> {
                 rows.subtract_turns(uses, coupling, row.blocks, lambda);
             }
         });
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
     }
 }
 
@@ -435,16 +365,5 @@ impl CellRows {
                 }
             }
         }
-    }
-}
-
-impl<K: CellKind> RegistrationModel for RigidCells<K> {
-    fn set_level(&mut self, options: &Options, _unit: f64) -> Result<(), OptionsError> {
-        self.lambda_smooth = options.read::<SmoothLevel>()?.lambda_smooth;
-        Ok(())
-    }
-
-    fn unobserved_directions(&self) -> Option<usize> {
-        (self.lambda_smooth > 0.0).then(|| self.unobserved_shifts())
     }
 }

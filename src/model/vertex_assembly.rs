@@ -1,5 +1,5 @@
-//! What the models whose parameters are vertex positions share: blocks of three parameters per vertex, data quadrics, held
-//! vertices, and which parts of the template no data fix.
+//! The assembly of a [`VertexModel`](super::VertexModel): blocks of three parameters per vertex, data quadrics, held vertices, and
+//! which parts of the template no data fix.
 //!
 //! Held vertices are not parameters: they have no block, and their positions are copied.
 
@@ -18,7 +18,7 @@ pub(super) const HELD: u32 = u32::MAX;
 pub(super) const CHUNK: usize = 512;
 
 /// Vertices, their parameter blocks and how samples act on them.
-pub(super) struct VertexAssembly {
+pub struct VertexAssembly {
     /// Rest positions: those of the template's vertices, then those of a model's own.
     pub rest: Vec<Vec3>,
     /// How many vertices the template has.
@@ -111,7 +111,7 @@ impl VertexAssembly {
         3 * self.vertices.len()
     }
 
-    /// Where free vertices rest: the parameters of models whose parameters are positions.
+    /// Where free vertices rest.
     pub fn rest_parameters(&self) -> Vec<f64> {
         self.vertices.iter().flat_map(|&v| <[f64; 3]>::from(self.rest[v as usize])).collect()
     }
@@ -222,15 +222,15 @@ impl VertexAssembly {
         (0..self.anchored.len()).filter(|&part| !self.anchored[part]).map(free).sum()
     }
 
-    /// Writes all positions, a model's own too: `place` says where free vertices are, given their index and parameters.
-    pub fn positions(&self, x: &[f64], out: &mut Vec<Vec3>, place: impl Fn(usize, Vec3) -> Vec3 + Sync) {
+    /// Writes all positions, a model's own too.
+    pub fn positions(&self, x: &[f64], out: &mut Vec<Vec3>) {
         out.resize(self.rest.len(), Vec3::zeros());
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             for (k, p) in chunk.iter_mut().enumerate() {
                 let v = c * CHUNK + k;
                 *p = match self.blocks[v] {
                     HELD => self.fixed[v],
-                    block => place(v, parameters(x, block as usize)),
+                    block => parameters(x, block as usize),
                 };
             }
         });
