@@ -22,8 +22,8 @@ pub const STUDY: Study = Study {
     name: "extreme",
     title: "Fig. 5: an extreme expression, every model",
     about: "Varied: the deformation model. Held: the scan of a mouth wide open, the shapes, the landmarks, each model's default \
-            schedule. Measured: the distance of every vertex from where it truly is, along the surface's normal (off) and \
-            along the surface (slide); over all observed vertices, and over those of mouth and eyes alone.",
+            schedule. Measured: the distance of every vertex from where it truly is, along the surface's normal and \
+            tangentially; over all observed vertices, and over those of mouth and eyes alone.",
     tables: &["extreme"],
     seconds: |effort| {
         let affine = if effort.models.contains(&ModelKind::Affine) { 12.0 } else { 0.0 };
@@ -118,7 +118,7 @@ fn seen(case: &BenchCase, values: &[f64]) -> Vec<f64> {
 fn scale(case: &BenchCase, results: &[Outcome<'_>]) -> ColourScale {
     let nonrigid = results.iter().filter(|r| r.0 != "rigid" && r.0 != "similarity");
     let all: Vec<f64> = nonrigid.flat_map(|r| seen(case, &r.3.distance)).collect();
-    ColourScale::for_magnitudes(&all, "error, off or along the surface", "mm")
+    ColourScale::for_magnitudes(&all, "normal or tangential error", "mm")
 }
 
 /// Every result with its errors, then template, truth and scan, upright.
