@@ -337,7 +337,7 @@ mod tests {
         let mut free: Deformation<_, Box<dyn DataTerm>> = Deformation::new(free, Samples::vertices(72));
         let mut poisson = problem(&mesh, ways()[2]);
         let mut equations = [free.structure(), poisson.structure()].map(|s| NormalEquations::new(Arc::clone(s)));
-        let energies = [free.linearize(&d, &mut equations[0]), poisson.linearize(&x, &mut equations[1])];
+        let energies = [free.linearize(&x, &mut equations[0]), poisson.linearize(&x, &mut equations[1])];
         approx::assert_relative_eq!(energies[0], energies[1], max_relative = 1e-12);
         assert!((equations[0].to_dense() - equations[1].to_dense()).amax() < 1e-12);
         for (a, b) in equations[0].gradient.iter().zip(&equations[1].gradient) {
