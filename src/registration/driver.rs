@@ -398,7 +398,9 @@ fn first_parameters(
     let mut x = problem.model.rest_parameters();
     if let Some(warm) = warm_start {
         warm.check(model, x.len())?;
-        x.copy_from_slice(&warm.parameters);
+        if !warm.parameters.is_empty() {
+            x.copy_from_slice(&warm.parameters);
+        }
     }
     if let Some(bounds) = problem.border_bounds() {
         bounds.validate(problem.structure().border(), x.len())?;

@@ -13,7 +13,7 @@ pub struct WarmStart {
     pub model: String,
     /// Pose of the model's frame in the scan's.
     pub pose: Pose,
-    /// The parameters of the model; of the first one, for schedules of several stages.
+    /// The parameters of the model, none where it starts at rest; of the first one, for schedules of several stages.
     pub parameters: Vec<f64>,
 }
 
@@ -24,7 +24,7 @@ impl WarmStart {
         if self.model != model {
             return wrong(format!("it is of the model '{}', this registration's is '{model}'", self.model));
         }
-        if self.parameters.len() != parameters {
+        if !self.parameters.is_empty() && self.parameters.len() != parameters {
             let found = self.parameters.len();
             return wrong(format!(
                 "it has {found} parameters, the model has {parameters}: it is of another template or schedule"
