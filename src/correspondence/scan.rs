@@ -52,7 +52,7 @@ pub struct ScanSurface {
 }
 
 enum Surface {
-    Triangles { mesh: TriangleMesh, normals: Vec<Vec3>, boundary: OpenBoundary, tree: ClosestPoint },
+    Triangles { tree: ClosestPoint, normals: Vec<Vec3>, boundary: OpenBoundary },
     Points(OrientedPoints),
 }
 
@@ -171,8 +171,8 @@ impl ScanSurface {
 
     /// What corners or points have, at a point that was found.
     pub(crate) fn mixed(&self, hit: &Hit, of_vertices: &[Vec3]) -> Option<Vec3> {
-        let Surface::Triangles { mesh, .. } = &*self.surface else { return None };
-        let corners = mesh.triangles[hit.feature as usize];
+        let Surface::Triangles { tree, .. } = &*self.surface else { return None };
+        let corners = tree.triangle(hit.feature);
         Some(corners.iter().zip(hit.barycentric).map(|(&c, b)| of_vertices[c as usize] * b).sum())
     }
 
@@ -194,7 +194,7 @@ impl Default for ScanSurface {
 impl std::fmt::Debug for ScanSurface {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (triangles, points) = match &*self.surface {
-            Surface::Triangles { mesh, .. } => (mesh.triangles.len(), mesh.positions.len()),
+            Surface::Triangles { tree, .. } => (tree.triangles().len(), tree.positions().len()),
             Surface::Points(points) => (0, points.points().len()),
         };
         let mut shown = f.debug_struct("ScanSurface");
@@ -217,14 +217,14 @@ impl Surface {
             (normals, OpenBoundary::of_edges(&edges, &mesh.triangles))
         };
         let (tree, (normals, boundary)) = rayon::join(|| ClosestPoint::new(&mesh), rest);
-        Ok(Self::Triangles { tree: tree?, mesh, normals, boundary })
+        Ok(Self::Triangles { tree: tree?, normals, boundary })
     }
 
     fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
         match self {
-            Self::Triangles { mesh, normals, boundary, tree, .. } => {
+            Self::Triangles { tree, normals, boundary } => {
                 let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
-                let corners = mesh.triangles[hit.triangle as usize];
+                let corners = tree.triangle(hit.triangle);
                 let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
                 Some(Hit {
                     feature: hit.triangle,
@@ -245,10 +245,11 @@ impl Surface {
     /// All points with a normal, without the boundary if that is not believed; and the area.
     fn points(&self, without_boundary: bool) -> (Vec<(Vec3, Vec3)>, f64) {
         match self {
-            Self::Triangles { mesh, normals, boundary, .. } => {
-                let inside = used(mesh).filter(|&v| !(without_boundary && boundary.vertices()[v]));
-                let area = face_areas(&mesh.positions, &mesh.triangles).iter().sum();
-                (inside.map(|v| (mesh.positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
+            Self::Triangles { tree, normals, boundary } => {
+                let inside = used(tree).filter(|&v| !(without_boundary && boundary.vertices()[v]));
+                let positions = tree.positions();
+                let area = face_areas(positions, &tree.triangles().collect::<Vec<_>>()).iter().sum();
+                (inside.map(|v| (positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
             }
             Self::Points(points) => {
                 let inside = (0..points.points().len()).filter(|&i| !(without_boundary && points.on_edge(i)));
@@ -301,9 +302,9 @@ pub(crate) fn check_normals(mesh: &TriangleMesh, normals: Option<&[Vec3]>) -> Re
 }
 
 /// Vertices that triangles use, ascending.
-fn used(mesh: &TriangleMesh) -> impl Iterator<Item = usize> + use<> {
-    let mut used = vec![false; mesh.positions.len()];
-    mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+fn used(mesh: &ClosestPoint) -> impl Iterator<Item = usize> + use<> {
+    let mut used = vec![false; mesh.positions().len()];
+    mesh.triangles().flatten().for_each(|v| used[v as usize] = true);
     used.into_iter().enumerate().filter(|u| u.1).map(|u| u.0)
 }
 

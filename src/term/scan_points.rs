@@ -65,7 +65,7 @@ impl ScanPoints {
     ) -> Result<(), MeshError> {
         let (surface, hints) = match &mut self.last {
             Some((surface, hints)) => {
-                surface.move_to(positions, &template.triangles)?;
+                surface.move_to(positions)?;
                 (surface, hints)
             }
             none => {

@@ -46,8 +46,9 @@ type Point = [f64; 3];
 #[derive(Debug, Clone)]
 pub struct ClosestPoint {
     tree: BoxTree,
-    /// Corners of the triangle in every slot.
-    triangles: Vec<[Point; 3]>,
+    positions: Vec<Vec3>,
+    /// Corners of the triangle in every slot: by index, since triangles share them.
+    triangles: Vec<[u32; 3]>,
     /// Slot of every triangle.
     slots: Vec<u32>,
 }
@@ -60,28 +61,46 @@ impl ClosestPoint {
     pub fn new(mesh: &TriangleMesh) -> Result<Self, MeshError> {
         check(&mesh.positions, &mesh.triangles)?;
         let tree = BoxTree::build(mesh.triangles.iter().map(|t| box_of(&corners(&mesh.positions, t))));
-        let triangles: Vec<_> =
-            tree.order.iter().map(|&t| corners(&mesh.positions, &mesh.triangles[t as usize])).collect();
+        let triangles: Vec<_> = tree.order.iter().map(|&t| mesh.triangles[t as usize]).collect();
         let mut slots = vec![0; triangles.len()];
         tree.order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
-        Ok(Self { tree, triangles, slots })
+        Ok(Self { tree, positions: mesh.positions.clone(), triangles, slots })
+    }
+
+    /// The vertices of the mesh.
+    #[must_use]
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    /// The triangles of the mesh, in its order.
+    pub fn triangles(&self) -> impl ExactSizeIterator<Item = [u32; 3]> + '_ {
+        self.slots.iter().map(|&slot| self.triangles[slot as usize])
+    }
+
+    /// Corners of a triangle.
+    ///
+    /// # Panics
+    /// If there is no such triangle.
+    #[inline]
+    #[must_use]
+    pub fn triangle(&self, triangle: u32) -> [u32; 3] {
+        self.triangles[self.slots[triangle as usize] as usize]
     }
 
     /// The same triangles at other positions: the boxes are fitted anew, the tree is kept. Answers are those of [`new`](Self::new) to
     /// the last bit; searches are as short while neighbours stay neighbours.
     ///
     /// # Errors
-    /// As there; nothing is changed then.
+    /// When a vertex of a triangle is not finite; nothing is changed then.
     ///
     /// # Panics
-    /// When there are not as many triangles as before.
-    pub fn move_to(&mut self, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshError> {
-        assert_eq!(triangles.len(), self.triangles.len(), "the triangles that the tree was built for");
-        check(positions, triangles)?;
-        for (slot, &t) in self.triangles.iter_mut().zip(&self.tree.order) {
-            *slot = corners(positions, &triangles[t as usize]);
-        }
-        self.tree.refit(|slot| box_of(&self.triangles[slot]));
+    /// When there are not as many vertices as before.
+    pub fn move_to(&mut self, positions: &[Vec3]) -> Result<(), MeshError> {
+        assert_eq!(positions.len(), self.positions.len(), "the vertices that the tree was built for");
+        check(positions, &self.triangles)?;
+        self.positions.copy_from_slice(positions);
+        self.tree.refit(|slot| box_of(&corners(&self.positions, &self.triangles[slot])));
         Ok(())
     }
 
@@ -128,7 +147,7 @@ impl ClosestPoint {
         }
         let mut best = Best { squared_distance: reach * reach, primitive: u32::MAX };
         let meet = |slot: usize| {
-            let [a, b, c] = self.triangles[slot];
+            let [a, b, c] = self.corners(slot);
             on_line(sub(a, o), sub(b, o), sub(c, o), d)
         };
         let hinted = self.slots.get(hint as usize).and_then(|&slot| meet(slot as usize));
@@ -160,7 +179,7 @@ impl ClosestPoint {
     #[must_use]
     pub fn along_to(&self, origin: &Vec3, direction: &Vec3, reach: f64, triangle: u32) -> Option<Closest> {
         let o: Point = (*origin).into();
-        let [a, b, c] = self.triangles[*self.slots.get(triangle as usize)? as usize];
+        let [a, b, c] = self.corners(*self.slots.get(triangle as usize)? as usize);
         let (barycentric, t) = on_line(sub(a, o), sub(b, o), sub(c, o), (*direction).into())?;
         let point = origin + direction * t;
         (t.abs() <= reach).then_some(Closest { triangle, barycentric, point, squared_distance: t * t })
@@ -172,7 +191,7 @@ impl ClosestPoint {
         let query = Bounds { low: (*low).into(), high: (*high).into() };
         self.tree.meeting(&query, |slots| {
             for slot in slots {
-                let [a, b, c] = self.triangles[slot];
+                let [a, b, c] = self.corners(slot);
                 let meets = (0..3)
                     .all(|i| a[i].min(b[i]).min(c[i]) <= query.high[i] && a[i].max(b[i]).max(c[i]) >= query.low[i]);
                 if meets {
@@ -183,8 +202,13 @@ impl ClosestPoint {
     }
 
     #[inline(always)]
+    fn corners(&self, slot: usize) -> [Point; 3] {
+        corners(&self.positions, &self.triangles[slot])
+    }
+
+    #[inline(always)]
     fn closest(&self, slot: usize, query: Point) -> ([f64; 3], Point, f64) {
-        let [a, b, c] = self.triangles[slot];
+        let [a, b, c] = self.corners(slot);
         closest_on_triangle(sub(a, query), sub(b, query), sub(c, query))
     }
 
@@ -227,6 +251,7 @@ fn check(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshError> {
     Ok(())
 }
 
+#[inline(always)]
 fn corners(positions: &[Vec3], triangle: &[u32; 3]) -> [Point; 3] {
     triangle.map(|i| positions[i as usize].into())
 }
@@ -504,7 +529,7 @@ mod tests {
         let mut tree = ClosestPoint::new(&flat).unwrap();
         let queries: Vec<Vec3> = (0..60).map(|k| Vec3::from_fn(|a, _| 80.0 * noise(7 * k + a))).collect();
         for mesh in [&bent, &flat] {
-            tree.move_to(&mesh.positions, &mesh.triangles).unwrap();
+            tree.move_to(&mesh.positions).unwrap();
             let new = ClosestPoint::new(mesh).unwrap();
             for q in &queries {
                 let answers = [tree.query(q), new.query(q), tree.query_from(q, 5000)];
@@ -516,7 +541,7 @@ mod tests {
         }
         let mut broken = bent.positions.clone();
         broken[3].x = f64::NAN;
-        let refused = tree.move_to(&broken, &bent.triangles).unwrap_err();
+        let refused = tree.move_to(&broken).unwrap_err();
         assert!(matches!(refused, MeshError::NotFinite { vertex: 3, .. }), "{refused}");
         assert_eq!(tree.query(&queries[0]), ClosestPoint::new(&flat).unwrap().query(&queries[0]), "left as it was");
     }
