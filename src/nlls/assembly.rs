@@ -9,11 +9,16 @@
 //!
 //! Items are linearised in chunks of fixed size, each the work of one task; then every block row sums the items that it takes part
 //! in. All orders of summation are fixed. Who assembles says what the rows are ([`FillRows`], or a closure) and nothing else.
+//!
+//! `U` is kept in single precision, since most of the numbers are its own: the equations are exactly those of a Jacobian whose border
+//! is rounded to 24 bits, so they stay positive semidefinite. The gradient is that of the Jacobian before, so minima do not move.
 
 use pulp::{Simd, WithSimd, bytemuck};
 use rayon::prelude::*;
 
-use super::dense_kernels::{OuterProducts, Tile, add_gram, add_to, dispatch, padded, sum_of_products, sweep};
+use super::dense_kernels::{
+    GRAM_ROWS, Gram, OuterProducts, Tile, add_to, dispatch, padded, sum_of_products, sweep, vectorized,
+};
 use super::{BlockRow, BlockStructure, NormalEquations};
 
 /// Items of a chunk, and the rows after which one is full too.
@@ -57,8 +62,8 @@ const BATCH: usize = 96;
 pub struct Assembly {
     chunks: Vec<Chunk>,
     by_block: Vec<BlockItems>,
-    /// Sums of `[U e]' [U e]` by groups of chunks.
-    partials: Vec<f64>,
+    /// What groups of chunks add to the border.
+    borders: Vec<BorderSum>,
     /// Coordinates of the border at the last linearisation.
     border: usize,
 }
@@ -71,6 +76,7 @@ pub struct ItemRows<'a> {
     border: usize,
     y: &'a mut [f64],
     u: &'a mut [f64],
+    e: &'a mut [f64],
 }
 
 /// What writes the rows of items.
@@ -98,8 +104,21 @@ struct Chunk {
     y_starts: Vec<u32>,
     /// `Y_j`: slot by slot of an item, row by row, padded to [`pitch`], the residual after the row's end.
     y: Vec<f64>,
-    /// `[U e]`, rows of [`border_pitch`].
-    u: Vec<f64>,
+    /// `U`, padded rows.
+    u: Vec<f32>,
+}
+
+/// Sums over the rows of a group of chunks.
+#[derive(Debug)]
+struct BorderSum {
+    /// `U' U`, its lower triangle, rows and columns padded.
+    square: Vec<f64>,
+    /// `U' e`.
+    gradient: Vec<f64>,
+    /// Rows that are not summed yet.
+    pending: Vec<f64>,
+    residuals: Vec<f64>,
+    count: usize,
 }
 
 /// A block of an item.
@@ -114,11 +133,6 @@ struct Slot {
 /// Length of a row by a block of `width` coordinates, with the residual after it.
 const fn pitch(width: usize) -> usize {
     padded(width + 1)
-}
-
-/// Length of a row by the border, with the residual after it.
-const fn border_pitch(border: usize) -> usize {
-    if border == 0 { 0 } else { padded(border + 1) }
 }
 
 /// What a block has to add up.
@@ -210,7 +224,7 @@ impl Assembly {
             let (items, runs) = (items.as_slice().to_vec(), runs.collect());
             BlockItems { items, runs, pairs: pairs.iter().map(|pair| pair.2).collect() }
         });
-        Self { by_block: by_block.collect(), chunks, partials: Vec::new(), border: 0 }
+        Self { by_block: by_block.collect(), chunks, borders: Vec::new(), border: 0 }
     }
 
     /// The pairs of blocks that `items` make meet, for [`BlockStructure::new`].
@@ -254,37 +268,29 @@ impl Assembly {
     pub(crate) fn linearize_by<R: FillRows>(&mut self, border: usize, scratch: &mut Vec<R::Scratch>, rows: &R) {
         if self.border != border {
             self.chunks.iter_mut().for_each(|chunk| chunk.u.clear());
+            self.borders.clear();
             self.border = border;
         }
         scratch.resize_with(self.chunks.len(), Default::default);
-        self.partials.clear();
-        if border == 0 {
-            let chunks = self.chunks.par_iter_mut().zip(scratch);
-            chunks.for_each(|(chunk, scratch)| dispatch(Linearize { chunk, scratch, border, rows }));
-            return;
-        }
-        let square = border_pitch(border) * border_pitch(border);
-        self.partials.resize(self.chunks.len().div_ceil(BORDER_GROUP) * square, 0.0);
+        self.borders.resize_with(self.chunks.len().div_ceil(BORDER_GROUP), || BorderSum::new(padded(border)));
         let groups = self.chunks.par_chunks_mut(BORDER_GROUP).zip(scratch.par_chunks_mut(BORDER_GROUP));
-        groups.zip(self.partials.par_chunks_mut(square)).for_each(|((chunks, scratch), partial)| {
+        groups.zip(&mut self.borders).for_each(|((chunks, scratch), sum)| {
+            sum.clear();
             for (chunk, scratch) in chunks.iter_mut().zip(scratch) {
-                dispatch(Linearize { chunk: &mut *chunk, scratch, border, rows });
-                let count = chunk.row_starts.last().map_or(0, |&r| r as usize);
-                add_gram([&chunk.u; 2], [border_pitch(border); 2], count, true, partial);
+                dispatch(Linearize { chunk, scratch, border, sum: &mut *sum, rows });
             }
         });
     }
 
     /// Adds what was linearised last to the equations.
     pub fn add_to(&self, equations: &mut NormalEquations) {
-        let (border, width) = (self.border, border_pitch(self.border));
+        let border = self.border;
         let start = equations.structure().sparse_dimension();
-        for partial in self.partials.chunks_exact((width * width).max(1)) {
-            for r in 0..border {
-                let sum = equations.border[r * border..][..=r].iter_mut();
-                sum.zip(&partial[r * width..]).for_each(|(h, p)| *h += p);
+        for sum in self.borders.iter().filter(|_| border > 0) {
+            for (r, row) in sum.square.chunks_exact(padded(border)).take(border).enumerate() {
+                equations.border[r * border..][..=r].iter_mut().zip(row).for_each(|(h, s)| *h += s);
             }
-            equations.gradient[start..].iter_mut().zip(&partial[border * width..]).for_each(|(g, p)| *g += p);
+            equations.gradient[start..].iter_mut().zip(&sum.gradient).for_each(|(g, s)| *g += s);
         }
         let structure = equations.structure().clone();
         equations.for_each_block_row(&|j, row| {
@@ -320,8 +326,7 @@ impl ItemRows<'_> {
     /// Derivatives of a row by the border.
     #[inline(always)]
     pub fn of_border(&mut self, row: usize) -> &mut [f64] {
-        let pitch = border_pitch(self.border);
-        &mut self.u[row * pitch..][..self.border]
+        &mut self.u[row * padded(self.border)..][..self.border]
     }
 
     /// The residuals, one for each row; more than that are left out.
@@ -336,23 +341,21 @@ impl ItemRows<'_> {
             let rows = self.y[slot.offset as usize * self.count..].chunks_exact_mut(pitch(width));
             rows.zip(residuals).for_each(|(row, e)| row[width] = *e);
         }
-        if self.border > 0 {
-            let rows = self.u.chunks_exact_mut(border_pitch(self.border));
-            rows.zip(residuals).for_each(|(row, e)| row[self.border] = *e);
-        }
+        self.e.copy_from_slice(residuals);
     }
 }
 
 /// Without room for more: from step to step there are about as many rows, and they are most of the memory of a solver.
-fn resize_exactly(numbers: &mut Vec<f64>, length: usize) {
+fn resize_exactly<T: Clone + Default>(numbers: &mut Vec<T>, length: usize) {
     numbers.reserve_exact(length.saturating_sub(numbers.len()));
-    numbers.resize(length, 0.0);
+    numbers.resize(length, T::default());
 }
 
 struct Linearize<'a, F: FillRows> {
     chunk: &'a mut Chunk,
     scratch: &'a mut F::Scratch,
     border: usize,
+    sum: &'a mut BorderSum,
     rows: &'a F,
 }
 
@@ -361,7 +364,7 @@ impl<F: FillRows> WithSimd for Linearize<'_, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chunk, scratch, border, rows } = self;
+        let Self { chunk, scratch, border, sum, rows } = self;
         let items = chunk.slot_starts.len() - 1;
         let (mut count, mut numbers) = (0, 0);
         chunk.row_starts.clear();
@@ -376,9 +379,10 @@ impl<F: FillRows> WithSimd for Linearize<'_, F> {
         }
         chunk.row_starts.push(count);
         chunk.y_starts.push(numbers);
-        let width = border_pitch(border);
+        let width = padded(border);
         resize_exactly(&mut chunk.y, numbers as usize);
         resize_exactly(&mut chunk.u, count as usize * width);
+        let mut u = chunk.u.as_mut_slice();
         for item in 0..items {
             let range = chunk.row_starts[item] as usize..chunk.row_starts[item + 1] as usize;
             if range.is_empty() {
@@ -387,10 +391,68 @@ impl<F: FillRows> WithSimd for Linearize<'_, F> {
             let y = &mut chunk.y[chunk.y_starts[item] as usize..chunk.y_starts[item + 1] as usize];
             y.fill(0.0);
             let slots = &chunk.slots[chunk.slot_starts[item] as usize..chunk.slot_starts[item + 1] as usize];
-            let u = &mut chunk.u[range.start * width..range.end * width];
-            let mut item_rows = ItemRows { slots, count: range.len(), border, y, u };
+            if sum.count + range.len() > GRAM_ROWS {
+                u = sum.add_pending(u);
+            }
+            let (pending, e) = sum.next(range.len());
+            let mut item_rows = ItemRows { slots, count: range.len(), border, y, u: pending, e };
             rows.fill(simd, chunk.first_item + item, scratch, &mut item_rows);
         }
+        sum.add_pending(u);
+    }
+}
+
+impl BorderSum {
+    /// For rows that are padded to `width`.
+    fn new(width: usize) -> Self {
+        Self {
+            square: vec![0.0; width * width],
+            gradient: vec![0.0; width],
+            pending: vec![0.0; width * GRAM_ROWS],
+            residuals: vec![0.0; GRAM_ROWS],
+            count: 0,
+        }
+    }
+
+    fn clear(&mut self) {
+        self.square.fill(0.0);
+        self.gradient.fill(0.0);
+    }
+
+    /// Rows, and their residuals, to be filled.
+    #[inline(always)]
+    fn next(&mut self, count: usize) -> (&mut [f64], &mut [f64]) {
+        let (width, first) = (self.gradient.len(), self.count);
+        self.count += count;
+        if self.count > self.residuals.len() {
+            self.residuals.resize(self.count, 0.0);
+            self.pending.resize(self.count * width, 0.0);
+        }
+        (&mut self.pending[first * width..self.count * width], &mut self.residuals[first..self.count])
+    }
+
+    /// Sums what was filled, and rounds it to the beginning of `u`. Returns the rest of that.
+    fn add_pending<'a>(&mut self, u: &'a mut [f32]) -> &'a mut [f32] {
+        let (width, rows) = (self.gradient.len(), std::mem::take(&mut self.count));
+        let (u, rest) = u.split_at_mut(rows * width);
+        let pending = &mut self.pending[..u.len()];
+        for (r, e) in self.residuals[..rows].iter().enumerate() {
+            let numbers = r * width..(r + 1) * width;
+            let (row, u) = (&mut pending[numbers.clone()], &mut u[numbers]);
+            vectorized(
+                #[inline(always)]
+                || {
+                    for ((x, u), g) in row.iter_mut().zip(&mut *u).zip(&mut self.gradient) {
+                        *g = e.mul_add(*x, *g);
+                        *u = *x as f32;
+                        *x = f64::from(*u);
+                    }
+                },
+            );
+        }
+        let (a, out) = (&*pending, &mut self.square[..]);
+        dispatch(Gram { a, b: a, a_width: width, b_width: width, rows, lower: true, out });
+        rest
     }
 }
 
@@ -436,15 +498,15 @@ impl<const W: usize> WithSimd for Wide<'_, W> {
             sweep::<S, W>(simd, pitch(width), &mut BlockTile::<W> { chunks, pairs, width, block });
         }
 
-        let (mut y, mut u): ([&[f64]; BATCH], [&[f64]; BATCH]) = ([&[]; BATCH], [&[]; BATCH]);
+        let (mut y, mut u): ([&[f64]; BATCH], [&[f32]; BATCH]) = ([&[]; BATCH], [&[]; BATCH]);
         let mut batched = 0;
-        let width = border_pitch(border);
+        let width = padded(border);
         for at in &items.items {
             let chunk = &chunks[at.chunk as usize];
             let u_start = chunk.row_starts[at.item as usize] as usize;
             for (r, own) in chunk.rows(at.item, at.offset, pitch(W)).enumerate() {
                 y[batched] = own;
-                u[batched] = if border > 0 { &chunk.u[(u_start + r) * width..][..width] } else { &[] };
+                u[batched] = &chunk.u[(u_start + r) * width..][..width];
                 batched += 1;
                 if batched == BATCH {
                     multiply::<S, W>(simd, &y, &u, &mut row, border);
@@ -458,7 +520,7 @@ impl<const W: usize> WithSimd for Wide<'_, W> {
 
 /// Adds the products of rows of `y` with themselves and with rows of `u`.
 #[inline(always)]
-fn multiply<S: Simd, const W: usize>(simd: S, y: &[&[f64]], u: &[&[f64]], row: &mut BlockRow<'_>, border: usize) {
+fn multiply<S: Simd, const W: usize>(simd: S, y: &[&[f64]], u: &[&[f32]], row: &mut BlockRow<'_>, border: usize) {
     let diagonal = row.blocks.len() - W * W;
     let (block, gradient) = (&mut row.blocks[diagonal..], &mut *row.gradient);
     sweep::<S, W>(simd, pitch(W), &mut DiagonalTile::<W> { y, block, gradient });
@@ -485,7 +547,7 @@ impl<const W: usize> Tile for BlockTile<'_, W> {
             let rows = chunk.rows(item, offset, pitch(W)).zip(chunk.rows(item, pair.other, other_pitch));
             rows.map(|(own, other)| (own, &other[first..]))
         });
-        let sum = sum_of_products::<S, W, V>(simd, rows);
+        let sum = sum_of_products::<S, _, W, V>(simd, rows);
         for (row, sum) in self.block.chunks_exact_mut(self.width).zip(&sum) {
             add_to(simd, bytemuck::cast_slice(sum), &mut row[first.min(self.width)..]);
         }
@@ -502,7 +564,7 @@ struct DiagonalTile<'a, const W: usize> {
 impl<const W: usize> Tile for DiagonalTile<'_, W> {
     #[inline(always)]
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
-        let sum = sum_of_products::<S, W, V>(simd, self.y.iter().map(|y| (*y, &y[first..])));
+        let sum = sum_of_products::<S, _, W, V>(simd, self.y.iter().map(|y| (*y, &y[first..])));
         for (t, sum) in sum.iter().enumerate() {
             add_to(simd, bytemuck::cast_slice(sum), &mut self.block[t * W..][..W][first.min(W)..]);
             if (first..first + V * S::F64_LANES).contains(&W) {
@@ -535,7 +597,7 @@ impl FillRow<'_> {
                 add_outer(&own[..width], &own[..width], &mut row.blocks[diagonal..]);
                 add_outer(&own[..width], &own[width..=width], row.gradient);
                 if border > 0 {
-                    add_outer(&own[..width], &chunk.u[(u_start + r) * border_pitch(border)..][..border], row.cross);
+                    add_outer(&own[..width], &chunk.u[(u_start + r) * padded(border)..][..border], row.cross);
                 }
             }
         }
@@ -543,9 +605,9 @@ impl FillRow<'_> {
 }
 
 /// `out += left right'`.
-fn add_outer(left: &[f64], right: &[f64], out: &mut [f64]) {
+fn add_outer<T: Copy + Into<f64>>(left: &[f64], right: &[T], out: &mut [f64]) {
     for (row, l) in out.chunks_exact_mut(right.len()).zip(left) {
-        row.iter_mut().zip(right).for_each(|(sum, r)| *sum = l.mul_add(*r, *sum));
+        row.iter_mut().zip(right).for_each(|(sum, r)| *sum = l.mul_add((*r).into(), *sum));
     }
 }
 
@@ -622,7 +684,9 @@ mod tests {
                 );
                 let mut equations = NormalEquations::new(structure.clone());
                 assembly.add_to(&mut equations);
-                let (h, g) = (dense.transpose() * &dense, dense.transpose() * &residuals);
+                let g = dense.transpose() * &residuals;
+                dense.columns_mut(structure.sparse_dimension(), border).apply(|u| *u = f64::from(*u as f32));
+                let h = dense.transpose() * &dense;
                 assert!((equations.to_dense() - h).amax() < 1e-11, "border {border}, round {round}");
                 let gradient = DVector::from_column_slice(&equations.gradient);
                 assert!((gradient - g).amax() < 1e-11, "border {border}, round {round}");

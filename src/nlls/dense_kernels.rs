@@ -7,7 +7,7 @@
 //! last: [`sum_of_products`] is the inner loop, [`sweep`] cuts rows into tiles. Rows are padded to a multiple of [`PAD`] numbers, so
 //! that tiles need no ends.
 
-use pulp::{Simd, WithSimd};
+use pulp::{Simd, WithSimd, bytemuck};
 
 /// Rows are padded to a multiple of so many numbers: the widest register.
 pub const PAD: usize = 8;
@@ -43,14 +43,42 @@ impl<R, F: FnMut() -> R> WithSimd for Work<F> {
     }
 }
 
+/// What the right-hand rows of a product are kept as. They are multiplied and summed as f64.
+pub trait Stored: Copy + 'static {
+    /// The first `V` registers of a row.
+    ///
+    /// # Panics
+    /// If the row is shorter.
+    fn load<S: Simd, const V: usize>(simd: S, row: &[Self]) -> [S::f64s; V];
+}
+
+impl Stored for f64 {
+    #[inline(always)]
+    fn load<S: Simd, const V: usize>(_: S, row: &[Self]) -> [S::f64s; V] {
+        let row = &S::as_simd_f64s(row).0[..V];
+        std::array::from_fn(|v| row[v])
+    }
+}
+
+impl Stored for f32 {
+    #[inline(always)]
+    fn load<S: Simd, const V: usize>(simd: S, row: &[Self]) -> [S::f64s; V] {
+        let mut registers = [simd.splat_f64s(0.0); V];
+        let numbers: &mut [f64] = bytemuck::cast_slice_mut(&mut registers);
+        let row = &row[..numbers.len()];
+        numbers.iter_mut().zip(row).for_each(|(wide, number)| *wide = f64::from(*number));
+        registers
+    }
+}
+
 /// `sum_k left_k' right_k` over the first `R` numbers of each `left` and the first `V` registers of each `right`.
 ///
 /// # Panics
 /// If a `left` or a `right` is shorter.
 #[inline(always)]
-pub fn sum_of_products<'a, S: Simd, const R: usize, const V: usize>(
+pub fn sum_of_products<'a, S: Simd, T: Stored, const R: usize, const V: usize>(
     simd: S,
-    terms: impl Iterator<Item = (&'a [f64], &'a [f64])>,
+    terms: impl Iterator<Item = (&'a [f64], &'a [T])>,
 ) -> [[S::f64s; V]; R] {
     // Two functions and a sum that nobody else changes: otherwise the compiler keeps it in memory, at half the speed.
     let mut sum = [[simd.splat_f64s(0.0); V]; R];
@@ -62,13 +90,13 @@ pub fn sum_of_products<'a, S: Simd, const R: usize, const V: usize>(
 
 /// `sum += left' right`.
 #[inline(always)]
-fn add_product<S: Simd, const R: usize, const V: usize>(
+fn add_product<S: Simd, T: Stored, const R: usize, const V: usize>(
     simd: S,
     left: &[f64],
-    right: &[f64],
+    right: &[T],
     sum: &mut [[S::f64s; V]; R],
 ) {
-    let (left, right) = (&left[..R], &S::as_simd_f64s(right).0[..V]);
+    let (left, right) = (&left[..R], T::load::<S, V>(simd, right));
     for r in 0..R {
         let l = simd.splat_f64s(left[r]);
         for v in 0..V {
@@ -139,7 +167,7 @@ pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl T
 /// `out += sum_k left_k' right_k` for gathered rows: `left` of `W` numbers, `right` of `n`, padded; `out` is `W x n`.
 pub(crate) struct OuterProducts<'a, const W: usize> {
     pub left: &'a [&'a [f64]],
-    pub right: &'a [&'a [f64]],
+    pub right: &'a [&'a [f32]],
     pub n: usize,
     pub out: &'a mut [f64],
 }
@@ -164,31 +192,27 @@ impl<const W: usize> Tile for OuterProducts<'_, W> {
             (0..V).for_each(|v| prefetch(later, first + v * S::F64_LANES));
             (*left, &right[first..])
         });
-        let sum = sum_of_products::<S, W, V>(simd, rows);
+        let sum = sum_of_products::<S, _, W, V>(simd, rows);
         for (row, sum) in self.out.chunks_exact_mut(self.n).zip(&sum) {
-            add_to(simd, pulp::bytemuck::cast_slice(sum), &mut row[first.min(self.n)..]);
+            add_to(simd, bytemuck::cast_slice(sum), &mut row[first.min(self.n)..]);
         }
     }
 }
 
-/// `out += a' b` for the first `rows` rows of `a` and `b`, which are as wide as their padded rows; of `out`, `a` wide times `b`
-/// wide, only what a lower triangle needs if `lower`.
-pub fn add_gram([a, b]: [&[f64]; 2], [a_width, b_width]: [usize; 2], rows: usize, lower: bool, out: &mut [f64]) {
-    dispatch(Gram { a, b, a_width, b_width, rows, lower, out });
+/// `out += a' b` for the first `rows` rows of `a` and `b`, which are as wide as their padded rows; of `out`, `a_width x b_width`,
+/// only what a lower triangle needs if `lower`.
+pub struct Gram<'a> {
+    pub a: &'a [f64],
+    pub b: &'a [f64],
+    pub a_width: usize,
+    pub b_width: usize,
+    pub rows: usize,
+    pub lower: bool,
+    pub out: &'a mut [f64],
 }
 
-struct Gram<'a> {
-    a: &'a [f64],
-    b: &'a [f64],
-    a_width: usize,
-    b_width: usize,
-    rows: usize,
-    lower: bool,
-    out: &'a mut [f64],
-}
-
-/// Rows that [`add_gram`] multiplies before it turns to the next tile: few enough for the first-level cache.
-const GRAM_ROWS: usize = 32;
+/// Rows that [`Gram`] multiplies before it turns to the next tile: few enough for the first-level cache.
+pub const GRAM_ROWS: usize = 32;
 
 impl WithSimd for Gram<'_> {
     type Output = ();
@@ -220,7 +244,7 @@ impl Tile for GramTile<'_> {
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let ((a, a_width), (b, b_width)) = (self.a, self.b);
         let rows = self.rows.clone().map(|k| (&a[k * a_width + self.i..], &b[k * b_width + first..]));
-        let sum = sum_of_products::<S, PAD, V>(simd, rows);
+        let sum = sum_of_products::<S, _, PAD, V>(simd, rows);
         for r in 0..PAD {
             let out = &mut S::as_mut_simd_f64s(&mut self.out[r * b_width + first..]).0[..V];
             for v in 0..V {

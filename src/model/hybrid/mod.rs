@@ -333,7 +333,7 @@ impl<const W: usize> Tile for PullBack<'_, W> {
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let entries = self.derivatives.chunks_exact(pitch::<W>());
         let terms = self.factors.iter().zip(entries).map(|(factor, d)| (std::slice::from_ref(factor), &d[first..]));
-        let [sum] = sum_of_products::<S, 1, V>(simd, terms);
+        let [sum] = sum_of_products::<S, _, 1, V>(simd, terms);
         let out = &mut S::as_mut_simd_f64s(&mut self.out[first..]).0[..V];
         for v in 0..V {
             out[v] = simd.add_f64s(out[v], sum[v]);

@@ -33,7 +33,7 @@ use super::isotropic::Isotropic;
 use super::supernodal::SupernodalFactor;
 use super::vector::dot;
 use super::{LinearError, LinearSolver, breakdown, check_step, damping_at, same_structure};
-use crate::nlls::dense_kernels::{PAD, add_gram, dispatch, padded, sweep, vectorized};
+use crate::nlls::dense_kernels::{Gram, PAD, dispatch, padded, sweep, vectorized};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -368,7 +368,8 @@ impl Piece {
     /// `values = Z_a' Z_b`; of a diagonal piece the lower triangle only.
     fn multiply(&mut self, a: &Chunk, b: &Chunk, n: usize) {
         self.values.fill(0.0);
-        let widths = [a, b].map(|chunk| padded(chunk.columns.len()));
-        add_gram([&a.values, &b.values], widths, n, self.a == self.b, &mut self.values);
+        let [a_width, b_width] = [a, b].map(|chunk| padded(chunk.columns.len()));
+        let (lower, out) = (self.a == self.b, &mut self.values[..]);
+        dispatch(Gram { a: &a.values, b: &b.values, a_width, b_width, rows: n, lower, out });
     }
 }

@@ -90,7 +90,7 @@ impl<const N: usize> Tile for PanelTile<'_, N> {
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let row = self.top + first;
         let done = self.done.chunks_exact(self.stride);
-        let mut sum = sum_of_products::<S, N, V>(simd, done.map(|column| (&column[self.j..], &column[row..])));
+        let mut sum = sum_of_products::<S, _, N, V>(simd, done.map(|column| (&column[self.j..], &column[row..])));
         for c in 0..N {
             let before = &S::as_simd_f64s(&self.panel[c * self.stride + row..]).0[..V];
             for v in 0..V {
@@ -149,7 +149,7 @@ impl Tile for SquareTile<'_> {
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let (left, right) = (self.width + self.j, self.width + self.j + first);
         let columns = (0..self.width).map(|k| &self.columns[k * self.stride..]);
-        let sum = sum_of_products::<S, PAD, V>(simd, columns.map(|column| (&column[left..], &column[right..])));
+        let sum = sum_of_products::<S, _, PAD, V>(simd, columns.map(|column| (&column[left..], &column[right..])));
         for c in 0..PAD {
             if self.j + c < self.below {
                 let start = c * padded(self.below) + self.j + first;
@@ -184,7 +184,7 @@ impl Tile for ForwardTile<'_> {
         let own = self.start * pitch + first;
         for j in (0..width).step_by(PAD) {
             let known = (0..j).map(|k| (&self.columns[k * stride + j..], &self.x[own + k * pitch..]));
-            let mut sum = sum_of_products::<S, PAD, V>(simd, known);
+            let mut sum = sum_of_products::<S, _, PAD, V>(simd, known);
             for r in 0..PAD {
                 if j + r < width {
                     let x = &mut S::as_mut_simd_f64s(&mut self.x[own + (j + r) * pitch..]).0[..V];
@@ -206,7 +206,7 @@ impl Tile for ForwardTile<'_> {
         for (b, rows) in self.pattern.chunks(PAD).enumerate() {
             let left = width + b * PAD;
             let solved = (0..width).map(|k| (&self.columns[k * stride + left..], &self.x[own + k * pitch..]));
-            let sum = sum_of_products::<S, PAD, V>(simd, solved);
+            let sum = sum_of_products::<S, _, PAD, V>(simd, solved);
             for r in 0..PAD {
                 if let Some(&row) = rows.get(r) {
                     let x = &mut S::as_mut_simd_f64s(&mut self.x[row * pitch + first..]).0[..V];
