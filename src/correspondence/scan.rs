@@ -165,6 +165,7 @@ impl ScanSurface {
                 chosen.push((p, normal));
             }
         }
+        chosen.shrink_to_fit();
         let each = area / frame.scale.powi(2) / chosen.len().max(1) as f64;
         (chosen, each)
     }

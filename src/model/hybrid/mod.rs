@@ -410,7 +410,7 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for Hybrid<T, W> {
         self.assembly = Assembly::default(); // its memory serves the next one
         self.samples = NodeSamples::new(samples, &self.graph);
         let edges = self.regulariser.items::<T>(&self.graph);
-        let items = || self.samples.nodes.iter().map(Vec::as_slice);
+        let items = || self.samples.all_nodes();
         let pairs = Assembly::pairs(items().chain(edges.iter().map(Vec::as_slice)));
         let structure = BlockStructure::new(&vec![W; self.graph.free_nodes()], pairs, self.shapes.len())
             .expect("proven: all pairs are nodes of the graph");

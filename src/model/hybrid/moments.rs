@@ -36,12 +36,12 @@ pub(super) struct Moments {
 impl Moments {
     pub fn new(samples: &NodeSamples, blended: Blended<'_>, structure: &BlockStructure) -> Self {
         let mut all = Self { starts: vec![0], ..Self::default() };
-        for (item, nodes) in samples.nodes.iter().enumerate() {
+        for (item, nodes) in samples.all_nodes().enumerate() {
             let first = all.places.len();
             all.places.resize(first + nodes.len(), [0.0; 4]);
             for corner in samples.corners(item) {
                 let i = corner.vertex as usize;
-                for (&(j, omega), &slot) in blended.graph.influences(i).iter().zip(&corner.slots) {
+                for (&(j, omega), &slot) in blended.graph.influences(i).iter().zip(samples.slots(corner)) {
                     if slot == FIXED {
                         continue;
                     }
@@ -58,7 +58,7 @@ impl Moments {
                 all.slots.extend(nodes[..=p].iter().map(slot));
             }
         }
-        all.alphas = vec![0.0; samples.nodes.len()];
+        all.alphas = vec![0.0; samples.order.len()];
         all.squares = vec![[[0.0; 4]; 4]; structure.slot_count()];
         all.slopes = vec![[[0.0; 4]; 3]; structure.block_count()];
         all
@@ -98,7 +98,7 @@ impl Moments {
             }
         }
         slopes.fill([[0.0; 4]; 3]);
-        for (item, (&s, nodes)) in samples.order.iter().zip(&samples.nodes).enumerate() {
+        for (item, (&s, nodes)) in samples.order.iter().zip(samples.all_nodes()).enumerate() {
             let f = quadrics[s as usize].gradient();
             for (m, &j) in of(item).iter().zip(nodes) {
                 add_outer(&f, m, &mut slopes[j as usize]);

@@ -49,7 +49,7 @@ fn strided<T: NodeTransform<W>, const W: usize>(
     let nb = shapes.len();
     let w = weights_in::<T, W>(x, graph);
     let rows = quadric.rows();
-    let of_nodes = samples.nodes[item].len() * W;
+    let of_nodes = samples.nodes(item).len() * W;
     for first in (0..of_nodes + nb).step_by(STRIDE) {
         let seed = |k: usize, value: f64| {
             let d = Dual::from_re(value);
@@ -67,7 +67,7 @@ fn strided<T: NodeTransform<W>, const W: usize>(
                     b[a] += w_k * f64::from(slab[a * nb + k]);
                 }
             }
-            for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
+            for (&(j, omega), &slot) in graph.influences(i).iter().zip(samples.slots(corner)) {
                 let own =
                     if slot == FIXED { usize::MAX..usize::MAX } else { slot as usize * W..(slot as usize + 1) * W };
                 let x_j = graph.nodes()[j as usize];

@@ -23,17 +23,18 @@ pub(super) struct Blended<'a> {
 pub(super) struct NodeSamples {
     /// Index of each in the problem's samples.
     pub order: Vec<u32>,
-    /// Free nodes that move each, ascending.
-    pub nodes: Vec<Vec<u32>>,
+    node_starts: Vec<u32>,
+    nodes: Vec<u32>,
     corner_starts: Vec<u32>,
     corners: Vec<Corner>,
+    slots: Vec<u32>,
 }
 
-/// One vertex of a sample with its weight, and which of the sample's nodes each of the vertex' influences is.
+/// One vertex of a sample with its weight.
 pub(super) struct Corner {
     pub vertex: u32,
     pub weight: f64,
-    pub slots: Vec<u32>,
+    first_slot: u32,
 }
 
 /// Slot of a node that is no parameter.
@@ -41,26 +42,46 @@ pub(super) const FIXED: u32 = u32::MAX;
 
 impl NodeSamples {
     pub fn new(samples: &Samples, graph: &NodeGraph) -> Self {
-        let mut all = Self { order: by_strongest_node(samples, graph), corner_starts: vec![0], ..Self::default() };
-        for &s in &all.order {
+        let order = by_strongest_node(samples, graph);
+        let mut all = Self { node_starts: vec![0], corner_starts: vec![0], ..Self::default() };
+        for &s in &order {
             let corners = samples.corners(s as usize);
             let moved_by = corners.iter().flat_map(|c| graph.influences(c.0 as usize).iter().map(|i| i.0));
             let mut nodes: Vec<u32> = moved_by.filter(|j| (*j as usize) < graph.free_nodes()).collect();
             nodes.sort_unstable();
             nodes.dedup();
-            all.corners.extend(corners.iter().map(|&(vertex, weight)| {
+            for &(vertex, weight) in corners {
+                all.corners.push(Corner { vertex, weight, first_slot: all.slots.len() as u32 });
                 let slot = |j: u32| nodes.binary_search(&j).map_or(FIXED, |slot| slot as u32);
-                Corner { vertex, weight, slots: graph.influences(vertex as usize).iter().map(|i| slot(i.0)).collect() }
-            }));
+                all.slots.extend(graph.influences(vertex as usize).iter().map(|i| slot(i.0)));
+            }
             all.corner_starts.push(all.corners.len() as u32);
-            all.nodes.push(nodes);
+            all.nodes.extend(nodes);
+            all.node_starts.push(all.nodes.len() as u32);
         }
-        all
+        Self { order, ..all }
+    }
+
+    /// Free nodes that move an item, ascending.
+    #[inline(always)]
+    pub fn nodes(&self, item: usize) -> &[u32] {
+        &self.nodes[self.node_starts[item] as usize..self.node_starts[item + 1] as usize]
+    }
+
+    /// The same of every item.
+    pub fn all_nodes(&self) -> impl Iterator<Item = &[u32]> {
+        (0..self.order.len()).map(|item| self.nodes(item))
     }
 
     #[inline(always)]
     pub fn corners(&self, item: usize) -> &[Corner] {
         &self.corners[self.corner_starts[item] as usize..self.corner_starts[item + 1] as usize]
+    }
+
+    /// Which of its item's nodes each influence of a corner is, and more after them.
+    #[inline(always)]
+    pub fn slots(&self, corner: &Corner) -> &[u32] {
+        &self.slots[corner.first_slot as usize..]
     }
 
     /// The quadric of an item.
@@ -114,7 +135,7 @@ impl<const W: usize> FillRows for Structured<'_, W> {
             let i = corner.vertex as usize;
             // Rbar_i, scaled by the corner's weight.
             let mut rbar = [[0.0; 3]; 3];
-            for (&(j, omega), &slot) in graph.influences(i).iter().zip(&corner.slots) {
+            for (&(j, omega), &slot) in graph.influences(i).iter().zip(self.samples.slots(corner)) {
                 let (map, weight) = (self.maps.value(j as usize), corner.weight * omega);
                 for a in 0..3 {
                     for b in 0..3 {
