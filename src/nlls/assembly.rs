@@ -118,6 +118,7 @@ struct BorderSum {
     /// Rows that are not summed yet.
     pending: Vec<f64>,
     residuals: Vec<f64>,
+    /// How many those are.
     count: usize,
 }
 
@@ -272,8 +273,9 @@ impl Assembly {
             self.border = border;
         }
         scratch.resize_with(self.chunks.len(), Default::default);
-        self.borders.resize_with(self.chunks.len().div_ceil(BORDER_GROUP), || BorderSum::new(padded(border)));
-        let groups = self.chunks.par_chunks_mut(BORDER_GROUP).zip(scratch.par_chunks_mut(BORDER_GROUP));
+        let group = if border == 0 { 1 } else { BORDER_GROUP };
+        self.borders.resize_with(self.chunks.len().div_ceil(group), || BorderSum::new(padded(border)));
+        let groups = self.chunks.par_chunks_mut(group).zip(scratch.par_chunks_mut(group));
         groups.zip(&mut self.borders).for_each(|((chunks, scratch), sum)| {
             sum.clear();
             for (chunk, scratch) in chunks.iter_mut().zip(scratch) {
@@ -323,7 +325,7 @@ impl ItemRows<'_> {
         &mut self.y[offset as usize * self.count + row * pitch..][..pitch]
     }
 
-    /// Derivatives of a row by the border.
+    /// Derivatives of a row by the border; the equations take them rounded to f32, the gradient as they are.
     #[inline(always)]
     pub fn of_border(&mut self, row: usize) -> &mut [f64] {
         &mut self.u[row * padded(self.border)..][..self.border]
@@ -434,6 +436,9 @@ impl BorderSum {
     /// Sums what was filled, and rounds it to the beginning of `u`. Returns the rest of that.
     fn add_pending<'a>(&mut self, u: &'a mut [f32]) -> &'a mut [f32] {
         let (width, rows) = (self.gradient.len(), std::mem::take(&mut self.count));
+        if width == 0 {
+            return u;
+        }
         let (u, rest) = u.split_at_mut(rows * width);
         let pending = &mut self.pending[..u.len()];
         for (r, e) in self.residuals[..rows].iter().enumerate() {
