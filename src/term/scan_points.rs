@@ -26,6 +26,9 @@ pub struct ScanPoints {
     last: Option<(ClosestPoint, Vec<u32>)>,
 }
 
+/// Points that are searched for before what was found is put down.
+const BATCH: usize = 2048;
+
 impl ScanPoints {
     /// Spreads points over the scan for a template of this rest shape.
     #[must_use]
@@ -92,17 +95,20 @@ impl ScanPoints {
             let nearest = masks.speaker(nearest);
             (weight > 0.0).then(|| (nearest, q + (positions[nearest] - hit.point), normal, self.weight * weight))
         };
-        let all: Vec<_> = self.points.par_iter().zip(hints).with_min_len(64).map(search).collect();
         let ScanToTemplate { samples, targets, normals, weights, .. } = found;
         samples.clear();
         targets.clear();
         normals.clear();
         weights.clear();
-        for (sample, target, normal, weight) in all.into_iter().flatten() {
-            samples.push(sample);
-            targets.push(target);
-            normals.push(normal);
-            weights.push(weight);
+        let mut batch = Vec::with_capacity(BATCH);
+        for (points, hints) in self.points.chunks(BATCH).zip(hints.chunks_mut(BATCH)) {
+            points.par_iter().zip(hints).with_min_len(64).map(search).collect_into_vec(&mut batch);
+            for (sample, target, normal, weight) in batch.drain(..).flatten() {
+                samples.push(sample);
+                targets.push(target);
+                normals.push(normal);
+                weights.push(weight);
+            }
         }
         Ok(())
     }

@@ -257,9 +257,11 @@ fn quaternions_take_the_steps_of_matrices_and_rotation_vectors_arrive_where_they
             println!(
                 "shapes {shapes}: quaternions {worst:e}; vectors {first:?} to {last:?}, {energy:e}, {distance:e} mm"
             );
-            assert!(worst < 1e-9, "{worst:e}");
+            // Derivatives by shapes are rounded to f32, which tells numbers apart that differ in their last bit.
+            let (distances, energies) = if shapes { (1e-6, 1e-9) } else { (1e-9, 1e-11) };
+            assert!(worst < distances, "{worst:e}");
             for ((a, _), (b, _)) in by_matrix.iter().zip(&by_quaternion) {
-                assert!((a - b).abs() < 1e-11 * a, "{a} {b}");
+                assert!((a - b).abs() < energies * a, "{a} {b}");
             }
             assert!(energy < 1e-10 && distance < 1e-5, "{energy:e} {distance:e}");
         }

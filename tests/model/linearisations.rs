@@ -55,6 +55,9 @@ fn linearized(problem: &mut TestProblem, x: &[f64]) -> NormalEquations {
     equations
 }
 
+/// What products with derivatives by the border may differ by, since those are rounded to f32 (relative).
+const BORDER_TOLERANCE: f64 = 1e-7;
+
 /// Blocks of nodes, cross terms, border and gradient agree, each relative to its own largest entry.
 fn assert_same(found: &NormalEquations, expected: (&DMatrix<f64>, &DVector<f64>), tolerance: f64, what: &str) {
     let s = found.structure();
@@ -69,6 +72,7 @@ fn assert_same(found: &NormalEquations, expected: (&DMatrix<f64>, &DVector<f64>)
         let view = |matrix: &DMatrix<f64>| matrix.view((row, column), (rows, columns)).into_owned();
         let (found, expected) = (view(&h), view(expected.0));
         let (error, size) = ((found - &expected).amax(), expected.amax());
+        let tolerance = if part == "blocks" { tolerance } else { tolerance.max(BORDER_TOLERANCE) };
         assert!(size > 0.0 && error <= tolerance * size, "{what}, {part}: {error:e} of {size:e}");
     }
     let (error, size) = ((g - expected.1).amax(), expected.1.amax());
