@@ -16,9 +16,8 @@
 use pulp::{Simd, WithSimd, bytemuck};
 use rayon::prelude::*;
 
-use super::dense_kernels::{
-    GRAM_ROWS, Gram, OuterProducts, Tile, add_to, dispatch, padded, sum_of_products, sweep, vectorized,
-};
+use super::border_sum::BorderSum;
+use super::dense_kernels::{OuterProducts, Tile, add_to, dispatch, padded, sum_of_products, sweep};
 use super::{BlockRow, BlockStructure, NormalEquations};
 
 /// Items of a chunk, and the rows after which one is full too.
@@ -106,20 +105,6 @@ struct Chunk {
     y: Vec<f64>,
     /// `U`, padded rows.
     u: Vec<f32>,
-}
-
-/// Sums over the rows of a group of chunks.
-#[derive(Debug)]
-struct BorderSum {
-    /// `U' U`, its lower triangle, rows and columns padded.
-    square: Vec<f64>,
-    /// `U' e`.
-    gradient: Vec<f64>,
-    /// Rows that are not summed yet.
-    pending: Vec<f64>,
-    residuals: Vec<f64>,
-    /// How many those are.
-    count: usize,
 }
 
 /// A block of an item.
@@ -268,7 +253,6 @@ impl Assembly {
     /// [`linearize`](Self::linearize) with the registers at hand, and memory for each chunk.
     pub(crate) fn linearize_by<R: FillRows>(&mut self, border: usize, scratch: &mut Vec<R::Scratch>, rows: &R) {
         if self.border != border {
-            self.chunks.iter_mut().for_each(|chunk| chunk.u.clear());
             self.borders.clear();
             self.border = border;
         }
@@ -393,71 +377,14 @@ impl<F: FillRows> WithSimd for Linearize<'_, F> {
             let y = &mut chunk.y[chunk.y_starts[item] as usize..chunk.y_starts[item + 1] as usize];
             y.fill(0.0);
             let slots = &chunk.slots[chunk.slot_starts[item] as usize..chunk.slot_starts[item + 1] as usize];
-            if sum.count + range.len() > GRAM_ROWS {
-                u = sum.add_pending(u);
+            if sum.is_full_for(range.len()) {
+                u = sum.add_rows(u);
             }
-            let (pending, e) = sum.next(range.len());
+            let (pending, e) = sum.next_rows(range.len());
             let mut item_rows = ItemRows { slots, count: range.len(), border, y, u: pending, e };
             rows.fill(simd, chunk.first_item + item, scratch, &mut item_rows);
         }
-        sum.add_pending(u);
-    }
-}
-
-impl BorderSum {
-    /// For rows that are padded to `width`.
-    fn new(width: usize) -> Self {
-        Self {
-            square: vec![0.0; width * width],
-            gradient: vec![0.0; width],
-            pending: vec![0.0; width * GRAM_ROWS],
-            residuals: vec![0.0; GRAM_ROWS],
-            count: 0,
-        }
-    }
-
-    fn clear(&mut self) {
-        self.square.fill(0.0);
-        self.gradient.fill(0.0);
-    }
-
-    /// Rows, and their residuals, to be filled.
-    #[inline(always)]
-    fn next(&mut self, count: usize) -> (&mut [f64], &mut [f64]) {
-        let (width, first) = (self.gradient.len(), self.count);
-        self.count += count;
-        if self.count > self.residuals.len() {
-            self.residuals.resize(self.count, 0.0);
-            self.pending.resize(self.count * width, 0.0);
-        }
-        (&mut self.pending[first * width..self.count * width], &mut self.residuals[first..self.count])
-    }
-
-    /// Sums what was filled, and rounds it to the beginning of `u`. Returns the rest of that.
-    fn add_pending<'a>(&mut self, u: &'a mut [f32]) -> &'a mut [f32] {
-        let (width, rows) = (self.gradient.len(), std::mem::take(&mut self.count));
-        if width == 0 {
-            return u;
-        }
-        let (u, rest) = u.split_at_mut(rows * width);
-        let pending = &mut self.pending[..u.len()];
-        for (r, e) in self.residuals[..rows].iter().enumerate() {
-            let numbers = r * width..(r + 1) * width;
-            let (row, u) = (&mut pending[numbers.clone()], &mut u[numbers]);
-            vectorized(
-                #[inline(always)]
-                || {
-                    for ((x, u), g) in row.iter_mut().zip(&mut *u).zip(&mut self.gradient) {
-                        *g = e.mul_add(*x, *g);
-                        *u = *x as f32;
-                        *x = f64::from(*u);
-                    }
-                },
-            );
-        }
-        let (a, out) = (&*pending, &mut self.square[..]);
-        dispatch(Gram { a, b: a, a_width: width, b_width: width, rows, lower: true, out });
-        rest
+        sum.add_rows(u);
     }
 }
 

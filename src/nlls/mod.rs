@@ -54,6 +54,7 @@
 //! This module may import nothing from the rest of the crate.
 
 mod assembly;
+mod border_sum;
 mod bounds;
 mod check;
 mod covariance;
