@@ -43,7 +43,7 @@ struct Arguments {
     /// Folder for everything; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Everything random comes from this number.
+    /// Everything random comes from this number. Case k is drawn from it plus k, so neighbouring seeds share people.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Threads; default: one per processor. The result is the same with any number.

@@ -151,6 +151,19 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
     assert!(!page.contains("href=\"http") && page.matches("<svg").count() >= 8);
     assert!(log.contains("plan, about") && log.contains("YOUR_SCAN/scan.ply"), "{log}");
 
+    // Studies by themselves at one thread leave the files that they leave among all at two.
+    let alone = tempfile::tempdir().unwrap();
+    report(alone.path(), 1, &["sweeps", "resolution", "ablations"]);
+    let mut compared = 0;
+    for (name, bytes) in files(alone.path()) {
+        let of_study = ["sweeps", "resolution", "ablations"].iter().any(|s| name.to_string_lossy().starts_with(s));
+        if of_study || name.starts_with("data") {
+            assert!(fs::read(folder.path().join(&name)).unwrap() == bytes, "{}", name.display());
+            compared += usize::from(of_study);
+        }
+    }
+    assert!(compared >= 6, "{compared}");
+
     // A model of one's own has its rows.
     for (table, column) in [("extreme", "model"), ("comparison", "name"), ("sweeps", "model")] {
         let table = Table::read(&folder.path().join(format!("{table}.csv"))).unwrap();
@@ -240,10 +253,9 @@ fn scale(file: &Path, pick: &Pick, factor: f64) {
 #[test]
 fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
-    let studies = ["inputs", "extreme", "convergence", "sweeps", "resolution", "ablations"];
     let runs = [("one", 1), ("two", 2)].map(|(name, threads)| {
         let out = folder.path().join(name);
-        report(&out, threads, &studies);
+        report(&out, threads, &["inputs", "extreme", "convergence"]);
         let mut found = files(&out);
         found.remove(Path::new("machine.json")).expect("processor and times, in a file of their own");
         found
