@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 use crate::mesh::Vec3;
+use crate::mesh::rows::Rows;
 
 /// Why a sample could not be added.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -27,16 +28,14 @@ pub enum SampleError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Samples {
     vertex_count: usize,
-    starts: Vec<u32>,
-    corners: Vec<(u32, f64)>,
+    corners: Rows<(u32, f64)>,
 }
 
 impl Samples {
     /// One sample per vertex, in vertex order.
     #[must_use]
     pub fn vertices(vertex_count: usize) -> Self {
-        let corners = (0..vertex_count as u32).map(|v| (v, 1.0)).collect();
-        Self { vertex_count, starts: (0..=vertex_count as u32).collect(), corners }
+        Self { vertex_count, corners: (0..vertex_count as u32).map(|v| [(v, 1.0)]).collect() }
     }
 
     /// Adds the convex combination `corners` of (vertex, weight) and returns the sample's index. Corners of weight zero
@@ -50,15 +49,14 @@ impl Samples {
         if !convex {
             return Err(SampleError::NotConvex(corners.iter().map(|c| c.1).collect()));
         }
-        self.corners.extend(corners.iter().filter(|c| c.1 > 0.0));
-        self.starts.push(self.corners.len() as u32);
+        self.corners.push(corners.iter().copied().filter(|c| c.1 > 0.0));
         Ok(self.len() - 1)
     }
 
     /// Number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.starts.len() - 1
+        self.corners.len()
     }
 
     /// Whether there are none.
@@ -76,7 +74,7 @@ impl Samples {
     /// The (vertex, weight) corners of sample `s`.
     #[must_use]
     pub fn corners(&self, s: usize) -> &[(u32, f64)] {
-        &self.corners[self.starts[s] as usize..self.starts[s + 1] as usize]
+        self.corners.row(s)
     }
 
     /// Position of sample `s` for the given vertex positions.

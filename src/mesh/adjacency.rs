@@ -3,64 +3,8 @@
 //! Everything is built in linear time (counting sorts; each vertex's few neighbours are then sorted), lies in
 //! compressed rows, and is ordered by index, so it depends on nothing but the connectivity.
 
+use super::rows::Rows;
 use super::{PolygonMesh, TriangleMesh, Vec3};
-
-/// Rows of indices one after the other: row `i` is `items[starts[i]..starts[i + 1]]`.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Rows {
-    starts: Vec<u32>,
-    items: Vec<u32>,
-}
-
-impl Rows {
-    /// Counting sort of `(row, item)` pairs; items keep their order within a row.
-    pub(crate) fn collect(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
-        let mut starts = vec![0u32; rows + 1];
-        for (row, _) in pairs.clone() {
-            starts[row as usize + 1] += 1;
-        }
-        for i in 0..rows {
-            starts[i + 1] += starts[i];
-        }
-        let mut next = starts.clone();
-        let mut items = vec![0; starts[rows] as usize];
-        for (row, item) in pairs {
-            items[next[row as usize] as usize] = item;
-            next[row as usize] += 1;
-        }
-        Self { starts, items }
-    }
-
-    /// Row `i`.
-    #[must_use]
-    pub fn row(&self, i: usize) -> &[u32] {
-        &self.items[self.range(i)]
-    }
-
-    /// Where row `i` lies in [`Self::items`].
-    #[must_use]
-    pub fn range(&self, i: usize) -> std::ops::Range<usize> {
-        self.starts[i] as usize..self.starts[i + 1] as usize
-    }
-
-    /// Number of rows.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.starts.len().saturating_sub(1)
-    }
-
-    /// No rows at all.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// All rows, one after the other.
-    #[must_use]
-    pub fn items(&self) -> &[u32] {
-        &self.items
-    }
-}
 
 /// The triangles round every vertex, ascending. A triangle that names a vertex twice is listed once.
 ///
@@ -72,7 +16,7 @@ pub fn vertex_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Rows {
         let twice = [false, b == a, c == a || c == b];
         [a, b, c].into_iter().zip(twice).filter(|(_, twice)| !twice).map(move |(v, _)| (v, t as u32))
     });
-    Rows::collect(vertex_count, pairs)
+    Rows::sorted(vertex_count, pairs)
 }
 
 /// The undirected edges of a mesh and every vertex's neighbours.
@@ -133,25 +77,15 @@ impl EdgeGraph {
 
     /// `(a, b, face)`: `face` tells the faces at an edge apart, `u32::MAX` for none.
     fn from_sides(vertex_count: usize, sides: impl Iterator<Item = (u32, u32, u32)> + Clone) -> Self {
-        let proper = sides.filter(|(a, b, _)| a != b).map(|(a, b, face)| (a.min(b), a.max(b), face));
-        let mut starts = vec![0u32; vertex_count + 1];
-        for (low, high, _) in proper.clone() {
-            assert!((high as usize) < vertex_count, "vertex {high} of {vertex_count}");
-            starts[low as usize + 1] += 1;
-        }
-        for i in 0..vertex_count {
-            starts[i + 1] += starts[i];
-        }
-        let mut next = starts.clone();
-        let mut buckets = vec![(0, 0); starts[vertex_count] as usize];
-        for (low, high, face) in proper {
-            buckets[next[low as usize] as usize] = (high, face);
-            next[low as usize] += 1;
-        }
-        let mut edges = Vec::with_capacity(buckets.len() / 2);
-        let mut faces = Vec::with_capacity(buckets.len() / 2);
+        let proper = sides.filter(|(a, b, _)| a != b).map(|(a, b, face)| {
+            assert!((a.max(b) as usize) < vertex_count, "vertex {} of {vertex_count}", a.max(b));
+            (a.min(b), (a.max(b), face))
+        });
+        let mut buckets = Rows::sorted(vertex_count, proper);
+        let mut edges = Vec::with_capacity(buckets.items().len() / 2);
+        let mut faces = Vec::with_capacity(buckets.items().len() / 2);
         for low in 0..vertex_count {
-            let bucket = &mut buckets[starts[low] as usize..starts[low + 1] as usize];
+            let bucket = buckets.row_mut(low);
             bucket.sort_unstable();
             let mut last = None;
             for &(high, face) in bucket.iter() {
@@ -170,8 +104,8 @@ impl EdgeGraph {
         }
         // edges are sorted, so both directions in this order give ascending neighbours
         let directed = edges.iter().enumerate().flat_map(|(e, &[a, b])| [(a, (b, e as u32)), (b, (a, e as u32))]);
-        let edge_of = Rows::collect(vertex_count, directed.clone().map(|(v, (_, e))| (v, e))).items;
-        let neighbours = Rows::collect(vertex_count, directed.map(|(v, (w, _))| (v, w)));
+        let edge_of = Rows::sorted(vertex_count, directed.clone().map(|(v, (_, e))| (v, e))).into_items();
+        let neighbours = Rows::sorted(vertex_count, directed.map(|(v, (w, _))| (v, w)));
         Self { edges, faces, neighbours, edge_of }
     }
 
@@ -244,29 +178,27 @@ impl EdgeGraph {
     pub fn components(&self) -> Components {
         let mut label = vec![Components::UNREFERENCED; self.vertex_count()];
         let mut vertices: Vec<u32> = Vec::with_capacity(self.vertex_count());
-        let mut starts = vec![0];
+        let mut count = 0;
         for seed in 0..self.vertex_count() {
             if label[seed] != Components::UNREFERENCED || self.neighbours(seed).is_empty() {
                 continue;
             }
-            let component = starts.len() as u32 - 1;
             let mut done = vertices.len();
-            label[seed] = component;
+            label[seed] = count;
             vertices.push(seed as u32);
             while done < vertices.len() {
                 for &w in self.neighbours(vertices[done] as usize) {
                     if label[w as usize] == Components::UNREFERENCED {
-                        label[w as usize] = component;
+                        label[w as usize] = count;
                         vertices.push(w);
                     }
                 }
                 done += 1;
             }
-            starts.push(vertices.len() as u32);
+            count += 1;
         }
-        let count = starts.len() - 1;
         let labelled = label.iter().enumerate().filter(|(_, c)| **c != Components::UNREFERENCED);
-        let vertices = Rows::collect(count, labelled.map(|(v, &c)| (c, v as u32)));
+        let vertices = Rows::sorted(count as usize, labelled.map(|(v, &c)| (c, v as u32)));
         Components { label, vertices }
     }
 }

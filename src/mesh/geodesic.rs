@@ -10,6 +10,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::adjacency::{Components, EdgeGraph};
+use super::rows::Rows;
 use super::{MeshError, Vec3};
 
 /// A vertex or source that is not there.
@@ -18,9 +19,8 @@ pub const NONE: u32 = u32::MAX;
 /// A graph with the length of every edge, laid out for walking.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeightedGraph {
-    starts: Vec<u32>,
-    /// Neighbour and length, row by row.
-    arcs: Vec<(u32, f64)>,
+    /// Neighbour and length, by vertex.
+    arcs: Rows<(u32, f64)>,
 }
 
 impl WeightedGraph {
@@ -35,15 +35,11 @@ impl WeightedGraph {
         if let Some(edge) = lengths.iter().position(|l| l.is_nan() || *l < 0.0) {
             return Err(MeshError::EdgeLength { edge, length: lengths[edge] });
         }
-        let mut starts = Vec::with_capacity(graph.vertex_count() + 1);
-        let mut arcs = Vec::with_capacity(2 * lengths.len());
-        starts.push(0);
-        for v in 0..graph.vertex_count() {
+        let arcs = |v: usize| {
             let row = graph.neighbours(v).iter().zip(graph.edges_at(v));
-            arcs.extend(row.map(|(&w, &e)| (w, lengths[e as usize])).filter(|(_, l)| l.is_finite()));
-            starts.push(arcs.len() as u32);
-        }
-        Ok(Self { starts, arcs })
+            row.map(|(&w, &e)| (w, lengths[e as usize])).filter(|(_, l)| l.is_finite())
+        };
+        Ok(Self { arcs: (0..graph.vertex_count()).map(arcs).collect() })
     }
 
     /// Edge lengths in space, millimetres.
@@ -60,12 +56,12 @@ impl WeightedGraph {
     /// Number of vertices.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
-        self.starts.len() - 1
+        self.arcs.len()
     }
 
     #[inline]
     fn arcs(&self, v: u32) -> &[(u32, f64)] {
-        &self.arcs[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
+        self.arcs.row(v as usize)
     }
 }
 

@@ -12,6 +12,7 @@ pub mod normals;
 mod oriented_points;
 mod polygon_mesh;
 mod pose;
+pub mod rows;
 pub mod srgb;
 mod subdivide;
 pub mod surface_lattice;

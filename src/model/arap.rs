@@ -57,7 +57,7 @@ impl Arap {
     /// When a position is not finite or a triangle indexes past the vertices.
     pub fn new(mesh: &TriangleMesh, options: ArapOptions, lambda_smooth: f64) -> Result<Self, MeshError> {
         let edges = WeightedEdges::new(mesh, EdgeWeights::Cotangent, options.clamp)?;
-        let mut cells = Cells::new();
+        let mut cells = Cells::default();
         for (i, star) in edges.stars(mesh.positions.len()).into_iter().enumerate() {
             cells.push(&mesh.positions, star.into_iter().map(|(j, w)| (i as u32, j, w)));
         }

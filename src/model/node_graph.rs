@@ -6,14 +6,14 @@ use crate::mesh::geodesic::{
     NearestSources, WeightedGraph, farthest_point_sampling, farthest_point_sampling_from, nearest_sources, share_nodes,
 };
 use crate::mesh::normals::face_areas;
+use crate::mesh::rows::Rows;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
 /// Nodes `x_j`, influences `omega_ij` and directed edges of an embedded deformation graph.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeGraph {
     nodes: Vec<Vec3>,
-    starts: Vec<u32>,
-    influences: Vec<(u32, f64)>,
+    influences: Rows<(u32, f64)>,
     edges: Vec<(u32, u32)>,
     /// How many of the last nodes stay where they are.
     fixed: usize,
@@ -126,8 +126,7 @@ impl NodeGraph {
     pub fn single(centre: Vec3, vertex_count: usize) -> Self {
         Self {
             nodes: vec![centre],
-            starts: (0..=vertex_count as u32).collect(),
-            influences: vec![(0, 1.0); vertex_count],
+            influences: (0..vertex_count).map(|_| [(0, 1.0)]).collect(),
             edges: Vec::new(),
             fixed: 0,
         }
@@ -145,7 +144,7 @@ impl NodeGraph {
     /// If an influence names a node that does not exist.
     #[must_use]
     pub fn from_influences(nodes: Vec<Vec3>, per_vertex: impl IntoIterator<Item = Vec<(u32, f64)>>) -> Self {
-        let mut graph = Self { nodes, starts: vec![0], influences: Vec::new(), edges: Vec::new(), fixed: 0 };
+        let mut graph = Self { nodes, influences: Rows::default(), edges: Vec::new(), fixed: 0 };
         let mut edges = Vec::new();
         for mut list in per_vertex {
             list.retain(|i| i.1 > 0.0);
@@ -154,8 +153,7 @@ impl NodeGraph {
             for a in &list {
                 edges.extend(list.iter().filter(|b| b.0 != a.0).map(|b| (a.0, b.0)));
             }
-            graph.influences.extend(list);
-            graph.starts.push(graph.influences.len() as u32);
+            graph.influences.push(list);
         }
         graph.with_edges(edges)
     }
@@ -221,7 +219,7 @@ impl NodeGraph {
     /// The (node, `omega_ij`) of vertex `i`, nodes ascending, weights summing to one.
     #[must_use]
     pub fn influences(&self, i: usize) -> &[(u32, f64)] {
-        &self.influences[self.starts[i] as usize..self.starts[i + 1] as usize]
+        self.influences.row(i)
     }
 
     /// Directed edges (i, j), sorted.
@@ -261,7 +259,7 @@ impl NodeGraph {
     /// Number of vertices the graph moves.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
-        self.starts.len() - 1
+        self.influences.len()
     }
 }
 

@@ -92,7 +92,7 @@ impl Poisson {
         for (&[loose, anchor], &weight) in edges.edges.iter().zip(&edges.weights).skip(edges.of_mesh) {
             ties[around.row(anchor as usize)[0] as usize].push((loose, anchor, weight));
         }
-        let mut cells = Cells::new();
+        let mut cells = Cells::default();
         for (patch, ties) in patches.iter().zip(&ties) {
             let mut edges: Vec<(u32, u32, f64)> = Vec::new();
             for &s in patch {

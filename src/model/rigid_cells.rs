@@ -33,6 +33,7 @@ use super::vertex_assembly::{CHUNK, VertexAssembly, add_scalars, row_position};
 use super::vertex_model::{VertexModel, VertexRegulariser};
 use crate::energy::{NamedEnergy, Samples};
 use crate::mesh::Vec3;
+use crate::mesh::rows::Rows;
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// What a step knows of the rotations.
@@ -81,10 +82,8 @@ pub struct RigidCells<K> {
 /// The edges of every cell, and its members: the vertices that they join.
 #[derive(Default)]
 pub(super) struct Cells {
-    member_starts: Vec<u32>,
-    members: Vec<u32>,
-    edge_starts: Vec<u32>,
-    edges: Vec<CellEdge>,
+    members: Rows,
+    edges: Rows<CellEdge>,
 }
 
 #[derive(Clone, Copy)]
@@ -97,48 +96,31 @@ struct CellEdge {
 }
 
 impl Cells {
-    pub fn new() -> Self {
-        Self { member_starts: vec![0], edge_starts: vec![0], ..Self::default() }
-    }
-
     /// Adds the cell of the given edges, `(a, b, w_ab)`. Those without weight are left out.
     pub fn push(&mut self, rest: &[Vec3], edges: impl IntoIterator<Item = (u32, u32, f64)>) {
-        let first = self.members.len();
-        for (a, b, weight) in edges.into_iter().filter(|e| e.2 != 0.0) {
+        let mut members = Vec::new();
+        self.edges.push(edges.into_iter().filter(|e| e.2 != 0.0).map(|(a, b, weight)| {
             let ends = [a, b].map(|v| {
-                let known = self.members[first..].iter().position(|m| *m == v);
+                let known = members.iter().position(|m| *m == v);
                 known.unwrap_or_else(|| {
-                    self.members.push(v);
-                    self.members.len() - 1 - first
+                    members.push(v);
+                    members.len() - 1
                 }) as u32
             });
-            self.edges.push(CellEdge { ends, weight, rest: rest[a as usize] - rest[b as usize] });
-        }
-        self.member_starts.push(self.members.len() as u32);
-        self.edge_starts.push(self.edges.len() as u32);
+            CellEdge { ends, weight, rest: rest[a as usize] - rest[b as usize] }
+        }));
+        self.members.push(members);
     }
 
     fn len(&self) -> usize {
-        self.member_starts.len() - 1
-    }
-
-    fn member_range(&self, c: usize) -> Range<usize> {
-        self.member_starts[c] as usize..self.member_starts[c + 1] as usize
-    }
-
-    fn members(&self, c: usize) -> &[u32] {
-        &self.members[self.member_range(c)]
-    }
-
-    fn edges(&self, c: usize) -> &[CellEdge] {
-        &self.edges[self.edge_starts[c] as usize..self.edge_starts[c + 1] as usize]
+        self.members.len()
     }
 
     /// The edges of a cell, each with `v_a - v_b`.
     fn at<'a>(&'a self, c: usize, v: &'a [Vec3]) -> impl Iterator<Item = (&'a CellEdge, Vec3)> + 'a {
-        let members = self.members(c);
+        let members = self.members.row(c);
         let place = move |end: u32| v[members[end as usize] as usize];
-        self.edges(c).iter().map(move |edge| (edge, place(edge.ends[0]) - place(edge.ends[1])))
+        self.edges.row(c).iter().map(move |edge| (edge, place(edge.ends[0]) - place(edge.ends[1])))
     }
 }
 
@@ -151,8 +133,7 @@ struct CellFit {
 /// Per block, the cells that its vertex is a member of.
 #[derive(Default)]
 struct CellRows {
-    starts: Vec<u32>,
-    uses: Vec<MemberUse>,
+    uses: Rows<MemberUse>,
     targets: Vec<Target>,
 }
 
@@ -203,34 +184,29 @@ impl<K: CellKind> RigidCells<K> {
     /// Where members and, for the joint solver, their pairs lie in the equations.
     fn analyse_rows(&mut self, vertices: &VertexAssembly, structure: &BlockStructure) {
         let joint = self.solver == Some(ArapSolver::Joint);
-        let mut uses: Vec<(usize, MemberUse)> = Vec::new();
+        let mut uses: Vec<Vec<MemberUse>> = (0..structure.block_count()).map(|_| Vec::new()).collect();
         let mut targets = Vec::new();
         for c in 0..self.cells.len() {
-            let block = |m| vertices.block(self.cells.members[m]).map(|block| (m as u32, block));
-            let free = self.cells.member_range(c).filter_map(block);
+            let block = |m| vertices.block(self.cells.members.items()[m]).map(|block| (m as u32, block));
+            let free = self.cells.members.range(c).filter_map(block);
             for (member, row) in free.clone() {
                 let first = targets.len() as u32;
                 let others = free.clone().filter(|other| joint && other.1 <= row);
                 let target = |(member, column)| Target { member, start: row_position(structure, row, column) };
                 targets.extend(others.map(target));
-                uses.push((row, MemberUse { member, targets: first..targets.len() as u32 }));
+                uses[row].push(MemberUse { member, targets: first..targets.len() as u32 });
             }
         }
-        uses.sort_by_key(|u| u.0);
-        let mut starts = vec![0; structure.block_count() + 1];
-        uses.iter().for_each(|u| starts[u.0 + 1] += 1);
-        for i in 0..structure.block_count() {
-            starts[i + 1] += starts[i];
-        }
-        self.rows = CellRows { starts, uses: uses.into_iter().map(|u| u.1).collect(), targets };
-        self.pulls = vec![Vec3::zeros(); self.cells.members.len()];
-        self.coupling = vec![[Matrix3::zeros(); 2]; if joint { self.cells.members.len() } else { 0 }];
+        self.rows = CellRows { uses: uses.into_iter().collect(), targets };
+        let members = self.cells.members.items().len();
+        self.pulls = vec![Vec3::zeros(); members];
+        self.coupling = vec![[Matrix3::zeros(); 2]; if joint { members } else { 0 }];
     }
 
     /// Pulls of all members, and their `C_c` and `D_c^-1 C_c` if there are any.
     fn linearize_cells(&mut self) {
         let (cells, fits, v) = (&self.cells, &self.fits, &self.nodes);
-        split_cells(&cells.member_starts, 0, &mut self.pulls, &|c, pulls| {
+        cells.members.fill(&mut self.pulls, |c, pulls| {
             pulls.fill(Vec3::zeros());
             for (edge, e) in cells.at(c, v) {
                 let pull = (e - fits[c].rotation * edge.rest) * edge.weight;
@@ -241,10 +217,10 @@ impl<K: CellKind> RigidCells<K> {
         if self.coupling.is_empty() {
             return;
         }
-        split_cells(&cells.member_starts, 0, &mut self.coupling, &|c, coupling| {
+        cells.members.fill(&mut self.coupling, |c, coupling| {
             coupling.fill([Matrix3::zeros(); 2]);
             let mut d = Matrix3::zeros();
-            for edge in cells.edges(c) {
+            for edge in cells.edges.row(c) {
                 let p = fits[c].rotation * edge.rest;
                 d += (Matrix3::from_diagonal_element(p.norm_squared()) - p * p.transpose()) * edge.weight;
                 let cross = p.cross_matrix() * edge.weight;
@@ -262,43 +238,24 @@ impl<K: CellKind> RigidCells<K> {
     }
 }
 
-/// Calls `fill(c, what belongs to the members of cell c)` for every cell, in parallel.
-fn split_cells<T: Send>(starts: &[u32], first: usize, of_members: &mut [T], fill: &(impl Fn(usize, &mut [T]) + Sync)) {
-    let count = starts.len() - 1;
-    if count <= CHUNK {
-        let mut rest = of_members;
-        for (k, cell) in starts.windows(2).enumerate() {
-            let (own, others) = rest.split_at_mut((cell[1] - cell[0]) as usize);
-            fill(first + k, own);
-            rest = others;
-        }
-        return;
-    }
-    let middle = count / 2;
-    let (left, right) = of_members.split_at_mut((starts[middle] - starts[0]) as usize);
-    rayon::join(
-        || split_cells(&starts[..=middle], first, left, fill),
-        || split_cells(&starts[middle..], first + middle, right, fill),
-    );
-}
-
 impl<K: CellKind> VertexRegulariser for RigidCells<K> {
     const NAME: &'static str = K::NAME;
 
     fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
         let cells = &self.cells;
         let structure = match self.solver {
-            Some(ArapSolver::Joint) => vertices.analyse(samples, (0..cells.len()).map(|c| cells.members(c))),
+            Some(ArapSolver::Joint) => vertices.analyse(samples, (0..cells.len()).map(|c| cells.members.row(c))),
             Some(ArapSolver::LocalGlobal) | None => {
-                let of = |c| cells.edges(c).iter().map(move |e| e.ends.map(|end| cells.members(c)[end as usize]));
+                let of =
+                    |c| cells.edges.row(c).iter().map(move |e| e.ends.map(|end| cells.members.row(c)[end as usize]));
                 let edges: Vec<[u32; 2]> = (0..cells.len()).flat_map(of).collect();
                 vertices.analyse(samples, edges.iter().map(|e| &e[..]))
             }
         };
         self.stiffness = vec![0.0; structure.slot_count()];
         for c in 0..cells.len() {
-            for edge in cells.edges(c) {
-                let ends = edge.ends.map(|end| vertices.block(cells.members(c)[end as usize]));
+            for edge in cells.edges.row(c) {
+                let ends = edge.ends.map(|end| vertices.block(cells.members.row(c)[end as usize]));
                 for row in ends.into_iter().flatten() {
                     self.stiffness[structure.row_slots(row).end - 1] += edge.weight;
                 }
@@ -342,7 +299,7 @@ impl<K: CellKind> VertexRegulariser for RigidCells<K> {
         let (stiffness, rows, pulls, coupling) = (&self.stiffness, &self.rows, &self.pulls, &self.coupling);
         equations.for_each_block_row(&|i, mut row| {
             add_scalars(&mut row, &stiffness[structure.row_slots(i)], lambda);
-            let uses = &rows.uses[rows.starts[i] as usize..rows.starts[i + 1] as usize];
+            let uses = rows.uses.row(i);
             let gradient: Vec3 = uses.iter().map(|u| pulls[u.member as usize]).sum();
             row.gradient.iter_mut().zip(&gradient).for_each(|(g, r)| *g += lambda * r);
             if !coupling.is_empty() {

@@ -8,12 +8,12 @@ use rayon::prelude::*;
 
 use super::vertex_assembly::{CHUNK, add_scalars, row_position};
 use crate::mesh::Vec3;
+use crate::mesh::rows::Rows;
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Residuals `r_m = sum_k c_mk d_k`: what is squared and summed.
 pub(super) struct SmoothRows {
-    starts: Vec<u32>,
-    members: Vec<u32>,
+    members: Rows,
     coefficients: Vec<f64>,
     /// Residuals of the rows at the last displacements.
     residuals: Vec<Vec3>,
@@ -26,8 +26,7 @@ pub(super) struct SmoothRows {
 impl SmoothRows {
     pub fn new() -> Self {
         Self {
-            starts: vec![0],
-            members: Vec::new(),
+            members: Rows::default(),
             coefficients: Vec::new(),
             residuals: Vec::new(),
             stiffness: Vec::new(),
@@ -37,22 +36,22 @@ impl SmoothRows {
 
     /// Adds a row of (displacement, coefficient).
     pub fn push(&mut self, row: impl IntoIterator<Item = (u32, f64)>) {
-        for (k, c) in row {
-            self.members.push(k);
-            self.coefficients.push(c);
-        }
-        self.starts.push(self.members.len() as u32);
+        let coefficients = &mut self.coefficients;
+        self.members.push(row.into_iter().map(|(k, c)| {
+            coefficients.push(c);
+            k
+        }));
         self.residuals.push(Vec3::zeros());
     }
 
     /// Which displacements meet in each row.
     pub fn cliques(&self) -> impl Iterator<Item = &[u32]> {
-        self.starts.windows(2).map(|s| &self.members[s[0] as usize..s[1] as usize])
+        self.members.iter()
     }
 
     fn of(&self, row: usize) -> impl Iterator<Item = (u32, f64)> + Clone + '_ {
-        let range = self.starts[row] as usize..self.starts[row + 1] as usize;
-        self.members[range.clone()].iter().copied().zip(self.coefficients[range].iter().copied())
+        let coefficients = &self.coefficients[self.members.range(row)];
+        self.members.row(row).iter().copied().zip(coefficients.iter().copied())
     }
 
     /// Lays the rows out for equations; `block` says where a displacement is, if it is a parameter.

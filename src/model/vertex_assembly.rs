@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use crate::energy::{Quadric, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::mesh::adjacency::EdgeGraph;
+use crate::mesh::rows::Rows;
 use crate::nlls::{Assembly, BlockRow, BlockStructure, NormalEquations};
 
 /// Block of a vertex that has none.
@@ -30,14 +31,11 @@ pub struct VertexAssembly {
     /// Vertex of every block, ascending.
     pub vertices: Vec<u32>,
     /// The (sample, weight) of those that one free vertex alone moves, block after block: they go to its diagonal block at once.
-    single_starts: Vec<u32>,
-    single: Vec<(u32, f64)>,
+    single: Rows<(u32, f64)>,
     /// The samples of several free corners: items of the assembler.
     joint: Vec<u32>,
-    /// Where each one's corners start.
-    corner_starts: Vec<u32>,
     /// Free blocks of their corners, ascending, and their weights.
-    corner_blocks: Vec<u32>,
+    corner_blocks: Rows,
     corner_weights: Vec<f64>,
     assembly: Assembly,
     /// Connected part of every vertex.
@@ -66,11 +64,9 @@ impl VertexAssembly {
             vertices: (0..rest.len() as u32).collect(),
             rest,
             of_template,
-            single_starts: Vec::new(),
-            single: Vec::new(),
+            single: Rows::default(),
             joint: Vec::new(),
-            corner_starts: Vec::new(),
-            corner_blocks: Vec::new(),
+            corner_blocks: Rows::default(),
             corner_weights: Vec::new(),
             assembly: Assembly::default(),
             parts,
@@ -134,8 +130,7 @@ impl VertexAssembly {
                 pairs.extend(free[..k].iter().map(|&b| (a, b)));
             }
         }
-        self.corner_starts = vec![0];
-        self.corner_blocks.clear();
+        self.corner_blocks = Rows::default();
         self.corner_weights.clear();
         self.joint.clear();
         let mut single = vec![Vec::new(); self.vertices.len()];
@@ -147,21 +142,14 @@ impl VertexAssembly {
                 [(block, weight)] => single[block as usize].push((s as u32, weight)),
                 _ => {
                     corners.sort_unstable_by_key(|c| c.0);
-                    self.corner_blocks.extend(corners.iter().map(|c| c.0));
+                    self.corner_blocks.push(corners.iter().map(|c| c.0));
                     self.corner_weights.extend(corners.iter().map(|c| c.1));
-                    self.corner_starts.push(self.corner_blocks.len() as u32);
                     self.joint.push(s as u32);
                 }
             }
         }
-        self.single.clear();
-        self.single_starts = vec![0];
-        for own in &single {
-            self.single.extend(own);
-            self.single_starts.push(self.single.len() as u32);
-        }
-        let starts = &self.corner_starts;
-        let items = || starts.windows(2).map(|s| &self.corner_blocks[s[0] as usize..s[1] as usize]);
+        self.single = single.into_iter().collect();
+        let items = || self.corner_blocks.iter();
         pairs.extend(Assembly::pairs(items()));
         let structure = BlockStructure::new(&vec![3; self.vertices.len()], pairs, 0)
             .expect("proven: all pairs are blocks of free vertices");
@@ -184,22 +172,22 @@ impl VertexAssembly {
                 self.part_quadrics[part as usize] += row * row.transpose();
             }
         }
-        let (starts, single) = (&self.single_starts, &self.single);
+        let single = &self.single;
         equations.for_each_block_row(&|i, mut row| {
-            for &(s, weight) in &single[starts[i] as usize..starts[i + 1] as usize] {
+            for &(s, weight) in single.row(i) {
                 add_single(&quadrics[s as usize], weight, &mut row);
             }
         });
         if self.joint.is_empty() {
             return;
         }
-        let (joint, starts, weights) = (&self.joint, &self.corner_starts, &self.corner_weights);
+        let (joint, corners, weights) = (&self.joint, &self.corner_blocks, &self.corner_weights);
         let quadric = |item: usize| &quadrics[joint[item] as usize];
         self.assembly.linearize(
             0,
             |item| quadric(item).rows().len(),
             |item, rows| {
-                for (slot, weight) in weights[starts[item] as usize..starts[item + 1] as usize].iter().enumerate() {
+                for (slot, weight) in weights[corners.range(item)].iter().enumerate() {
                     for (r, row) in quadric(item).rows().iter().enumerate() {
                         rows.of_block(slot, r).iter_mut().zip(row).for_each(|(y, a)| *y = weight * a);
                     }

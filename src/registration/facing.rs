@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use serde::Serialize;
 
 use crate::correspondence::ScanSurface;
-use crate::mesh::adjacency::Rows;
 use crate::mesh::normals::face_areas;
+use crate::mesh::rows::Rows;
 use crate::mesh::{TriangleMesh, Vec3};
 
 /// What was done to a scan so that it faces outwards.
@@ -103,7 +103,7 @@ fn shared_edges(scan: &TriangleMesh) -> Vec<(u32, u32, bool)> {
     let flat = |[a, b, c]: [u32; 3]| a == b || b == c || c == a;
     let proper = (0..scan.triangles.len() as u32).filter(|&k| !flat(scan.triangles[k as usize]));
     let sides = proper.flat_map(|k| 3 * k..3 * k + 3);
-    let lowest = Rows::collect(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
+    let lowest = Rows::sorted(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
     let (mut shared, mut row) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new());
     for low in 0..lowest.len() {
         row.clear();

@@ -14,6 +14,7 @@
 use super::samples::{Blended, FIXED, NodeSamples};
 use super::{MapJacobians, pitch};
 use crate::energy::QuadricField;
+use crate::mesh::rows::Rows;
 use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -21,8 +22,7 @@ use crate::nlls::{BlockStructure, NormalEquations};
 #[derive(Default)]
 pub(super) struct Moments {
     /// `m_sj`, item by item, free nodes ascending.
-    places: Vec<[f64; 4]>,
-    starts: Vec<u32>,
+    places: Rows<[f64; 4]>,
     /// The blocks at which the free nodes of an item meet, row by row of the lower triangle.
     slots: Vec<u32>,
     /// `alpha` of each item, of which `squares` are.
@@ -35,10 +35,9 @@ pub(super) struct Moments {
 
 impl Moments {
     pub fn new(samples: &NodeSamples, blended: Blended<'_>, structure: &BlockStructure) -> Self {
-        let mut all = Self { starts: vec![0], ..Self::default() };
+        let mut all = Self::default();
         for (item, nodes) in samples.all_nodes().enumerate() {
-            let first = all.places.len();
-            all.places.resize(first + nodes.len(), [0.0; 4]);
+            let mut places = vec![[0.0; 4]; nodes.len()];
             for corner in samples.corners(item) {
                 let i = corner.vertex as usize;
                 for (&(j, omega), &slot) in blended.graph.influences(i).iter().zip(samples.slots(corner)) {
@@ -46,13 +45,12 @@ impl Moments {
                         continue;
                     }
                     let q = blended.vertices[i] - blended.graph.nodes()[j as usize];
-                    let place = &mut all.places[first + slot as usize];
-                    for (sum, q) in place.iter_mut().zip([q.x, q.y, q.z, 1.0]) {
+                    for (sum, q) in places[slot as usize].iter_mut().zip([q.x, q.y, q.z, 1.0]) {
                         *sum += corner.weight * omega * q;
                     }
                 }
             }
-            all.starts.push(all.places.len() as u32);
+            all.places.push(places);
             for (p, &j) in nodes.iter().enumerate() {
                 let slot = |k: &u32| structure.slot(j as usize, *k as usize).expect("nodes of an item meet") as u32;
                 all.slots.extend(nodes[..=p].iter().map(slot));
@@ -83,13 +81,11 @@ impl Moments {
             same &= *kept == alpha;
             *kept = alpha;
         }
-        let Self { places, starts, slots, alphas, squares, slopes } = self;
-        let of = |item: usize| &places[starts[item] as usize..starts[item + 1] as usize];
+        let Self { places, slots, alphas, squares, slopes } = self;
         if !same {
             squares.fill([[0.0; 4]; 4]);
             let mut slots = slots.iter();
-            for (item, alpha) in alphas.iter().enumerate() {
-                let own = of(item);
+            for (own, alpha) in places.iter().zip(&*alphas) {
                 for (p, m) in own.iter().enumerate() {
                     for (other, slot) in own[..=p].iter().zip(&mut slots) {
                         add_outer(&m.map(|m| alpha * m), other, &mut squares[*slot as usize]);
@@ -100,7 +96,7 @@ impl Moments {
         slopes.fill([[0.0; 4]; 3]);
         for (item, (&s, nodes)) in samples.order.iter().zip(samples.all_nodes()).enumerate() {
             let f = quadrics[s as usize].gradient();
-            for (m, &j) in of(item).iter().zip(nodes) {
+            for (m, &j) in places.row(item).iter().zip(nodes) {
                 add_outer(&f, m, &mut slopes[j as usize]);
             }
         }

@@ -6,6 +6,7 @@ use pulp::Simd;
 use super::{MapJacobians, NodeGraph, ShapeBasis};
 use crate::energy::{Quadric, Samples};
 use crate::mesh::Vec3;
+use crate::mesh::rows::Rows;
 use crate::nlls::dense_kernels::prefetch;
 use crate::nlls::{FillRows, ItemRows};
 
@@ -23,10 +24,8 @@ pub(super) struct Blended<'a> {
 pub(super) struct NodeSamples {
     /// Index of each in the problem's samples.
     pub order: Vec<u32>,
-    node_starts: Vec<u32>,
-    nodes: Vec<u32>,
-    corner_starts: Vec<u32>,
-    corners: Vec<Corner>,
+    nodes: Rows,
+    corners: Rows<Corner>,
     slots: Vec<u32>,
 }
 
@@ -43,21 +42,20 @@ pub(super) const FIXED: u32 = u32::MAX;
 impl NodeSamples {
     pub fn new(samples: &Samples, graph: &NodeGraph) -> Self {
         let order = by_strongest_node(samples, graph);
-        let mut all = Self { node_starts: vec![0], corner_starts: vec![0], ..Self::default() };
+        let mut all = Self::default();
         for &s in &order {
             let corners = samples.corners(s as usize);
             let moved_by = corners.iter().flat_map(|c| graph.influences(c.0 as usize).iter().map(|i| i.0));
             let mut nodes: Vec<u32> = moved_by.filter(|j| (*j as usize) < graph.free_nodes()).collect();
             nodes.sort_unstable();
             nodes.dedup();
-            for &(vertex, weight) in corners {
-                all.corners.push(Corner { vertex, weight, first_slot: all.slots.len() as u32 });
-                let slot = |j: u32| nodes.binary_search(&j).map_or(FIXED, |slot| slot as u32);
+            let slot = |j: u32| nodes.binary_search(&j).map_or(FIXED, |slot| slot as u32);
+            all.corners.push(corners.iter().map(|&(vertex, weight)| {
+                let first_slot = all.slots.len() as u32;
                 all.slots.extend(graph.influences(vertex as usize).iter().map(|i| slot(i.0)));
-            }
-            all.corner_starts.push(all.corners.len() as u32);
-            all.nodes.extend(nodes);
-            all.node_starts.push(all.nodes.len() as u32);
+                Corner { vertex, weight, first_slot }
+            }));
+            all.nodes.push(nodes);
         }
         Self { order, ..all }
     }
@@ -65,17 +63,17 @@ impl NodeSamples {
     /// Free nodes that move an item, ascending.
     #[inline(always)]
     pub fn nodes(&self, item: usize) -> &[u32] {
-        &self.nodes[self.node_starts[item] as usize..self.node_starts[item + 1] as usize]
+        self.nodes.row(item)
     }
 
     /// The same of every item.
     pub fn all_nodes(&self) -> impl Iterator<Item = &[u32]> {
-        (0..self.order.len()).map(|item| self.nodes(item))
+        self.nodes.iter()
     }
 
     #[inline(always)]
     pub fn corners(&self, item: usize) -> &[Corner] {
-        &self.corners[self.corner_starts[item] as usize..self.corner_starts[item + 1] as usize]
+        self.corners.row(item)
     }
 
     /// Which of its item's nodes each influence of a corner is, and more after them.
