@@ -92,7 +92,7 @@ fn second_differences(lattice: &SurfaceLattice, scale: f64) -> SmoothRows {
     }
     along.sort_unstable();
     along.dedup();
-    let mut rows = SmoothRows::new();
+    let mut rows = SmoothRows::default();
     for ([far, p, q, near], straight) in along {
         if straight {
             rows.push([(far, scale), (p, -2.0 * scale), (near, scale)]);

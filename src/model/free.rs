@@ -70,7 +70,7 @@ fn push_star(rows: &mut SmoothRows, i: u32, scale: f64, star: &[(u32, f64)]) {
 }
 
 fn laplacian(edges: &WeightedEdges) -> SmoothRows {
-    let mut rows = SmoothRows::new();
+    let mut rows = SmoothRows::default();
     for (&[i, j], &w) in edges.edges.iter().zip(&edges.weights) {
         push_star(&mut rows, i, w.sqrt(), &[(j, 1.0)]);
     }
@@ -80,7 +80,7 @@ fn laplacian(edges: &WeightedEdges) -> SmoothRows {
 fn bilaplacian(mesh: &TriangleMesh, edges: &WeightedEdges, options: &FreeOptions) -> SmoothRows {
     let mut stars = edges.without_ties().stars(mesh.positions.len());
     let areas = edges.areas(mesh, options.weights, options.reference_vertices);
-    let mut rows = SmoothRows::new();
+    let mut rows = SmoothRows::default();
     for (i, star) in stars.iter_mut().enumerate().filter(|(_, s)| !s.is_empty()) {
         if edges.boundary[i] {
             take_out_slope(i, star, &mesh.positions);

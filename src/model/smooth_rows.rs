@@ -12,6 +12,7 @@ use crate::mesh::rows::Rows;
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Residuals `r_m = sum_k c_mk d_k`: what is squared and summed.
+#[derive(Default)]
 pub(super) struct SmoothRows {
     members: Rows,
     coefficients: Vec<f64>,
@@ -24,16 +25,6 @@ pub(super) struct SmoothRows {
 }
 
 impl SmoothRows {
-    pub fn new() -> Self {
-        Self {
-            members: Rows::default(),
-            coefficients: Vec::new(),
-            residuals: Vec::new(),
-            stiffness: Vec::new(),
-            uses: Vec::new(),
-        }
-    }
-
     /// Adds a row of (displacement, coefficient).
     pub fn push(&mut self, row: impl IntoIterator<Item = (u32, f64)>) {
         let coefficients = &mut self.coefficients;
