@@ -450,6 +450,9 @@ fn print_summary(
         quality.median_within,
         quality.flipped
     ))?;
+    if let Some(untangled) = result.untangled.filter(|u| u.after < u.before) {
+        say(untangled)?;
+    }
     say(quality.mesh)?;
     let percent = 100.0 * reliability.probability;
     if let Handedness::Unknown(_) = reliability.evidence.handedness {

@@ -121,11 +121,24 @@ impl MeshQuality {
     /// # Errors
     /// When `deformed` has another number of vertices than the template, or a polygon names a vertex that does not exist.
     pub fn new(template: &PolygonMesh, deformed: &[Vec3]) -> Result<Self, EvaluationError> {
-        let stretch = EdgeStretch::new(template, deformed)?;
         let triangles = template.triangulate().triangles;
         let count = |positions| self_intersections(positions, &triangles).map(|pairs| pairs.len());
-        let (deformed, at_rest) = rayon::join(|| count(deformed), || count(&template.positions));
-        Ok(Self { self_intersections: deformed?, self_intersections_at_rest: at_rest?, stretch })
+        let (now, at_rest) = rayon::join(|| count(deformed), || count(&template.positions));
+        Self::with_counts(template, deformed, now?, at_rest?)
+    }
+
+    /// [`new`](Self::new) where self-intersections have been counted already, `now` and `at_rest`.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_counts(
+        template: &PolygonMesh,
+        deformed: &[Vec3],
+        now: usize,
+        at_rest: usize,
+    ) -> Result<Self, EvaluationError> {
+        let stretch = EdgeStretch::new(template, deformed)?;
+        Ok(Self { self_intersections: now, self_intersections_at_rest: at_rest, stretch })
     }
 }
 

@@ -5,6 +5,7 @@
 
 use serde::Serialize;
 
+use super::evidence::intersections_grown;
 use super::{Evidence, Quality, RegistrationInput, RegistrationResult, Risk};
 
 /// A reason to look at a result before it is used. Distances are millimetres, shares from 0 to 1.
@@ -81,7 +82,7 @@ pub enum Doubt {
     ManyFolds {
         /// How many are turned over.
         folded: usize,
-        /// Pairs that pass through each other, more than at rest.
+        /// Pairs that passed through each other at the last step, more than at rest.
         intersections: usize,
     },
     /// Edges became much longer or shorter.
@@ -158,10 +159,9 @@ impl Doubt {
                 }
             }
             Risk::WeightUncertainty => Self::LooseWeights { shift: evidence.weight_uncertainty * size },
-            Risk::Flipped | Risk::Intersections => Self::ManyFolds {
-                folded: quality.flipped,
-                intersections: quality.mesh.self_intersections.saturating_sub(quality.mesh.self_intersections_at_rest),
-            },
+            Risk::Flipped | Risk::Intersections => {
+                Self::ManyFolds { folded: quality.flipped, intersections: intersections_grown(result, quality) }
+            }
             Risk::Stretch | Risk::Squeeze => {
                 Self::Stretched { longest: quality.mesh.stretch.p99, shortest: quality.mesh.stretch.p1 }
             }
@@ -257,7 +257,7 @@ impl std::fmt::Display for Doubt {
             }
             Self::ManyFolds { folded, intersections } => write!(
                 f,
-                "{folded} triangles are turned over and {intersections} pairs pass through each other; look at lips, lids and the rim \
+                "{folded} triangles are turned over and {intersections} pairs passed through each other; look at lips, lids and the rim \
                  of what the scan shows"
             ),
             Self::Stretched { longest, shortest } => write!(

@@ -8,6 +8,7 @@ use super::facing::{self, Faced};
 use super::input::{check_geometry, check_input};
 use super::rest::Rest;
 use super::start::{self, Start, StartInput};
+use super::untangle::untangle;
 use super::{
     KernelScale, Level, NamedWeight, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
     RegistrationStop, ScanFacing, Schedule, SolverOptions, StartSearch, StepAlgorithm, StepRecord, WarmStart,
@@ -57,7 +58,7 @@ pub fn register_with(
         run.problem.linearize(&run.x, &mut equations);
         observer.on_equations(&equations);
     }
-    Ok(run.finish(model.name().to_owned(), schedule))
+    Ok(run.finish(model.name().to_owned(), schedule, input.rest_positions()))
 }
 
 type RegistrationProblem = Deformation<Box<dyn RegistrationModel>, Box<dyn RegistrationTerm>>;
@@ -350,9 +351,13 @@ impl Run {
         self.vertices.iter().map(|&v| self.start.pose.apply(v + self.template.centre)).collect()
     }
 
-    fn finish(self, model: String, schedule: Schedule) -> RegistrationResult {
+    fn finish(self, model: String, schedule: Schedule, rest: &[Vec3]) -> RegistrationResult {
         let unobserved = self.problem.model.unobserved_directions();
-        let positions = self.positions();
+        let mut positions = self.positions();
+        let untangled = schedule.untangle.then(|| {
+            let triangles = self.template.mesh.triangles.clone();
+            untangle(&TriangleMesh { positions: rest.to_vec(), triangles }, &mut positions)
+        });
         let (parameters, weights) = self.first_stage;
         let Start { pose, search, by_landmarks } = self.start;
         RegistrationResult {
@@ -363,6 +368,7 @@ impl Run {
             start_landmarks: by_landmarks,
             scan: self.scan,
             scan_facing: self.scan_facing,
+            untangled,
             weights,
             accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
             unobserved_directions: unobserved.unwrap_or_else(|| self.workspace.summary().unobserved_directions()),

@@ -182,7 +182,7 @@ impl Evidence {
         let prior = |k: usize| result.schedule.sigma.of(input.shapes.shapes()[k].family);
         let ratios: Vec<f64> = result.weights.iter().enumerate().map(|(k, w)| w.value.abs() / prior(k)).collect();
         let beyond = beyond_shapes(input, result);
-        let grown = quality.mesh.self_intersections.saturating_sub(quality.mesh.self_intersections_at_rest);
+        let grown = intersections_grown(result, quality);
         let landmark =
             |l: &Landmark| (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size);
         let by_landmarks = result.start_landmarks.as_ref();
@@ -219,6 +219,12 @@ impl Evidence {
             unobserved_directions: result.unobserved_directions as f64 / result.positions.len().max(1) as f64,
         }
     }
+}
+
+/// Pairs of triangles that cross beyond those at rest, as the last step left them: taking them apart does not make a result right.
+pub(super) fn intersections_grown(result: &RegistrationResult, quality: &Quality) -> usize {
+    let left = result.untangled.map_or(quality.mesh.self_intersections, |u| u.before);
+    left.saturating_sub(quality.mesh.self_intersections_at_rest)
 }
 
 /// Root mean square and 95th percentile of the distance between the result and what the shapes alone make, over the accepted

@@ -17,6 +17,7 @@ mod result;
 mod schedule;
 mod start;
 mod surfels;
+mod untangle;
 mod warm_start;
 
 pub use builder::Registration;
@@ -37,6 +38,7 @@ pub use schedule::{
     StepAlgorithm, StopOptions, WarmStartOptions,
 };
 pub use start::{LandmarkStart, StartFit, StartOptions, StartSearch, SuspectLandmark};
+pub use untangle::Untangled;
 pub use warm_start::WarmStart;
 
 pub use crate::correspondence::{ScanFlip, ScanOptions};

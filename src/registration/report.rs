@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::evidence::Seen;
 use super::{
     Coverage, DetailReport, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop,
-    Reliability, ScanFacing, Schedule, StartSearch, StepRecord,
+    Reliability, ScanFacing, Schedule, StartSearch, StepRecord, Untangled,
 };
 use crate::correspondence::ScanSurface;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
@@ -66,7 +66,8 @@ pub struct Quality {
 pub const WITHIN_MM: f64 = 3.0;
 
 impl Quality {
-    /// Measures a result on the scan as it was registered; that of `input` takes no part.
+    /// Measures a result on the scan as it was registered; that of `input` takes no part. Self-intersections are those of `untangled`,
+    /// where they were counted.
     ///
     /// # Errors
     /// When the vertex counts differ.
@@ -74,6 +75,7 @@ impl Quality {
         input: &RegistrationInput<'_>,
         scan: &ScanSurface,
         positions: &[Vec3],
+        untangled: Option<Untangled>,
     ) -> Result<Self, QualityError> {
         for (what, mask) in [("the mask", input.mask), ("the free mask", input.free_mask)] {
             let (expected, found) = (positions.len(), mask.map_or(positions.len(), <[f64]>::len));
@@ -83,7 +85,13 @@ impl Quality {
         }
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
-        let (seen, mesh) = rayon::join(|| Seen::new(input, scan, positions), || MeshQuality::new(&template, positions));
+        let (seen, mesh) = rayon::join(
+            || Seen::new(input, scan, positions),
+            || match untangled {
+                Some(known) => MeshQuality::with_counts(&template, positions, known.after, known.at_rest),
+                None => MeshQuality::new(&template, positions),
+            },
+        );
         let Seen { distances, coverage, .. } = seen?;
         let within: Vec<f64> = distances.iter().copied().filter(|d| *d <= WITHIN_MM).collect();
         let rest = input.rest_positions();
@@ -136,6 +144,8 @@ pub struct Report {
     pub start_landmarks: Option<LandmarkStart>,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
+    /// What was taken apart after the last step, if the schedule says so.
+    pub untangled: Option<Untangled>,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// Share of the template's vertices with an accepted correspondence at the end, of those that no mask takes out.
@@ -183,6 +193,7 @@ impl Report {
             start_search: result.start_search.clone(),
             start_landmarks: result.start_landmarks.clone(),
             scan_facing: result.scan_facing,
+            untangled: result.untangled,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),
             unobserved_directions: result.unobserved_directions,

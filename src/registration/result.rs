@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;
 
-use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, WarmStart};
+use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, Untangled, WarmStart};
 use crate::correspondence::ScanSurface;
 #[cfg(doc)]
 use crate::energy::Deformation;
@@ -51,7 +51,7 @@ pub trait RegistrationObserver {
     }
 
     /// Called right after [`on_step`](Self::on_step), also where that stops the run, with one position per template vertex in the
-    /// scan's frame; those of the last call are the result's.
+    /// scan's frame; those of the last call are the result's, but for what is [untangled](RegistrationResult::untangled).
     fn on_positions(&mut self, _record: &StepRecord, _positions: &[Vec3]) {}
 
     /// Whether [`on_equations`](Self::on_equations) is called; they are not assembled unless it says yes.
@@ -116,6 +116,8 @@ pub struct RegistrationResult {
     pub scan: ScanSurface,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
+    /// What was taken apart after the last step, if the schedule says so; by it alone the positions differ from the model's.
+    pub untangled: Option<Untangled>,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.
     pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.

@@ -59,6 +59,9 @@ pub struct Schedule {
     /// Bounds of the weights of each family of shapes.
     #[serde(default)]
     pub bounds: BoundsOptions,
+    /// Whether sheets that passed through each other, as closed lips do, are [taken apart](super::Untangled) after the last step.
+    #[serde(default)]
+    pub untangle: bool,
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
