@@ -107,13 +107,15 @@ def ict_scans(run):
 
 @table("ict-intersections", needs="data")
 def ict_intersections(run):
-    "Pairs of triangles that pass through each other on the eight scans of the ICT-FaceKit rig: in the truth and in the hybrid's result."
+    "Pairs of triangles that pass through each other on the eight scans of the ICT-FaceKit rig: in the truth, in the hybrid's result, and in what its last step leaves."
     bench(run, "bench-ict-hybrid", *ICT, "--models hybrid")
+    run("sed 's/^untangle = true/untangle = false/' ../../src/model/schedules/hybrid.toml > left.toml")
+    bench(run, "bench-ict-left", *ICT, "--models hybrid --config left.toml")
     measured = {}
     for case in sorted(path.parent.name for path in Path(run.data, "scanner-bench").glob("*/case.json")):
-        row = next(r for r in run.json("bench-ict-hybrid/scan-bench.json")["rows"] if r["case"] == case)
+        of = {name: next(r for r in run.json(f"bench-ict-{name}/scan-bench.json")["rows"] if r["case"] == case) for name in ("hybrid", "left")}
         said = run(f"nonrigid eval --json --result {ICT[0]}/{case}/truth.npy --template {ICT[1]}/template.obj --target {ICT[0]}/{case}/scan.ply")
-        measured[case] = {"truth": json.loads(said)["self_intersections"], "hybrid": row["self_intersections"]}
+        measured[case] = {"truth": json.loads(said)["self_intersections"]} | {name: row["self_intersections"] for name, row in of.items()}
     return measured
 
 
@@ -328,6 +330,7 @@ PARTS = {
     "symmetric": "/^terms.symmetric/d; s/^terms.point_to_plane = { weight = 0.0 }/terms.point_to_plane = { weight = 1.0 }/",
     "nodes": "s/^nodes = 600/nodes = 400/",
     "rim": "/^reject_rim/d",
+    "crossings": "s/^untangle = true/untangle = false/",
     "everywhere": "/^coarse_nodes/d; s/coarse = true, //",
     "vertices": "/^thinned/d",
 }

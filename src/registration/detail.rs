@@ -110,8 +110,8 @@ impl DetailReport {
             vertices: detail.base.len(),
             polygons: detail.template.polygon_count(),
             steps: detail.result.history.len(),
-            before: Quality::measure(input, &detail.result.scan, &detail.base, None)?,
-            quality: Quality::measure(input, &detail.result.scan, &detail.result.positions, None)?,
+            before: Quality::measure(input, &detail.result.scan, &detail.base)?,
+            quality: Quality::measure(input, &detail.result.scan, &detail.result.positions)?,
         })
     }
 }

@@ -46,7 +46,7 @@ pub fn assess(
     input: &RegistrationInput<'_>,
     result: &RegistrationResult,
 ) -> Result<(Quality, Reliability), QualityError> {
-    let quality = Quality::measure(input, &result.scan, &result.positions, result.untangled)?;
+    let quality = Quality::counted(input, &result.scan, &result.positions, result.untangled)?;
     let reliability = Reliability::of(input, result, &quality);
     Ok((quality, reliability))
 }

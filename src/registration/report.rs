@@ -66,12 +66,20 @@ pub struct Quality {
 pub const WITHIN_MM: f64 = 3.0;
 
 impl Quality {
-    /// Measures a result on the scan as it was registered; that of `input` takes no part. Self-intersections are those of `untangled`,
-    /// where they were counted.
+    /// Measures a result on the scan as it was registered; that of `input` takes no part.
     ///
     /// # Errors
     /// When the vertex counts differ.
     pub fn measure(
+        input: &RegistrationInput<'_>,
+        scan: &ScanSurface,
+        positions: &[Vec3],
+    ) -> Result<Self, QualityError> {
+        Self::counted(input, scan, positions, None)
+    }
+
+    /// The same; self-intersections are those of `untangled`, where they were counted.
+    pub(super) fn counted(
         input: &RegistrationInput<'_>,
         scan: &ScanSurface,
         positions: &[Vec3],

@@ -7,7 +7,7 @@ use crate::support::farthest;
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
-use nonrigid::evaluation::TruthErrors;
+use nonrigid::evaluation::{TruthErrors, self_intersections};
 use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
@@ -166,6 +166,28 @@ fn the_hybrid_recovers_faces_better_than_its_parts() {
     let numbers = format!("mm: hybrid {hybrid:.3}, graph {graph:.3}, blendshape {blendshape:.3}, rigid {rigid:.3}");
     assert!(hybrid < 1.2, "{numbers}");
     assert!(hybrid < 0.8 * graph && hybrid < 0.8 * blendshape && graph.max(blendshape) < 0.8 * rigid, "{numbers}");
+}
+
+#[test]
+fn shut_eyes_and_closed_lips_cross_no_more_than_at_rest() {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1500, ..FaceOptions::default() });
+    let triangles = rig.mesh.triangulate().triangles;
+    let shown = [("eyeBlink_L", 1.0), ("eyeBlink_R", 1.0), ("mouthPucker", 0.9)].map(|(name, w)| (name.to_owned(), w));
+    let options = ScanOptions { expressions: Some(shown.to_vec()), ..ScanOptions::default() };
+    let case = simulate_scan(&rig, &options, 31).unwrap();
+    let task = Task::new(&rig, &case, 5);
+    let parted = task.fit(ModelKind::Hybrid);
+    let left = task.fit_by(ModelKind::Hybrid, &Schedule { untangle: false, ..ModelKind::Hybrid.schedule().unwrap() });
+    let crossings = |result: &RegistrationResult| self_intersections(&result.positions, &triangles).unwrap().len();
+    let done = parted.untangled.unwrap();
+    assert_eq!((left.untangled, done.before, done.after), (None, crossings(&left), crossings(&parted)));
+    assert!(done.before > done.at_rest + 30 && done.after <= done.at_rest, "{done:?}");
+    // The model is where it was, and the truth no farther.
+    assert_eq!((&parted.weights, &parted.end.parameters), (&left.weights, &left.end.parameters));
+    let rmse = |result: &RegistrationResult| {
+        TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse
+    };
+    assert!(rmse(&parted) < rmse(&left) + 0.02, "{} {}", rmse(&parted), rmse(&left));
 }
 
 #[test]

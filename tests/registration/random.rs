@@ -143,6 +143,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 ..SolverOptions::default()
             },
             stop: Default::default(),
+            untangle: start == 1,
             warm_start: WarmStartOptions { steps: 1 + kind },
             sigma: SigmaOptions { expression: n.3, identity: n.3, ..SigmaOptions::default() },
             bounds: BoundsOptions {
