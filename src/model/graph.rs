@@ -41,6 +41,12 @@ impl ModelFactory for Factory {
     }
 
     fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        if given.read::<GraphOptions>()?.smooth_shapes > 0 {
+            return Err(OptionsError::Conflict {
+                key: "smooth_shapes",
+                reason: "the graph has no shapes; the hybrid has",
+            });
+        }
         given.filled::<GraphOptions>()
     }
 

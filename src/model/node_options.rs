@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AffineMotion, AngleAxisMotion, Hybrid, Linearisation, ModelError, ModelInput, NodeGraph, NodeTransform, PatchInput,
-    QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
+    AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, Linearisation, ModelError, ModelInput,
+    NodeGraph, NodeTransform, PatchInput, QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
 };
 use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
@@ -31,6 +31,12 @@ pub struct GraphOptions {
     /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
     /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
     pub lambda_unseen: f64,
+    /// Number of smooth shapes that join the rig's, if it has any, as in the model `gpmm_rig`: three for each function of the Gaussian
+    /// process `smooth`; 0 for none. `lambda_blend` is their prior too. They say how much a subject differs from what its rig knows, and over which
+    /// length: along a shaft, where nothing shows how far it has slid, the graph alone would slide on. For the hybrid alone.
+    pub smooth_shapes: usize,
+    /// The kernel of the smooth shapes.
+    pub smooth: GaussianKernel,
     /// `structured` (default) or `reference`, the differentiation of Klimov 2020; the same to rounding.
     pub linearisation: Linearisation,
 }
@@ -45,6 +51,8 @@ impl Default for GraphOptions {
             node: NodeKind::Rigid,
             rotation: RotationKind::Matrix,
             lambda_unseen: 0.0,
+            smooth_shapes: 0,
+            smooth: GaussianKernel { sigma: 0.8, length: 14.0 },
             linearisation: Linearisation::Structured,
         }
     }
@@ -55,6 +63,7 @@ impl OptionTable for GraphOptions {
         OptionsError::count("nodes", self.nodes)?;
         OptionsError::count("influences", self.influences)?;
         OptionsError::not_negative("lambda_unseen", self.lambda_unseen)?;
+        self.smooth_process().check()?;
         if self.node == NodeKind::Affine && self.rotation != RotationKind::Matrix {
             return Err(OptionsError::Conflict {
                 key: "rotation",
@@ -62,6 +71,20 @@ impl OptionTable for GraphOptions {
             });
         }
         Ok(())
+    }
+}
+
+impl GraphOptions {
+    fn smooth_process(&self) -> GpmmOptions {
+        GpmmOptions { kernels: vec![self.smooth], rank: self.smooth_shapes.max(1), ..GpmmOptions::default() }
+    }
+
+    /// `shapes`, and the smooth ones.
+    fn with_smooth(&self, shapes: &ShapeBasis, input: &ModelInput<'_>) -> Result<ShapeBasis, ModelError> {
+        if self.smooth_shapes == 0 || shapes.is_empty() {
+            return Ok(shapes.clone());
+        }
+        Ok(shapes.joined(&self.smooth_process().basis(input.rest, input.unit)?))
     }
 }
 
@@ -171,7 +194,9 @@ pub(super) fn build(
     ) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let nodes = options.distance.graph(input, options.nodes, options.influences)?;
         let rest = input.rest.positions.clone();
-        let mut model = Hybrid::<T, W>::named(name, rest, nodes, shapes.clone(), Stiffness::default());
+        let all_shapes = options.with_smooth(shapes, input)?;
+        let mut model = Hybrid::<T, W>::named(name, rest, nodes, all_shapes, Stiffness::default());
+        model.reported_shapes = shapes.len();
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
         model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
@@ -241,5 +266,37 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
     fn named_weights(&self, x: &[f64]) -> Vec<(String, f64)> {
         let named = self.shapes().shapes().iter().map(|s| s.name.clone()).zip(self.weights(x).iter().copied());
         named.take(self.reported_shapes).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::energy::DeformationModel as _;
+    use crate::mesh::testing::{noise, sheet};
+    use crate::model::{ModelFactory as _, graph, hybrid};
+    use crate::rig::{Family, Shape};
+
+    #[test]
+    fn smooth_shapes_join_a_rig_and_are_not_reported() {
+        let rest = sheet(9, 9, |c, r| Vec3::new(c, r, 0.1 * (c - r)));
+        let name = |k: usize| Shape { name: format!("mode_{k}"), family: Family::Identity };
+        let deltas = (0..2 * 3 * 81).map(|i| noise(i) as f32).collect();
+        let rig = ShapeBasis::new((0..2).map(name).collect(), deltas);
+        let options = |smooth: usize| Options::new().with("nodes", 9).with("smooth_shapes", smooth as i64);
+        let build = |shapes: &ShapeBasis, smooth: usize| {
+            let options = &hybrid::Factory.options(&options(smooth)).unwrap();
+            let input = ModelInput { rest: &rest, shapes, options, reference_vertices: 81.0, unit: 1.0 };
+            hybrid::Factory.build(&input).unwrap()
+        };
+        let (with, without) = (build(&rig, 6), build(&rig, 0));
+        assert_eq!(with.parameter_len(), without.parameter_len() + 6);
+        let names = |model: &dyn RegistrationModel| model.named_weights(&model.rest_parameters());
+        assert_eq!(names(&*with).iter().map(|w| w.0.as_str()).collect::<Vec<_>>(), ["mode_0", "mode_1"]);
+        assert_eq!(names(&*with), names(&*without));
+        let none = ShapeBasis::none();
+        assert_eq!(build(&none, 6).parameter_len(), build(&none, 0).parameter_len());
+        let error = graph::Factory.options(&options(6)).err().unwrap().to_string();
+        assert!(error.starts_with("smooth_shapes: the graph has no shapes"), "{error}");
     }
 }
