@@ -12,7 +12,7 @@ use nonrigid::console::Failure;
 use nonrigid::io::Scan;
 use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Family, Regions, Rig, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -163,6 +163,7 @@ impl Studio {
             neutral: shot.known.then(|| self.face.pose(&[], &scan.identity_weights)),
             shapes: self.rig.select(ShapeSelection { names: Some(&names), identity_modes: modes })?,
             landmarks: scan.landmarks.iter().map(landmark).collect(),
+            regions: Regions::new(self.face.neutral.len(), self.face.regions.clone())?,
             rig_landmarks: self.face.landmarks.iter().map(|l| l.vertex).collect(),
             scan: Scan { mesh: scan.scan, normals: None, colors: None },
             truth: scan.truth,

@@ -404,6 +404,7 @@ fn register(
             landmarks: &pairs,
             mask: data_mask.as_deref(),
             free_mask: share.as_deref(),
+            regions: Some(&known_regions),
             warm_start: warm_start.map(|w| &w.state),
             ..RegistrationInput::new(mesh, &target)
         };

@@ -72,10 +72,9 @@ impl MaskArguments {
         &self,
         inputs: &Inputs,
         template: &PolygonMesh,
-        regions: Option<Regions>,
+        regions: &Regions,
     ) -> Result<[Option<Vec<f64>>; 2], Failure> {
         let vertices = template.positions.len();
-        let regions = regions.unwrap_or_else(|| Regions::of_groups(template));
         let region_mask = |option: &str, names: &[String]| -> Result<Option<Vec<f64>>, Failure> {
             let mask = (!names.is_empty()).then(|| regions.mask(names)).transpose();
             mask.map_err(|e| Failure::loading(format!("{option}: {e}")))

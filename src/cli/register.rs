@@ -26,6 +26,7 @@ use crate::registration::{
     scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
+use crate::rig::Regions;
 use crate::texture::{BakeInput, Baked};
 
 /// Arguments of `nonrigid register`.
@@ -201,7 +202,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
     let neutral = neutral.transpose()?;
     let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;
-    let [mask, free_mask] = a.masks.read(&inputs, &template, regions)?;
+    let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
+    let [mask, free_mask] = a.masks.read(&inputs, &template, &regions)?;
     let landmarks = read_landmarks(a, &inputs, &mut units, &template, &scan.mesh)?;
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
@@ -220,6 +222,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         landmarks: &landmarks,
         mask: mask.as_deref(),
         free_mask: free_mask.as_deref(),
+        regions: Some(&regions),
         warm_start: warm_start.as_ref(),
         ..RegistrationInput::new(&template, &scan.mesh)
     };

@@ -8,7 +8,7 @@ use super::Autodiff;
 use super::{AutodiffError, PatchFactory};
 use crate::energy::{DeformationModel, NoOptions, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::rig::ShapeBasis;
+use crate::rig::{Regions, ShapeBasis};
 
 /// A deformation model that a schedule can stiffen and soften.
 pub trait RegistrationModel: DeformationModel {
@@ -54,6 +54,8 @@ pub struct ModelInput<'a> {
     pub rest: &'a TriangleMesh,
     /// The blendshapes, in the frame of `rest`.
     pub shapes: &'a ShapeBasis,
+    /// Named regions of the template, for models that differ by region.
+    pub regions: Option<&'a Regions>,
     /// The schedule's `[model]`.
     pub options: &'a Options,
     /// Number of vertices of the template that the schedule's weights are meant for.

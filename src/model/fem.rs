@@ -4,18 +4,21 @@
 //!     F = sum_k x_k g_k'                  deformation gradient, g_k the gradient of the k-th shape function at rest
 //!     F = R S                             R the rotation closest to F (polar decomposition)
 //!     eps = (R'F + F'R) / 2 - 1           corotational strain
-//!     E = lambda sum_e (V_e / T) ( mu |eps|^2 + (kappa / 2) tr(eps)^2 ) + anchor
+//!     E = lambda sum_e m_e (V_e / T) ( mu |eps|^2 + (kappa / 2) tr(eps)^2 ) + anchor
 //!     mu = 1 / (2 (1 + nu))               kappa = nu / ((1 + nu) (1 - 2 nu))
 //! ```
 //!
-//! (M. Mueller, M. Gross, "Interactive virtual materials", 2004, section 4.) `lambda` is Young's modulus, `nu` Poisson's ratio, `mu`
-//! and `kappa` Lame's constants for a modulus of one, `V_e` the volume of a tetrahedron. Division by the layer's thickness `T` makes
+//! (M. Mueller, M. Gross, "Interactive virtual materials", 2004, section 4.) `lambda` is Young's modulus, `m_e` that of a region over
+//! it (mean of the element's corners; 1 unless stated), `nu` Poisson's ratio, `mu` and `kappa` Lame's constants for a modulus of one,
+//! `V_e` the volume of a tetrahedron. Division by the layer's thickness `T` makes
 //! `E` square millimetres of the skin, in any unit and however the skin is triangulated. With a layer one tetrahedron thick,
 //! bending is stiffer than that of the tissue it stands for.
 //!
 //! `R` follows `F`: `R'F` is symmetric there, so `eps = S - 1`, a rotation of an element costs nothing, and the gradient at fixed `R` is
 //! the energy's own. Gauss-Newton on `eps` at fixed `R` is the paper's `R K R'`; it has no curvature in the directions of
 //! rotations either.
+
+use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, UnitQuaternion};
 use rayon::prelude::*;
@@ -31,9 +34,10 @@ use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, Options
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3, determinant};
 use crate::nlls::{BlockStructure, NormalEquations};
+use crate::rig::Regions;
 
 /// `[model]` of finite elements.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TissueOptions {
     /// Depth of the tissue below the skin, millimetres; less where it would fold.
@@ -43,11 +47,14 @@ pub struct TissueOptions {
     /// How firmly the inner side is held where it rests, as on bone: 1 as if by one more layer of the same modulus, 0 not at all.
     /// Rotations then cost too.
     pub anchor: f64,
+    /// Young's modulus of regions of the template (a rig's `regions.json`, or the mesh' groups) over that of the rest, by name:
+    /// `modulus = { nose = 10.0 }`. Where regions overlap, theirs are multiplied.
+    pub modulus: BTreeMap<String, f64>,
 }
 
 impl Default for TissueOptions {
     fn default() -> Self {
-        Self { thickness: 5.0, poisson: 0.3, anchor: 0.0 }
+        Self { thickness: 5.0, poisson: 0.3, anchor: 0.0, modulus: BTreeMap::new() }
     }
 }
 
@@ -55,8 +62,22 @@ impl OptionTable for TissueOptions {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::positive("thickness", self.thickness)?;
         OptionsError::not_negative("anchor", self.anchor)?;
+        self.modulus.values().try_for_each(|&modulus| OptionsError::positive("modulus", modulus))?;
         let (key, value, bound) = ("poisson".to_owned(), self.poisson, "at least 0 and below 0.5");
         if (0.0..0.5).contains(&value) { Ok(()) } else { Err(OptionsError::OutOfBounds { key, value, bound }) }
+    }
+}
+
+impl TissueOptions {
+    /// `m_i` of each of so many vertices.
+    fn moduli(&self, regions: Option<&Regions>, vertices: usize) -> Result<Vec<f64>, ModelError> {
+        let (none, mut moduli) = (Regions::default(), vec![1.0; vertices]);
+        for (name, modulus) in &self.modulus {
+            let region = regions.unwrap_or(&none).named(name);
+            let region = region.map_err(|e| ModelError::Other(format!("modulus: {e}")))?;
+            region.iter().for_each(|v| moduli[*v as usize] *= modulus);
+        }
+        Ok(moduli)
     }
 }
 
@@ -74,7 +95,7 @@ pub struct Tissue {
     at_rest: Vec<AtRest>,
     states: Vec<State>,
     anchors: Elements<1>,
-    /// `A_i / T^2` of each anchor.
+    /// `m_i A_i / T^2` of each anchor.
     anchor_weights: Vec<f64>,
     /// How far each has moved.
     anchors_moved: Vec<Vec3>,
@@ -85,7 +106,7 @@ pub struct Tissue {
 struct AtRest {
     /// `g_k`.
     gradients: [Vec3; 4],
-    /// `V_e / T`.
+    /// `m_e V_e / T`.
     weight: f64,
 }
 
@@ -143,6 +164,28 @@ impl Fem {
             anchors_moved: Vec::new(),
         };
         Ok(Self::of(tissue, vertices, lambda_smooth))
+    }
+
+    /// The same tissue with Young's modulus `m_i` times that of the rest at vertex `i` and below it.
+    ///
+    /// # Panics
+    /// If there is not one modulus per vertex, all positive.
+    #[must_use]
+    pub fn with_moduli(mut self, moduli: &[f64]) -> Self {
+        let tissue = &mut self.regulariser;
+        assert_eq!(moduli.len(), tissue.layer.below.len(), "one modulus per vertex");
+        assert!(moduli.iter().all(|m| *m > 0.0 && m.is_finite()), "moduli must be positive and finite");
+        let mut of_node = vec![1.0; tissue.layer.nodes.len()];
+        for ((v, m), below) in moduli.iter().enumerate().zip(&tissue.layer.below) {
+            [Some(v as u32), *below].into_iter().flatten().for_each(|node| of_node[node as usize] = *m);
+        }
+        for (corners, rest) in tissue.elements.nodes.iter().zip(&mut tissue.at_rest) {
+            rest.weight *= corners.iter().map(|k| of_node[*k as usize]).sum::<f64>() / 4.0;
+        }
+        for ([node], weight) in tissue.anchors.nodes.iter().zip(&mut tissue.anchor_weights) {
+            *weight *= of_node[*node as usize];
+        }
+        self
     }
 
     /// The layer of tissue at rest.
@@ -256,8 +299,9 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let options: TissueOptions = input.options.read()?;
+        let moduli = options.moduli(input.regions, input.rest.positions.len())?;
         let options = TissueOptions { thickness: input.length(options.thickness), ..options };
-        Ok(Box::new(Fem::new(input.rest, options, 1.0)?))
+        Ok(Box::new(Fem::new(input.rest, options, 1.0)?.with_moduli(&moduli)))
     }
 
     fn on_patch(&self) -> Option<&dyn PatchFactory> {

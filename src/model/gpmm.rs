@@ -39,6 +39,14 @@ pub struct GaussianKernel {
     pub length: f64,
 }
 
+impl GaussianKernel {
+    /// Refused under the names that the schedule has for sigma and length.
+    pub(super) fn check(&self, [sigma, length]: [&'static str; 2]) -> Result<(), OptionsError> {
+        OptionsError::positive(sigma, self.sigma)?;
+        OptionsError::positive(length, self.length)
+    }
+}
+
 /// `[model]` of Gaussian-process morphable models.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -61,10 +69,7 @@ impl Default for GpmmOptions {
 
 impl OptionTable for GpmmOptions {
     fn check(&self) -> Result<(), OptionsError> {
-        for kernel in &self.kernels {
-            OptionsError::positive("kernels.sigma", kernel.sigma)?;
-            OptionsError::positive("kernels.length", kernel.length)?;
-        }
+        self.kernels.iter().try_for_each(|kernel| kernel.check(["kernels.sigma", "kernels.length"]))?;
         if self.kernels.is_empty() {
             return Err(OptionsError::Conflict { key: "kernels", reason: "there must be one at least" });
         }
@@ -77,7 +82,7 @@ impl OptionTable for GpmmOptions {
 }
 
 /// Greatest rank: factorisations grow with its cube.
-const MOST_SHAPES: usize = 3000;
+pub(super) const MOST_SHAPES: usize = 3000;
 
 /// Columns of the Cholesky factor for each function that is kept.
 const OVERSAMPLING: usize = 3;

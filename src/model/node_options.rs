@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::gpmm::MOST_SHAPES;
 use super::{
     AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, Linearisation, ModelError, ModelInput,
     NodeGraph, NodeTransform, PatchInput, QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
@@ -63,7 +64,10 @@ impl OptionTable for GraphOptions {
         OptionsError::count("nodes", self.nodes)?;
         OptionsError::count("influences", self.influences)?;
         OptionsError::not_negative("lambda_unseen", self.lambda_unseen)?;
-        self.smooth_process().check()?;
+        self.smooth.check(["smooth.sigma", "smooth.length"])?;
+        if self.smooth_shapes > MOST_SHAPES {
+            return Err(OptionsError::Conflict { key: "smooth_shapes", reason: "it must be at most 3000" });
+        }
         if self.node == NodeKind::Affine && self.rotation != RotationKind::Matrix {
             return Err(OptionsError::Conflict {
                 key: "rotation",
@@ -286,7 +290,7 @@ mod tests {
         let options = |smooth: usize| Options::new().with("nodes", 9).with("smooth_shapes", smooth as i64);
         let build = |shapes: &ShapeBasis, smooth: usize| {
             let options = &hybrid::Factory.options(&options(smooth)).unwrap();
-            let input = ModelInput { rest: &rest, shapes, options, reference_vertices: 81.0, unit: 1.0 };
+            let input = ModelInput { rest: &rest, shapes, options, reference_vertices: 81.0, unit: 1.0, regions: None };
             hybrid::Factory.build(&input).unwrap()
         };
         let (with, without) = (build(&rig, 6), build(&rig, 0));
@@ -294,6 +298,14 @@ mod tests {
         let names = |model: &dyn RegistrationModel| model.named_weights(&model.rest_parameters());
         assert_eq!(names(&*with).iter().map(|w| w.0.as_str()).collect::<Vec<_>>(), ["mode_0", "mode_1"]);
         assert_eq!(names(&*with), names(&*without));
+        for (bad, start) in [("smooth_shapes", "smooth_shapes: it must"), ("smooth", "smooth.sigma")] {
+            let options = match bad {
+                "smooth" => options(6).with("smooth", toml::toml! { sigma = -1.0 length = 7.0 }),
+                name => Options::new().with(name, 3001),
+            };
+            let error = hybrid::Factory.options(&options).err().unwrap().to_string();
+            assert!(error.starts_with(start), "{error}");
+        }
         let none = ShapeBasis::none();
         assert_eq!(build(&none, 6).parameter_len(), build(&none, 0).parameter_len());
         let error = graph::Factory.options(&options(6)).err().unwrap().to_string();

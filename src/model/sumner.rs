@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     AffineMotion, GraphDistance, GraphLevel, GraphOptions, Hybrid, Linearisation, ModelError, ModelFactory, ModelInput,
-    NodeGraph, RegistrationModel, Stiffness,
+    NodeGraph, PatchFactory, PatchInput, RegistrationModel, Stiffness, node_options,
 };
-use crate::energy::{OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -82,5 +82,19 @@ impl ModelFactory for Factory {
         model.lambda_unseen = options.lambda_unseen;
         model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
         Ok(Box::new(model))
+    }
+
+    fn on_patch(&self) -> Option<&dyn PatchFactory> {
+        Some(self)
+    }
+}
+
+/// `lambda_rotation` of a patch, as in the schedule.
+const PATCH_ROTATION: f64 = 10.0;
+
+impl PatchFactory for Factory {
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        let (nodes, lambda) = node_options::on_patch(input)?;
+        Ok(Box::new(sumner(input.mesh.positions.clone(), nodes, lambda, PATCH_ROTATION)))
     }
 }

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use crate::rig::ShapeBasis;
+use crate::rig::{Regions, ShapeBasis};
 
 /// What is registered, with what model and schedule. Everything but template and scan is optional.
 ///
@@ -85,6 +85,13 @@ impl<'a> Registration<'a> {
     #[must_use]
     pub fn free_mask(mut self, shares: &'a [f64]) -> Self {
         self.input.free_mask = Some(shares);
+        self
+    }
+
+    /// Named regions of the template, for models that the schedule tells about them.
+    #[must_use]
+    pub fn regions(mut self, regions: &'a Regions) -> Self {
+        self.input.regions = Some(regions);
         self
     }
 

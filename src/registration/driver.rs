@@ -22,7 +22,7 @@ use crate::nlls::{
     self, Algorithm, Dogleg, GaussNewton, IterationRecord, Kernel, LevenbergMarquardt, Minimizer, NormalEquations,
     Problem as _, StopReason, Workspace,
 };
-use crate::rig::ShapeBasis;
+use crate::rig::{Regions, ShapeBasis};
 use crate::term::{RegistrationTerm, Step, TERMS, TermFactory, TermInput, TermLevel};
 
 /// Registers the template with the given model and the terms that come with the crate.
@@ -52,7 +52,7 @@ pub fn register_with(
     let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     check_input(input, model)?;
     let mut run = Run::new(input, model, terms, &schedule, start::Cancel(observer.cancel()))?;
-    run.all_stages(&schedule, input.warm_start.is_some(), observer)?;
+    run.all_stages(&schedule, input.regions, input.warm_start.is_some(), observer)?;
     if observer.wants_equations() {
         let mut equations = NormalEquations::new(run.problem.structure().clone());
         run.problem.linearize(&run.x, &mut equations);
@@ -112,7 +112,7 @@ impl Run {
         let mut samples = Samples::vertices(template.mesh.positions.len());
         let on_template = landmark_samples(input.landmarks, &mut samples)?;
         let of_model = || -> Result<_, RegistrationError> {
-            let model_input = model_input(&template, &shapes, schedule);
+            let model_input = model_input(&template, &shapes, input.regions, schedule);
             let mut problem = RegistrationProblem::new(model.build(&model_input)?, samples);
             let x = first_parameters(&mut problem, model.name(), input.warm_start)?;
             Ok((problem, x))
@@ -167,6 +167,7 @@ impl Run {
     fn all_stages(
         &mut self,
         schedule: &Schedule,
+        regions: Option<&Regions>,
         warm: bool,
         observer: &mut dyn RegistrationObserver,
     ) -> Result<(), RegistrationError> {
@@ -180,7 +181,7 @@ impl Run {
         let mut next = schedule.next_stage();
         while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
             self.template.mesh.positions.copy_from_slice(&self.vertices);
-            let model = model.build(&model_input(&self.template, &ShapeBasis::none(), schedule))?;
+            let model = model.build(&model_input(&self.template, &ShapeBasis::none(), regions, schedule))?;
             let terms = std::mem::take(&mut self.problem.terms);
             self.problem = Deformation::new(model, self.problem.samples().clone());
             self.problem.terms = terms;
@@ -390,9 +391,14 @@ fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec
     landmarks.iter().map(sample).collect()
 }
 
-fn model_input<'a>(template: &'a Rest, shapes: &'a ShapeBasis, schedule: &'a Schedule) -> ModelInput<'a> {
+fn model_input<'a>(
+    template: &'a Rest,
+    shapes: &'a ShapeBasis,
+    regions: Option<&'a Regions>,
+    schedule: &'a Schedule,
+) -> ModelInput<'a> {
     let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
-    ModelInput { rest: &template.mesh, shapes, options, reference_vertices, unit: template.unit }
+    ModelInput { rest: &template.mesh, shapes, regions, options, reference_vertices, unit: template.unit }
 }
 
 /// The parameters to start with: of rest, or of a warm start, within bounds.

@@ -5,7 +5,7 @@ use crate::correspondence::{VertexMasks, check_normals};
 use crate::landmark::Landmark;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::model::ModelFactory;
-use crate::rig::ShapeBasis;
+use crate::rig::{Regions, ShapeBasis};
 
 /// What is registered to what.
 #[derive(Debug, Clone, Copy)]
@@ -28,6 +28,8 @@ pub struct RegistrationInput<'a> {
     /// Share by which each template vertex is free, 0 to 1: 1 for a vertex that follows smoothness alone, without
     /// correspondences, prediction and seams, such as the bags of eyes and mouth.
     pub free_mask: Option<&'a [f64]>,
+    /// Named regions of the template, for models that a schedule tells about them (`modulus` of finite elements).
+    pub regions: Option<&'a Regions>,
     /// Where the registration of the frame before has ended, to go on from there.
     pub warm_start: Option<&'a WarmStart>,
 }
@@ -48,6 +50,7 @@ impl<'a> RegistrationInput<'a> {
             landmarks: &[],
             mask: None,
             free_mask: None,
+            regions: None,
             warm_start: None,
         }
     }
@@ -80,6 +83,9 @@ pub(super) fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), Regist
     if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
         let found = input.shapes.vertex_count();
         return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
+    }
+    if let Some(found) = input.regions.map(Regions::vertex_count).filter(|n| *n != vertices) {
+        return Err(RegistrationError::VertexCount { what: "regions", found, template: vertices });
     }
     check_mask("mask", input.mask, vertices)?;
     check_mask("free mask", input.free_mask, vertices)?;

@@ -124,16 +124,23 @@ impl Regions {
     pub fn mask(&self, names: &[String]) -> Result<Vec<f64>, RigError> {
         let mut mask = vec![0.0; self.vertex_count];
         for name in names {
-            let Some(vertices) = self.vertices(name) else {
-                let known = match self.names().collect::<Vec<_>>().join(", ") {
-                    known if known.is_empty() => "none, neither in a rig's regions.json nor as groups".to_owned(),
-                    known => known,
-                };
-                return Err(RigError::UnknownRegion { name: name.clone(), known });
-            };
-            vertices.iter().for_each(|&v| mask[v as usize] = 1.0);
+            self.named(name)?.iter().for_each(|&v| mask[v as usize] = 1.0);
         }
         Ok(mask)
+    }
+
+    /// Vertices of a region that somebody asked for.
+    ///
+    /// # Errors
+    /// As [`mask`](Self::mask).
+    pub fn named(&self, name: &str) -> Result<&[u32], RigError> {
+        self.vertices(name).ok_or_else(|| {
+            let known = match self.names().collect::<Vec<_>>().join(", ") {
+                known if known.is_empty() => "none, neither in a rig's regions.json nor as groups".to_owned(),
+                known => known,
+            };
+            RigError::UnknownRegion { name: name.to_owned(), known }
+        })
     }
 }
 

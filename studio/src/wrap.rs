@@ -31,6 +31,7 @@ pub struct WrapJob {
     shapes: ShapeBasis,
     landmarks: Vec<Landmark>,
     masks: [Option<Vec<f64>>; 2],
+    regions: Regions,
     warm: Option<WarmStart>,
     model: ModelKind,
     schedule: Schedule,
@@ -231,6 +232,7 @@ impl WrapJob {
             shapes,
             landmarks,
             masks: [mask, free],
+            regions,
             warm: state,
             model,
             schedule,
@@ -247,6 +249,7 @@ impl WrapJob {
             landmarks: &self.landmarks,
             mask: self.masks[0].as_deref(),
             free_mask: self.masks[1].as_deref(),
+            regions: Some(&self.regions),
             warm_start: self.warm.as_ref(),
             ..RegistrationInput::new(&self.template, &self.scan.scan.mesh)
         }

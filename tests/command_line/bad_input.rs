@@ -95,6 +95,7 @@ const ROWS: &[Row] = &[
     ("register", "--config unknown_node.toml", LOADING, &["unknown_node.toml", "round", "affine"]),
     ("register", "--config affine_quaternion.toml", LOADING, &["affine_quaternion.toml", "model.rotation", "affine"]),
     ("register", "--config quaternion.toml --model sumner", LOADING, &["quaternion.toml: model: unknown field `rotation`"]),
+    ("register", "--config unknown_region.toml --model fem", LOADING, &["modulus: no region \"beak\"; known regions: "]),
     ("register", "--config unknown_rotation.toml", LOADING, &["unknown_rotation.toml", "euler", "angle_axis"]),
     ("register", "--config unknown_algorithm.toml", LOADING, &["unknown_algorithm.toml", "gradient", "dogleg"]),
     ("register", "--config reference.toml --model arap", LOADING, &["reference.toml: model: unknown field `linearisation`"]),

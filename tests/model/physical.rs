@@ -1,18 +1,22 @@
 //! Laws of the models of physical bodies: springs, soft tissue, a lattice.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Rotation3};
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::normals::face_areas;
 use nonrigid::mesh::{MeshError, TriangleMesh, Vec3};
-use nonrigid::model::{Fem, Ffd, LatticeOptions, MassSpring, SpringOptions, TissueOptions};
+use nonrigid::model::{
+    Fem, Ffd, LatticeOptions, MassSpring, ModelFactory as _, ModelInput, ModelKind, SpringOptions, TissueOptions,
+};
 use nonrigid::nlls::{GradientCheck, Kernel, Minimizer, NormalEquations, Options, Problem, check_gradient};
+use nonrigid::rig::{Regions, ShapeBasis};
 use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-const TISSUE: TissueOptions = TissueOptions { thickness: 3.0, poisson: 0.3, anchor: 0.0 };
+const TISSUE: TissueOptions = TissueOptions { thickness: 3.0, poisson: 0.3, anchor: 0.0, modulus: BTreeMap::new() };
 
 fn springs(mesh: &TriangleMesh) -> MassSpring {
     MassSpring::new(mesh, SpringOptions { thickness: 3.0 }, 0.8).unwrap()
@@ -164,6 +168,66 @@ fn uniform_strain_of_tissue_is_hookes_law() {
     let mut model = Fem::new(&mesh, TissueOptions { poisson, ..TISSUE }, 1.0).unwrap();
     let x: Vec<f64> = model.layer().nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
     approx::assert_relative_eq!(energy(&mut model, &x), 0.5 * 100.0 * 1e-4, max_relative = 1e-9);
+}
+
+#[test]
+fn a_region_of_another_modulus_weighs_as_much_more() {
+    let mesh = sheet(20.0, 10, |x, y| Vec3::new(x, y, 0.0));
+    let moduli: Vec<f64> = mesh.positions.iter().map(|p| if p.x > 10.0 { 25.0 } else { 1.0 }).collect();
+    let strain = Matrix3::new(0.02, 0.01, 0.0, 0.01, -0.03, 0.0, 0.0, 0.0, 0.0);
+    let options = TissueOptions { anchor: 0.5, ..TISSUE };
+    let [mut even, mut mixed, mut doubled] = [vec![1.0; 121], moduli.clone(), vec![2.0; 121]]
+        .map(|moduli| Fem::new(&mesh, options.clone(), 0.8).unwrap().with_moduli(&moduli));
+    let nodes = even.layer().nodes.clone();
+    let mut parts = |model: &mut Fem| {
+        let x: Vec<f64> = nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
+        let mut energies = Vec::new();
+        model.regulariser_energy(&x, &mut energies);
+        energies.iter().map(|e| e.1).collect::<Vec<f64>>()
+    };
+    let [of_even, of_mixed, of_doubled] = [&mut even, &mut mixed, &mut doubled].map(&mut parts);
+    assert!(of_even.len() == 2 && of_even.iter().zip(&of_doubled).all(|(a, b)| (2.0 * a - b).abs() < 1e-12 * b));
+    // Under the same strain everywhere it is the mean over the skin, linear between vertices.
+    let mean = |t: &[u32; 3]| t.iter().map(|v| moduli[*v as usize]).sum::<f64>() / 3.0;
+    let mean = mesh.triangles.iter().map(mean).sum::<f64>() / mesh.triangles.len() as f64;
+    approx::assert_relative_eq!(of_mixed[0], mean * of_even[0], max_relative = 1e-9);
+
+    // A schedule says so by name; regions that overlap multiply.
+    let region =
+        |name: &str, x: f64| (name.to_owned(), (0..121).filter(|v| mesh.positions[*v as usize].x > x).collect());
+    let regions = Regions::new(121, vec![region("right", 10.0), region("more than right", 10.0)]).unwrap();
+    let modulus = toml::toml! { right = 5.0 "more than right" = 5.0 };
+    let given = nonrigid::energy::Options::of(&options).with("modulus", modulus);
+    let build = |regions| {
+        let options = &ModelKind::Fem.options(&given).unwrap();
+        let (shapes, regions) = (&ShapeBasis::none(), Some(regions));
+        ModelKind::Fem.build(&ModelInput {
+            rest: &mesh,
+            shapes,
+            regions,
+            options,
+            reference_vertices: 121.0,
+            unit: 1.0,
+        })
+    };
+    let mut named = build(&regions).unwrap();
+    named.set_level(&nonrigid::energy::Options::new().with("lambda_smooth", 0.8), 1.0).unwrap();
+    let x: Vec<f64> = nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
+    approx::assert_relative_eq!(energy(&mut *named, &x), of_mixed.iter().sum(), max_relative = 1e-12);
+    let error = build(&Regions::default()).err().unwrap().to_string();
+    assert!(error.contains("more than right"), "{error}");
+
+    // Two halves in a row carry the same force: the stiff one stretches by a twenty-fifth of the soft one.
+    let options = TissueOptions { poisson: 0.0, ..TISSUE };
+    let mut body = body(Box::new(Fem::new(&mesh, options, 1.0).unwrap().with_moduli(&moduli)));
+    let targets: Vec<Vec3> = mesh.positions.iter().map(|p| Vec3::new(1.02 * p.x, p.y, p.z)).collect();
+    pull(&mut body, targets, |v| v % 11 == 0 || v % 11 == 10);
+    let settled = settle(&mut body);
+    let stretch =
+        |a: usize, b: usize| (settled[b].x - settled[a].x) / (mesh.positions[b].x - mesh.positions[a].x) - 1.0;
+    let [soft, stiff] = [stretch(55, 59), stretch(62, 65)];
+    println!("soft {soft:.5}, stiff {stiff:.5}");
+    approx::assert_relative_eq!(soft / stiff, 25.0, max_relative = 0.1);
 }
 
 #[test]

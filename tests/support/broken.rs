@@ -4,6 +4,7 @@
 use data_gen::{FaceOptions, FaceRig, write_rig};
 use nonrigid::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::registration::{ModelFactory as _, ModelKind};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
 
 use super::support::{Bench, landmarks_json};
@@ -272,6 +273,8 @@ pub fn broken() -> Bench {
     bench.write("odd_kind/rig.json", "{\"kind\": \"halves\"}");
     write_obj(&bench.path("odd_kind/neutral.obj"), &bench.rig.mesh).unwrap();
 
+    let tissue = ModelKind::Fem.default_schedule();
+    bench.write("unknown_region.toml", tissue.replace("[model]", "[model]\nmodulus = { beak = 2.0 }"));
     for (name, from, to) in [
         ("unknown_key", "steps = 2", "steps = 2\nstepps = 3"),
         ("unknown_table", "[model]", "[modle]"),

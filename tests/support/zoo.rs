@@ -150,8 +150,8 @@ impl Zoo {
         let skin = &self.skin();
         let springs = || MassSpring::new(skin, SpringOptions { thickness: 4.0 }, 0.7).expect("a sound mesh");
         all.push(Specimen::new("springs", springs(), reference::formula(springs())));
-        let tissue = TissueOptions { thickness: 4.0, poisson: 0.4, anchor: 0.1 };
-        let stated = reference::formula(reference::Tissue::new(skin, tissue, 0.7));
+        let tissue = TissueOptions { thickness: 4.0, poisson: 0.4, anchor: 0.1, ..TissueOptions::default() };
+        let stated = reference::formula(reference::Tissue::new(skin, tissue.clone(), 0.7));
         all.push(Specimen::new("tissue", Fem::new(skin, tissue, 0.7).expect("a sound mesh"), stated));
         let lattice = || Ffd::new(mesh, LatticeOptions { spacing: 60.0 }, 100.0, 0.7).expect("a sound mesh");
         all.push(Specimen::new("lattice", lattice(), reference::quadratic(lattice())));

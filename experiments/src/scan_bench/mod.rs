@@ -25,7 +25,7 @@ use nonrigid::registration::{
     Level, ModelFactory, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Stage, StepRecord,
     TermFactory, register_with,
 };
-use nonrigid::rig::{Rig, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Regions, Rig, ShapeBasis, ShapeSelection};
 use serde::{Deserialize, Serialize};
 
 pub use command::read_schedule;
@@ -43,6 +43,8 @@ pub struct BenchCase {
     pub template: PolygonMesh,
     /// The subject's own neutral, where it is known.
     pub neutral: Option<Vec<Vec3>>,
+    /// Regions of the template.
+    pub regions: Regions,
     /// The shapes that a fit may use.
     pub shapes: ShapeBasis,
     /// The scan.
@@ -112,6 +114,7 @@ impl BenchCase {
             shapes: &self.shapes,
             scan_normals: self.scan.normals.as_deref(),
             landmarks: &self.landmarks,
+            regions: Some(&self.regions),
             ..RegistrationInput::new(&self.template, &self.scan.mesh)
         }
     }
@@ -141,6 +144,7 @@ impl BenchCase {
             truth: points("truth.npy")?,
             observed: io::read_npy_mask(&folder.join("observed.npy"), Some(vertices))?,
             landmarks: landmark::read_landmarks(&folder.join("landmarks.json"), None, &rig.template, Some(&scan.mesh))?,
+            regions: rig.rig.regions().cloned().unwrap_or_else(|| Regions::of_groups(&rig.template)),
             rig_landmarks: rig.rig.landmarks().unwrap_or_default().to_vec(),
             scan,
         })
