@@ -352,10 +352,8 @@ impl Run {
         self.vertices.iter().map(|&v| self.start.pose.apply(v + self.template.centre)).collect()
     }
 
-    fn finish(mut self, model: String, schedule: Schedule, rest: &[Vec3]) -> RegistrationResult {
-        let of_solver = || self.workspace.summary().unobserved_directions();
-        let unobserved_directions = self.problem.model.unobserved_directions().unwrap_or_else(of_solver);
-        self.workspace = Workspace::new(); // what follows can have its memory
+    fn finish(self, model: String, schedule: Schedule, rest: &[Vec3]) -> RegistrationResult {
+        let unobserved = self.problem.model.unobserved_directions();
         let mut positions = self.positions();
         let untangled = schedule.untangle.then(|| {
             let triangles = self.template.mesh.triangles.clone();
@@ -374,7 +372,7 @@ impl Run {
             untangled,
             weights,
             accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
-            unobserved_directions,
+            unobserved_directions: unobserved.unwrap_or_else(|| self.workspace.summary().unobserved_directions()),
             history: self.history,
             stop: self.stop,
             schedule,

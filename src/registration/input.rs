@@ -85,7 +85,7 @@ pub(super) fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), Regist
         return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
     }
     if let Some(found) = input.regions.map(Regions::vertex_count).filter(|n| *n != vertices) {
-        return Err(RegistrationError::VertexCount { what: "regions", found, template: vertices });
+        return Err(RegistrationError::VertexCount { what: "set of regions", found, template: vertices });
     }
     check_mask("mask", input.mask, vertices)?;
     check_mask("free mask", input.free_mask, vertices)?;
