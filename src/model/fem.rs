@@ -62,7 +62,8 @@ impl OptionTable for TissueOptions {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::positive("thickness", self.thickness)?;
         OptionsError::not_negative("anchor", self.anchor)?;
-        self.modulus.values().try_for_each(|&modulus| OptionsError::positive("modulus", modulus))?;
+        let positive = |(name, modulus): (&String, &f64)| OptionsError::positive(&format!("modulus.{name}"), *modulus);
+        self.modulus.iter().try_for_each(positive)?;
         let (key, value, bound) = ("poisson".to_owned(), self.poisson, "at least 0 and below 0.5");
         if (0.0..0.5).contains(&value) { Ok(()) } else { Err(OptionsError::OutOfBounds { key, value, bound }) }
     }

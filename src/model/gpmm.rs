@@ -41,7 +41,7 @@ pub struct GaussianKernel {
 
 impl GaussianKernel {
     /// Refused under the names that the schedule has for sigma and length.
-    pub(super) fn check(&self, [sigma, length]: [&'static str; 2]) -> Result<(), OptionsError> {
+    pub(super) fn check(&self, [sigma, length]: [&str; 2]) -> Result<(), OptionsError> {
         OptionsError::positive(sigma, self.sigma)?;
         OptionsError::positive(length, self.length)
     }

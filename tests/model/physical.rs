@@ -178,14 +178,13 @@ fn a_region_of_another_modulus_weighs_as_much_more() {
     let options = TissueOptions { anchor: 0.5, ..TISSUE };
     let [mut even, mut mixed, mut doubled] = [vec![1.0; 121], moduli.clone(), vec![2.0; 121]]
         .map(|moduli| Fem::new(&mesh, options.clone(), 0.8).unwrap().with_moduli(&moduli));
-    let nodes = even.layer().nodes.clone();
-    let mut parts = |model: &mut Fem| {
-        let x: Vec<f64> = nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
+    let x: Vec<f64> = even.layer().nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
+    let parts = |model: &mut Fem| {
         let mut energies = Vec::new();
         model.regulariser_energy(&x, &mut energies);
         energies.iter().map(|e| e.1).collect::<Vec<f64>>()
     };
-    let [of_even, of_mixed, of_doubled] = [&mut even, &mut mixed, &mut doubled].map(&mut parts);
+    let [of_even, of_mixed, of_doubled] = [&mut even, &mut mixed, &mut doubled].map(parts);
     assert!(of_even.len() == 2 && of_even.iter().zip(&of_doubled).all(|(a, b)| (2.0 * a - b).abs() < 1e-12 * b));
     // Under the same strain everywhere it is the mean over the skin, linear between vertices.
     let mean = |t: &[u32; 3]| t.iter().map(|v| moduli[*v as usize]).sum::<f64>() / 3.0;
@@ -212,7 +211,6 @@ fn a_region_of_another_modulus_weighs_as_much_more() {
     };
     let mut named = build(&regions).unwrap();
     named.set_level(&nonrigid::energy::Options::new().with("lambda_smooth", 0.8), 1.0).unwrap();
-    let x: Vec<f64> = nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
     approx::assert_relative_eq!(energy(&mut *named, &x), of_mixed.iter().sum(), max_relative = 1e-12);
     let error = build(&Regions::default()).err().unwrap().to_string();
     assert!(error.contains("more than right"), "{error}");
