@@ -4,11 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use super::gpmm::MOST_SHAPES;
 use super::{
-    AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, Linearisation, ModelError, ModelInput,
+    AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, HybridLevel, Linearisation, ModelError, ModelInput,
     NodeGraph, NodeTransform, PatchInput, QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
 };
 use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
+use crate::nlls::Kernel;
 use crate::rig::ShapeBasis;
 
 /// `[model]` of the hybrid and the graph: how the deformation graph is made.
@@ -169,6 +170,9 @@ impl OptionTable for OneNodeOptions {}
 pub struct GraphLevel {
     /// `lambda_graph` of (7), per directed edge.
     pub lambda_graph: f64,
+    /// Robust kernel of the edges of (7), its scale in millimetres: where the ends of an edge disagree by more on where one of them
+    /// goes, the graph gives way, as at a joint, and stays stiff elsewhere.
+    pub kernel: Kernel,
     /// Weight of `E_rot` of Sumner et al. 2007 per affine node, times `lambda_graph` and the square of a node's reach
     /// ([`NodeGraph::squared_reach`]): dimensionless, and a ratio to (7), so that softening `lambda_graph` softens both.
     pub lambda_rotation: f64,
@@ -180,6 +184,7 @@ pub struct GraphLevel {
 impl OptionTable for GraphLevel {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::not_negative("lambda_graph", self.lambda_graph)?;
+        OptionsError::kernel(self.kernel)?;
         OptionsError::not_negative("lambda_rotation", self.lambda_rotation)
     }
 }
@@ -237,11 +242,12 @@ pub(super) fn one_node<T: NodeTransform<W>, const W: usize>(
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
     /// Which of the three there are is the factory's business.
     fn set_level(&mut self, options: &Options, unit: f64) -> Result<(), OptionsError> {
-        let lambda = |key: &str| options.number(key).unwrap_or(0.0);
+        let HybridLevel { lambda_graph, kernel, lambda_blend, lambda_rotation, .. } = options.read()?;
         self.stiffness = Stiffness {
-            graph: lambda("lambda_graph"),
-            rotation: lambda("lambda_rotation"),
-            blend: lambda("lambda_blend") * unit * unit,
+            graph: lambda_graph,
+            kernel: kernel.scaled(unit),
+            rotation: lambda_rotation,
+            blend: lambda_blend * unit * unit,
         };
         Ok(())
     }

@@ -162,7 +162,7 @@ fn bounded_problem(which: &str, bounds: Bounds, seed: u64) -> Fit {
     let influences: Vec<Vec<(u32, f64)>> =
         (0..VERTICES).map(|i| vec![((i % 5) as u32, 0.7), (((i + 1) % 5) as u32, 0.3)]).collect();
     let nodes = NodeGraph::from_influences((0..5).map(|j| rest[j]).collect(), influences);
-    let stiffness = Stiffness { graph: 0.5, rotation: 0.2, blend: 0.01 };
+    let stiffness = Stiffness { graph: 0.5, rotation: 0.2, blend: 0.01, ..Stiffness::default() };
     let model: Box<dyn DeformationModel> = match which {
         "hybrid" => Box::new(Hybrid::new(rest.clone(), nodes, basis.clone(), stiffness)),
         "affine hybrid" => {

@@ -12,6 +12,7 @@ use nonrigid::model::{
     RigidMotion, Stiffness, Sumner,
 };
 use nonrigid::nlls::{Euclidean, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Scalar};
+use nonrigid::rig::ShapeBasis;
 use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -141,7 +142,7 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
     let zoo = Zoo::small();
     let (rest, nodes, basis) = (zoo.mesh.positions.clone(), zoo.nodes.clone(), zoo.basis.clone());
     let centres = nodes.nodes().to_vec();
-    let stiffness = Stiffness { graph: 5.0, rotation: 5.0, blend: 5.0 };
+    let stiffness = Stiffness { graph: 5.0, rotation: 5.0, blend: 5.0, ..Stiffness::default() };
     let shift = Vec3::new(30.0, -80.0, 12.0);
     let half_turn = Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(Vec3::new(0.3, -1.0, 0.6)), PI);
     let parts = ["graph smoothness (7)", "node rotation (Sumner)", "blendshape prior (5)"];
@@ -179,40 +180,70 @@ fn a_rigid_motion_costs_nothing_and_moves_every_vertex_rigidly() {
 }
 
 #[test]
-fn the_graph_is_stiffer_where_more_is_unseen_and_its_derivatives_follow() {
+fn the_graph_is_stiffer_where_more_is_unseen_and_gives_way_by_its_kernel_and_its_derivatives_follow() {
     let zoo = Zoo::small();
     let count = zoo.vertex_count();
-    let stiffness = Stiffness { graph: 5.0, ..Stiffness::default() };
-    let model = Hybrid::new(zoo.mesh.positions.clone(), zoo.nodes.clone(), zoo.basis.clone(), stiffness);
-    let mut problem: Deformation<_, Box<dyn DataTerm>> = Deformation::new(model, zoo.samples());
-    let rest = problem.model.rest_parameters();
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let tangent = random_step(&mut rng, problem.structure().dimension());
-    let mut x = rest.clone();
-    problem.retract(&rest, &tangent, &mut x);
-    let mut energy = |unseen: f64, factor: f64| {
-        problem.model.stiffen_unseen(&vec![unseen; count], factor);
-        problem.energies(&x)[0].1
-    };
-    let plain = energy(0.0, 100.0);
-    assert!(plain > 0.1);
-    for (unseen, factor, times) in [(1.0, 1.0, 1.0), (1.0, 100.0, 100.0), (0.5, 100.0, 10.0), (0.0, 7.0, 1.0)] {
-        approx::assert_relative_eq!(energy(unseen, factor), times * plain, max_relative = 1e-12);
-    }
-    let some: Vec<f64> = (0..count).map(|i| f64::from(u8::from(i % 3 == 0 || 2 * i > count))).collect();
-    problem.model.stiffen_unseen(&some, 30.0);
-    let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
-    problem.linearize(&x, &mut equations);
-    for k in 0..tangent.len() {
-        let mut at = |h: f64| {
-            let (mut step, mut moved) = (vec![0.0; tangent.len()], x.clone());
-            step[k] = h;
-            problem.retract(&x, &step, &mut moved);
-            problem.energy(&moved)
+    let mut energies = Vec::new();
+    for kernel in [Kernel::None, Kernel::Cauchy { delta: 0.5 }] {
+        let stiffness = Stiffness { graph: 5.0, kernel, ..Stiffness::default() };
+        let model = Hybrid::new(zoo.mesh.positions.clone(), zoo.nodes.clone(), zoo.basis.clone(), stiffness);
+        let mut problem: Deformation<_, Box<dyn DataTerm>> = Deformation::new(model, zoo.samples());
+        let rest = problem.model.rest_parameters();
+        let tangent = random_step(&mut ChaCha8Rng::seed_from_u64(5), problem.structure().dimension());
+        let mut x = rest.clone();
+        problem.retract(&rest, &tangent, &mut x);
+        let mut energy = |unseen: f64, factor: f64| {
+            problem.model.stiffen_unseen(&vec![unseen; count], factor);
+            problem.energies(&x)[0].1
         };
-        let slope = (at(1e-5) - at(-1e-5)) / 4e-5;
-        approx::assert_relative_eq!(equations.gradient[k], slope, max_relative = 1e-6, epsilon = 1e-5);
+        let plain = energy(0.0, 100.0);
+        assert!(plain > 0.1);
+        for (unseen, factor, times) in [(1.0, 1.0, 1.0), (1.0, 100.0, 100.0), (0.5, 100.0, 10.0), (0.0, 7.0, 1.0)] {
+            approx::assert_relative_eq!(energy(unseen, factor), times * plain, max_relative = 1e-12);
+        }
+        energies.push(plain);
+        let some: Vec<f64> = (0..count).map(|i| f64::from(u8::from(i % 3 == 0 || 2 * i > count))).collect();
+        problem.model.stiffen_unseen(&some, 30.0);
+        let mut equations = NormalEquations::new(Arc::clone(problem.structure()));
+        problem.linearize(&x, &mut equations);
+        for k in 0..tangent.len() {
+            let mut at = |h: f64| {
+                let (mut step, mut moved) = (vec![0.0; tangent.len()], x.clone());
+                step[k] = h;
+                problem.retract(&x, &step, &mut moved);
+                problem.energy(&moved)
+            };
+            let slope = (at(1e-5) - at(-1e-5)) / 4e-5;
+            approx::assert_relative_eq!(equations.gradient[k], slope, max_relative = 1e-6, epsilon = 1e-5);
+        }
     }
+    assert!(energies[1] < 0.9 * energies[0], "{energies:?}");
+}
+
+/// Two stiff halves, one of which is turned by a right angle about the line between them. Least squares spread the bend.
+#[test]
+fn a_graph_with_a_kernel_bends_at_a_joint() {
+    let rest: Vec<Vec3> = (0..40).flat_map(|c| (0..4).map(move |r| Vec3::new(f64::from(c), f64::from(r), 0.0))).collect();
+    let quads = (0..39).flat_map(|c| (0..3).map(move |r| 4 * c + r));
+    let triangles = quads.flat_map(|i| [[i, i + 4, i + 5], [i, i + 5, i + 1]]).collect();
+    let mesh = TriangleMesh { positions: rest.clone(), triangles };
+    let bent = |p: &Vec3| if p.x > 20.0 { Vec3::new(20.0, p.y, p.x - 20.0) } else { *p };
+    let places: Vec<Vec3> = rest.iter().map(bent).collect();
+    let far = |kernel: Kernel| {
+        let nodes = NodeGraph::along_surface(&mesh, 20, 4).unwrap();
+        let stiffness = Stiffness { graph: 10.0, kernel, ..Stiffness::default() };
+        let model = Hybrid::new(rest.clone(), nodes, ShapeBasis::none(), stiffness);
+        let mut problem = Deformation::new(model, Samples::vertices(rest.len()));
+        let targets = PointToPoint { targets: places.clone(), weights: vec![1.0; rest.len()], scale: 0.1 };
+        problem.terms = vec![Pointwise::new("places", targets, Kernel::None)];
+        let mut x = problem.model.rest_parameters();
+        let options = Options::gauss_newton().with_max_iterations(50).with_damping_floor(1e-9);
+        Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+        let squares = problem.vertices(&x).iter().zip(&places).map(|(v, p)| (v - p).norm_squared());
+        (squares.sum::<f64>() / rest.len() as f64).sqrt()
+    };
+    let (spread, joint) = (far(Kernel::None), far(Kernel::Cauchy { delta: 0.2 }));
+    assert!(spread > 0.5 && joint < 0.4 * spread, "{spread} mm without, {joint} mm with");
 }
 
 /// What Gauss-Newton does from nodes all turned by `start`: energy and vertices after each step.

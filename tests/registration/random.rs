@@ -9,6 +9,7 @@ use crate::awkward::{extent, sheet};
 use nonrigid::energy::Options;
 use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
+use nonrigid::model::GraphLevel;
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
     BoundsOptions, KernelScale, Level, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
@@ -66,7 +67,8 @@ fn level() -> impl Strategy<Value = Level> {
     (stiffness, data, rest).prop_map(
         |(stiffness, data, (steps, kernel, landmark_kernel, distance_cap, normal_angle))| {
             let scale = if steps == 3 { KernelScale::Mad } else { KernelScale::Fixed };
-            let mut level = Level { steps, kernel, scale, distance_cap, normal_angle, ..Level::default() };
+            let model = Options::of(&GraphLevel { kernel: landmark_kernel, ..GraphLevel::default() });
+            let mut level = Level { steps, kernel, scale, distance_cap, normal_angle, model, ..Level::default() };
             LAMBDAS.iter().zip(stiffness).for_each(|(key, lambda)| level.model.set(key, lambda));
             TERMS.iter().zip(data).for_each(|(term, weight)| level.set_term(term.name(), weight));
             let landmarks = LandmarkLevel { weight: data[4], kernel: landmark_kernel };

@@ -78,7 +78,7 @@ impl Zoo {
         let names = (0..shapes).map(|k| Shape { name: format!("shape{k}"), family: Family::Expression }).collect();
         let slab = (0..3 * mesh.positions.len() * shapes).map(|_| rng.random_range(-4.0..4.0)).collect();
         let basis = ShapeBasis::new(names, slab).with_sigmas(|shape| 0.5 + shape.name.len() as f64 / 10.0);
-        let stiffness = Stiffness { graph: 0.7, rotation: 0.4, blend: 0.3 };
+        let stiffness = Stiffness { graph: 0.7, rotation: 0.4, blend: 0.3, ..Stiffness::default() };
         let held = (0..mesh.positions.len()).map(|i| i % 11 == 4).collect();
         let places = mesh.positions.iter().map(|&p| p + random_vec(&mut rng, 2.0)).collect();
         Self { mesh, nodes, basis, stiffness, held, places }

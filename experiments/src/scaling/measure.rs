@@ -122,7 +122,7 @@ impl Configuration {
 
 /// Weight of the graph and of the blendshapes, width of Huber's kernel: those of the hybrid's default schedule half way, per vertex
 /// on a template of [`REFERENCE_VERTICES`].
-const STIFFNESS: Stiffness = Stiffness { graph: 1.0, blend: 4.3, rotation: 0.0 };
+const STIFFNESS: Stiffness = Stiffness { graph: 1.0, kernel: Kernel::None, blend: 4.3, rotation: 0.0 };
 const HUBER: f64 = 1.0;
 const REFERENCE_VERTICES: f64 = 6706.0;
 /// Nodes that move a vertex.

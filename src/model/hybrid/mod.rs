@@ -4,13 +4,14 @@
 //! ```text
 //!     b_i(w) = n_i + sum_k w_k delta_ik                                       (4)
 //!     v_i    = sum_j omega_ij ( T_j(b_i - x_j) + x_j )                        (6), (8)   T_j(q) = A_j q + t_j
-//!     E_smooth = lambda_graph sum_(i,j) s_ij |T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2     (7)
+//!     E_smooth = lambda_graph sum_(i,j) s_ij rho(|T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2)     (7)
 //!              + lambda_graph lambda_rotation d^2 sum_j E_rot(A_j)                               affine nodes only
 //!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5)
 //!              + lambda_blend sum_k ((w_k - clamp(w_k, 0, 1)) / sigma_beyond)^2          [`ShapeBasis::with_beyond`]
 //! ```
 //!
-//! `s_ij` is 1 unless a registration [stiffens](Hybrid::stiffen_unseen) what it does not see. (Klimov 2020; `E_rot`: Sumner et al. 2007, [`NodeTransform::rotation_residuals`].) `A_j` is a rotation, a scaled rotation or
+//! `s_ij` is 1 unless a registration [stiffens](Hybrid::stiffen_unseen) what it does not see; `rho` is plain least squares or, where
+//! subjects bend at joints, a [robust kernel](Stiffness::kernel). (Klimov 2020; `E_rot`: Sumner et al. 2007, [`NodeTransform::rotation_residuals`].) `A_j` is a rotation, a scaled rotation or
 //! any 3 x 3. Rigid and similarity have one node and no shapes, blendshape one node, graph no shapes. `d`, the reach of a node,
 //! makes `lambda_rotation` free of units: `d^2` is [`NodeGraph::squared_reach`].
 //!
@@ -54,7 +55,7 @@ use super::{
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{Tile, padded, sum_of_products, sweep, vectorized};
-use crate::nlls::{Assembly, BlockStructure, Manifold, NormalEquations, PointArray, Scalar};
+use crate::nlls::{Assembly, BlockStructure, Kernel, Manifold, NormalEquations, PointArray, Scalar};
 use crate::rig::ShapeBasis;
 
 /// Vertices that one task places.
@@ -70,6 +71,8 @@ const fn pitch<const W: usize>() -> usize {
 pub struct Stiffness {
     /// `lambda_graph` of (7), per directed edge.
     pub graph: f64,
+    /// Robust kernel of the residuals of (7), scale in millimetres: where an edge's ends disagree by more, the graph gives way.
+    pub kernel: Kernel,
     /// `lambda_rotation`: weight of `E_rot` per affine node against (7), dimensionless.
     pub rotation: f64,
     /// `lambda_blend` of (5), per shape.
@@ -507,6 +510,8 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for Hybrid<T, W> {
 pub struct HybridLevel {
     /// `lambda_graph` of (7), per directed edge.
     pub lambda_graph: f64,
+    /// As [`GraphLevel::kernel`](super::GraphLevel::kernel).
+    pub kernel: Kernel,
     /// `lambda_blend` of (5), per shape.
     pub lambda_blend: f64,
     /// As [`GraphLevel::lambda_rotation`](super::GraphLevel::lambda_rotation).
@@ -518,6 +523,7 @@ pub struct HybridLevel {
 impl OptionTable for HybridLevel {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::not_negative("lambda_graph", self.lambda_graph)?;
+        OptionsError::kernel(self.kernel)?;
         OptionsError::not_negative("lambda_blend", self.lambda_blend)?;
         OptionsError::not_negative("lambda_rotation", self.lambda_rotation)
     }

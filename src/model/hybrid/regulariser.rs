@@ -7,7 +7,7 @@ use num_dual::DualSVec64;
 use super::{AffineMap, MapJacobians, NodeGraph, NodeTransform, Stiffness, derivatives, pitch};
 use crate::energy::NamedEnergy;
 use crate::mesh::Vec3;
-use crate::nlls::{Assembly, BlockStructure, ItemRows, NormalEquations};
+use crate::nlls::{Assembly, BlockStructure, ItemRows, Kernel, NormalEquations, RobustKernel as _};
 
 /// The edges of (7) and the nodes of `E_rot` as items of the assembler.
 pub(super) struct GraphRegulariser<const W: usize> {
@@ -89,7 +89,7 @@ impl<const W: usize> GraphRegulariser<W> {
             for (&(i, j), weight) in graph.edges().iter().zip(&self.edge_weights) {
                 let [i, j] = [i as usize, j as usize];
                 let residual = edge_residual(&maps[i], &maps[j], [graph.nodes()[i], graph.nodes()[j]]);
-                sum += weight * residual.norm_squared();
+                sum += weight * stiffness.kernel.evaluate(residual.norm_squared())[0];
             }
             out.push(("graph smoothness (7)", stiffness.graph * sum));
         }
@@ -119,9 +119,10 @@ impl<const W: usize> GraphRegulariser<W> {
                 Some(edges) => {
                     for (&edge, residuals) in edges.iter().zip(residuals.as_chunks_mut().0) {
                         let (i, j) = graph.edges()[edge as usize];
-                        let root = (stiffness.graph * edge_weights[edge as usize]).sqrt();
+                        let ends = [i as usize, j as usize];
                         let first = if edge == edges[0] { 0 } else { 3 };
-                        *residuals = edge_rows(graph, maps, [i as usize, j as usize], root, first, rows);
+                        let weight = stiffness.graph * edge_weights[edge as usize];
+                        *residuals = edge_rows(graph, maps, ends, (weight, stiffness.kernel), first, rows);
                     }
                 }
                 None => {
@@ -154,18 +155,20 @@ fn joined(graph: &NodeGraph) -> Vec<Vec<u32>> {
 }
 
 /// Residual of (7) of edge (i, j) and, in the rows from `first` on, its derivatives by the tangents of its ends, `d(A_i q + t_i)` and
-/// `-dt_j`, all times `root`.
+/// `-dt_j`, all times the root of `weight` times that of the kernel.
 #[inline(always)]
 fn edge_rows<const W: usize>(
     graph: &NodeGraph,
     maps: &MapJacobians<W>,
     [i, j]: [usize; 2],
-    root: f64,
+    (weight, kernel): (f64, Kernel),
     first: usize,
     rows: &mut ItemRows<'_>,
 ) -> [f64; 3] {
     let [xi, xj] = [graph.nodes()[i], graph.nodes()[j]];
     let (q, free) = (xj - xi, graph.free_nodes());
+    let residual = edge_residual(maps.value(i), maps.value(j), [xi, xj]);
+    let root = (weight * kernel.weight(residual.norm_squared())).sqrt();
     if i < free {
         let slot = usize::from(j < i);
         for a in 0..3 {
@@ -184,7 +187,7 @@ fn edge_rows<const W: usize>(
             rows.of_block(slot, first + a).iter_mut().zip(shift).for_each(|(row, d)| *row = -root * d);
         }
     }
-    (root * edge_residual(maps.value(i), maps.value(j), [xi, xj])).into()
+    (root * residual).into()
 }
 
 /// Whether motions of type `T` are held near the rotations.
