@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::gpmm::MOST_SHAPES;
 use super::{
-    AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, HybridLevel, Linearisation, ModelError, ModelInput,
-    NodeGraph, NodeTransform, PatchInput, QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
+    AffineMotion, AngleAxisMotion, GaussianKernel, GpmmOptions, Hybrid, HybridLevel, Linearisation, ModelError,
+    ModelInput, NodeGraph, NodeTransform, PatchInput, QuaternionMotion, RegistrationModel, RigidMotion, Stiffness,
 };
 use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;

@@ -1,6 +1,8 @@
 //! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one step of the solver (Gauss-Newton
 //! unless the schedule says otherwise), again.
 
+mod expression;
+
 use std::borrow::Cow;
 use std::ops::ControlFlow;
 
@@ -52,6 +54,9 @@ pub fn register_with(
     let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     check_input(input, model)?;
     let mut run = Run::new(input, model, terms, &schedule, start::Cancel(observer.cancel()))?;
+    if input.warm_start.is_none() {
+        run.start_expression = run.choose_expression(input, &schedule)?;
+    }
     run.all_stages(&schedule, input.regions, input.warm_start.is_some(), observer)?;
     if observer.wants_equations() {
         let mut equations = NormalEquations::new(run.problem.structure().clone());
@@ -72,6 +77,8 @@ struct Run {
     scan_here: ScanSurface,
     start: Start,
     scan_facing: ScanFacing,
+    /// Name of the expression that it starts with, if any.
+    start_expression: Option<String>,
     problem: RegistrationProblem,
     x: Vec<f64>,
     workspace: Workspace,
@@ -148,6 +155,7 @@ impl Run {
             template,
             start,
             scan_facing: facing,
+            start_expression: None,
             problem,
             x,
             workspace: Workspace::new(),
@@ -367,6 +375,7 @@ impl Run {
             end: WarmStart { model, pose, parameters },
             start_search: search,
             start_landmarks: by_landmarks,
+            start_expression: self.start_expression,
             scan: self.scan,
             scan_facing: self.scan_facing,
             untangled,

@@ -150,6 +150,8 @@ pub struct Report {
     pub start_search: Option<StartSearch>,
     /// What the landmarks say of the start, where three or more gave it.
     pub start_landmarks: Option<LandmarkStart>,
+    /// The expression that it started with instead of rest, where few landmarks said which face it is.
+    pub start_expression: Option<String>,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
     /// What was taken apart after the last step, if the schedule says so.
@@ -200,6 +202,7 @@ impl Report {
             start: result.start,
             start_search: result.start_search.clone(),
             start_landmarks: result.start_landmarks.clone(),
+            start_expression: result.start_expression.clone(),
             scan_facing: result.scan_facing,
             untangled: result.untangled,
             stop: result.stop,

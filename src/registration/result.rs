@@ -111,6 +111,9 @@ pub struct RegistrationResult {
     pub start_search: Option<StartSearch>,
     /// What the landmarks say of the start, where three or more gave it.
     pub start_landmarks: Option<LandmarkStart>,
+    /// The expression that it started with instead of rest, as few landmarks said which face it is: see
+    /// [`StartOptions::expression`](super::StartOptions::expression).
+    pub start_expression: Option<String>,
     /// The scan as it was registered, in its own frame, for what is measured on it and taken from it. Large: whoever keeps results
     /// does better without ([`std::mem::take`]).
     pub scan: ScanSurface,

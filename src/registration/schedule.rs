@@ -523,6 +523,7 @@ impl Schedule {
         positive("search.greatest_loss".into(), self.search.greatest_loss)?;
         positive("search.greatest_rival".into(), self.search.greatest_rival)?;
         not_negative("search.scale_sigma".into(), self.search.scale_sigma)?;
+        not_negative("search.expression".into(), self.search.expression)?;
         count("search.rotations".into(), self.search.rotations)?;
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;

@@ -223,7 +223,8 @@ fn the_graph_is_stiffer_where_more_is_unseen_and_gives_way_by_its_kernel_and_its
 /// Two stiff halves, one of which is turned by a right angle about the line between them. Least squares spread the bend.
 #[test]
 fn a_graph_with_a_kernel_bends_at_a_joint() {
-    let rest: Vec<Vec3> = (0..40).flat_map(|c| (0..4).map(move |r| Vec3::new(f64::from(c), f64::from(r), 0.0))).collect();
+    let rest: Vec<Vec3> =
+        (0..40).flat_map(|c| (0..4).map(move |r| Vec3::new(f64::from(c), f64::from(r), 0.0))).collect();
     let quads = (0..39).flat_map(|c| (0..3).map(move |r| 4 * c + r));
     let triangles = quads.flat_map(|i| [[i, i + 4, i + 5], [i, i + 5, i + 1]]).collect();
     let mesh = TriangleMesh { positions: rest.clone(), triangles };

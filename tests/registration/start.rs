@@ -379,15 +379,52 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
     }
 }
 
-/// Landmarks about an open mouth, as one camera sees them from the side, ask for a larger face unless expressions explain them.
-#[test]
-fn an_open_mouth_is_no_larger_face() {
-    let rig = rig();
+fn expressions(rig: &FaceRig) -> ShapeBasis {
     let (names, deltas): (Vec<&str>, Vec<&Vec<Vec3>>) = rig.expressions.iter().map(|e| (&*e.0, &e.1)).unzip();
     let shape = |name: &&str| Shape { name: (*name).to_owned(), family: Family::Expression };
     let row = |i: usize| deltas.iter().map(move |d| d[i / 3][i % 3] as f32);
     let slab = (0..3 * rig.neutral.len()).flat_map(row).collect();
-    let shapes = ShapeBasis::new(names.iter().map(shape).collect(), slab);
+    ShapeBasis::new(names.iter().map(shape).collect(), slab)
+}
+
+/// From a closed mouth the lower lip finds the scan's upper one.
+#[test]
+fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
+    let rig = rig();
+    let shapes = expressions(&rig);
+    let errors = |preset: &str, seed: u64| {
+        let expressions = Some(data_gen::preset_weights(preset));
+        let options = ScanOptions { expressions, triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+        let case = simulate_scan(&rig, &options, seed).unwrap();
+        let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
+        [0.0, 0.6].map(|expression| {
+            let mut schedule = ModelKind::Hybrid.schedule().unwrap();
+            schedule.search.expression = expression;
+            let result =
+                register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+            let result = result.unwrap();
+            let pairs = result.positions.iter().zip(&case.truth).zip(&case.observed).filter(|p| *p.1);
+            let squares: Vec<f64> = pairs.map(|((a, b), _)| (a - b).norm_squared()).collect();
+            ((squares.iter().sum::<f64>() / squares.len() as f64).sqrt(), result.start_expression)
+        })
+    };
+    for preset in ["shout", "open"] {
+        let [(without, none), (with, expression)] = errors(preset, 75);
+        assert_eq!((none, expression.as_deref()), (None, Some("jawOpen")), "{preset}");
+        assert!(without > 4.0 && with < 1.0, "{preset}: {without} mm, {with} mm");
+    }
+    for preset in ["neutral", "smile"] {
+        let [(without, none), (with, _)] = errors(preset, 70);
+        assert_eq!((none, without), (None, with), "{preset}");
+        assert!(with < 1.0, "{preset}: {with} mm");
+    }
+}
+
+/// Landmarks about an open mouth, as one camera sees them from the side, ask for a larger face unless expressions explain them.
+#[test]
+fn an_open_mouth_is_no_larger_face() {
+    let rig = rig();
+    let shapes = expressions(&rig);
     for size in [1.0, 1.2] {
         let pose = Pose { scale: size, ..Pose::rigid(Vec3::new(0.1, 0.2, -0.1), Vec3::new(3.0, 4.0, 5.0)) };
         let expressions = Some(data_gen::preset_weights("open"));
