@@ -240,14 +240,16 @@ pub(super) fn one_node<T: NodeTransform<W>, const W: usize>(
 }
 
 impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
-    /// Which of the three there are is the factory's business.
+    /// Which of them there are is the factory's business.
     fn set_level(&mut self, options: &Options, unit: f64) -> Result<(), OptionsError> {
-        let HybridLevel { lambda_graph, kernel, lambda_blend, lambda_rotation, .. } = options.read()?;
+        let lambda = |key: &str| options.number(key).unwrap_or(0.0);
+        let kernel =
+            options.get("kernel").map(|kernel| Options::new().with("kernel", kernel.clone()).read::<HybridLevel>());
         self.stiffness = Stiffness {
-            graph: lambda_graph,
-            kernel: kernel.scaled(unit),
-            rotation: lambda_rotation,
-            blend: lambda_blend * unit * unit,
+            graph: lambda("lambda_graph"),
+            kernel: kernel.transpose()?.map_or(Kernel::None, |level| level.kernel.scaled(unit)),
+            rotation: lambda("lambda_rotation"),
+            blend: lambda("lambda_blend") * unit * unit,
         };
         Ok(())
     }
