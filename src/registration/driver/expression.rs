@@ -41,6 +41,7 @@ impl Run {
             bounds.project(&mut moved);
         }
         let at_rest = self.misfit(input, schedule, &rest)?;
+        // It may fail where rest does not, and is then no start.
         let with_it = self.misfit(input, schedule, &moved).unwrap_or(f64::INFINITY);
         let better = with_it < at_rest - MARGIN;
         self.start_from(if better { &moved } else { &rest });
