@@ -7,8 +7,9 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use crate::{
-    Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner, Subject,
-    WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
+    Bend, Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner,
+    Subject, WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig,
+    write_weights,
 };
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
@@ -28,7 +29,8 @@ Examples:
   data-gen --seed 7 --out out/data --frames 60 --fps 30          # a sequence of two seconds
   data-gen --seed 7 --out out/data --camera 0,0 --camera=-60,10 --noise 0.3 --holes 8
   data-gen --seed 7 --out out/data --cases 10 --scanner fused    # as seven depth cameras see them
-  data-gen --seed 7 --out out/data --cases 10 --scanner frame --rig RIG   # people of a rig of one's own";
+  data-gen --seed 7 --out out/data --cases 10 --scanner frame --rig RIG   # people of a rig of one's own
+  data-gen --seed 7 --out out/data --cases 4 --scanner fused --rig BODIES --bend wrist_l,elbow_l=60 --bend wrist_l,acromion_l=50";
 
 /// The command line, as clap knows it.
 #[must_use]
@@ -125,6 +127,13 @@ struct Arguments {
     /// How differently a person makes an expression from how the rig does: largest relative change.
     #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
     manner: f64,
+    /// A smooth displacement that no shape says, of this root mean square length, mm. Of a --rig only.
+    #[arg(long, value_name = "MM", default_value_t = ScanOptions::default().field, help_heading = "Cases")]
+    field: f64,
+    /// Bends what is nearer to the landmark TIP, along the surface, than JOINT is by at most so many degrees about JOINT, such as
+    /// wrist_l,elbow_l=60; repeatable. Of a --rig only.
+    #[arg(long = "bend", value_name = "TIP,JOINT=DEGREES", value_parser = bend, help_heading = "Cases")]
+    bends: Vec<Bend>,
     /// Largest height of wrinkles that no shape expresses, mm.
     #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
     detail: f64,
@@ -144,6 +153,9 @@ struct Arguments {
     /// Smallest and largest radius of a hole, mm.
     #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "4,9", help_heading = "Faults")]
     hole_radius: [f64; 2],
+    /// Share of the scan that is left when one end, either, is cut off across its longest direction.
+    #[arg(long, value_name = "SHARE", default_value_t = ScanOptions::default().keep, help_heading = "Faults")]
+    keep: f64,
     /// Share of the points that are spikes.
     #[arg(long, default_value_t = ScanOptions::default().spikes, help_heading = "Faults")]
     spikes: f64,
@@ -400,6 +412,8 @@ impl Arguments {
             identity: self.identity.clone(),
             identity_sigma: self.identity_sigma,
             manner: self.manner,
+            field: self.field,
+            bends: self.bends.clone(),
             detail: self.detail,
             wrinkles: self.wrinkles,
             detail_seed: None,
@@ -415,6 +429,7 @@ impl Arguments {
             grazing_noise: self.grazing_noise,
             holes: self.holes,
             hole_radius: self.hole_radius,
+            keep: self.keep,
             spikes: self.spikes,
             spike_height: self.spike_height,
             outliers: self.outliers,
@@ -462,6 +477,14 @@ fn wrinkles(text: &str) -> Result<WrinkleMix, String> {
 fn name_and_weight(text: &str) -> Result<(String, f64), String> {
     let parts = text.split_once('=').and_then(|(name, weight)| Some((name, weight.parse::<f64>().ok()?)));
     parts.map(|(name, weight)| (name.to_owned(), weight)).ok_or_else(|| "NAME=WEIGHT".into())
+}
+
+fn bend(text: &str) -> Result<Bend, String> {
+    let parts = text.split_once('=').and_then(|(names, degrees)| {
+        let (tip, joint) = names.split_once(',')?;
+        Some(Bend { tip: tip.trim().into(), joint: joint.trim().into(), degrees: degrees.parse().ok()? })
+    });
+    parts.ok_or_else(|| "TIP,JOINT=DEGREES".into())
 }
 
 #[cfg(test)]

@@ -22,6 +22,8 @@ pub use contact_sheet::contact_sheet;
 pub use face::{Eyeball, FaceModel, FaceWeights, Flat};
 pub use files::{Subject, write_case, write_population, write_rig};
 pub use rig::{FaceOptions, FaceRig, Landmark};
-pub use scan::{Camera, PRESETS, ScanCase, ScanError, ScanOptions, Scanner, WrinkleMix, resolve_shapes, simulate_scan};
+pub use scan::{
+    Bend, Camera, PRESETS, ScanCase, ScanError, ScanOptions, Scanner, WrinkleMix, resolve_shapes, simulate_scan,
+};
 pub use sequence::{Motion, write_weights};
 pub use standard::{STANDARD_CASES, StandardCase, preset_weights};

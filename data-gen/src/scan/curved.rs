@@ -9,7 +9,8 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{ScanOptions, Solid, Stream};
+use super::deformation::deform;
+use super::{ScanError, ScanOptions, Solid, Stream};
 use crate::FaceRig;
 
 /// Lengths of waves are for a face of this extent, millimetres, and grow with the mesh.
@@ -20,10 +21,10 @@ const EDGE: f64 = 0.6;
 const MOST_PARTS: usize = 12;
 
 /// A plane wave: wave vector, phase, amplitude.
-struct Wave(Vec3, f64, f64);
+pub(super) struct Wave(Vec3, f64, f64);
 
 impl Wave {
-    fn new(lengths: [f64; 2], amplitude: f64, rng: &mut ChaCha8Rng) -> Self {
+    pub fn new(lengths: [f64; 2], amplitude: f64, rng: &mut ChaCha8Rng) -> Self {
         let up: f64 = rng.random_range(-1.0..1.0);
         let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
         let level = (1.0 - up * up).sqrt();
@@ -31,7 +32,7 @@ impl Wave {
         Self(Vec3::new(cos * level, up, sin * level) * number, rng.random_range(0.0..TAU), amplitude)
     }
 
-    fn at(&self, p: &Vec3) -> f64 {
+    pub fn at(&self, p: &Vec3) -> f64 {
         self.2 * (self.0.dot(p) + self.1).sin()
     }
 }
@@ -43,14 +44,17 @@ pub(super) fn extent(points: &[Vec3]) -> f64 {
     (high - low).max()
 }
 
-/// The person that these weights make, posed: the expression in a manner of their own, and with skin of their own.
+/// The person that these weights make, posed: the expression in a manner of their own, deformed, and with skin of their own.
+///
+/// # Errors
+/// As [`deform`].
 pub(super) fn person(
     rig: &FaceRig,
     options: &ScanOptions,
     [expressions, identity]: [&[f64]; 2],
     pose: Pose,
     seed: u64,
-) -> Solid {
+) -> Result<Solid, ScanError> {
     let scale = extent(&rig.neutral) / FACE;
     let neutral = rig.pose(&[], identity);
     let mut rng = Stream::Manner.of(seed);
@@ -59,9 +63,11 @@ pub(super) fn person(
     let shape =
         rig.pose(expressions, identity).into_iter().zip(&neutral).zip(&rig.neutral).map(|((p, rest), place)| {
             let factor = Vec3::from_fn(|axis, _| 1.0 + manner[axis].iter().map(|w| w.at(place)).sum::<f64>());
-            pose.apply(rest + (p - rest).component_mul(&factor))
+            rest + (p - rest).component_mul(&factor)
         });
-    let shape: Vec<Vec3> = shape.collect();
+    let mut shape: Vec<Vec3> = shape.collect();
+    deform(rig, options, &mut shape, seed)?;
+    shape.iter_mut().for_each(|p| *p = pose.apply(*p));
     let mut rng = Stream::Detail.of(seed);
     let skin = options.wrinkles.skin;
     let mut relief: Vec<Wave> = (0..5).map(|_| Wave::new([9.0 * scale, 20.0 * scale], 0.10 * skin, &mut rng)).collect();
@@ -93,7 +99,7 @@ pub(super) fn person(
     let inside = |patch: usize| split(parts).map(move |t| t.map(|k| (patch * each + k) as u32));
     let refined = (0..patches.len()).flat_map(inside).collect();
     let positions: Vec<Vec3> = patches.into_iter().flatten().collect();
-    Solid { skin_points: positions.len(), positions, triangles: refined, truth }
+    Ok(Solid { skin_points: positions.len(), positions, triangles: refined, truth })
 }
 
 /// Barycentric coordinates of a triangle's lattice, row by row.

@@ -1,33 +1,62 @@
 //! What goes wrong in a scan: holes, noise, spikes, loose parts, outliers; and an order that says nothing.
 
+use nalgebra::{Matrix3, SymmetricEigen};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use rand::Rng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::ScanOptions;
+use super::{ScanOptions, Stream};
 
-/// A ball in which nothing was measured.
-pub(super) struct Hole {
-    centre: Vec3,
-    radius: f64,
+/// Where nothing was measured.
+pub(super) enum Hole {
+    /// A ball.
+    Ball { centre: Vec3, radius: f64 },
+    /// What lies beyond a plane.
+    Beyond { direction: Vec3, limit: f64 },
 }
 
 impl Hole {
-    /// Holes at some of `points`.
-    pub fn draw(points: &[Vec3], options: &ScanOptions, rng: &mut ChaCha8Rng) -> Vec<Self> {
+    /// Holes at some of `points`, and what is cut off.
+    pub fn all(points: &[Vec3], options: &ScanOptions, seed: u64) -> Vec<Self> {
+        let mut holes = Self::draw(points, options, &mut Stream::Holes.of(seed));
+        holes.extend(Self::cut(points, options.keep, &mut Stream::Cut.of(seed)));
+        holes
+    }
+
+    fn draw(points: &[Vec3], options: &ScanOptions, rng: &mut ChaCha8Rng) -> Vec<Self> {
         let [small, large] = options.hole_radius;
         let count = if points.is_empty() { 0 } else { options.holes };
-        let hole = |_| Self {
+        let hole = |_| Self::Ball {
             centre: points[rng.random_range(0..points.len())],
             radius: small + (large - small) * rng.random::<f64>(),
         };
         (0..count).map(hole).collect()
     }
 
+    /// The end, either one, that leaves the share `keep` of the points, along the direction in which they spread most.
+    fn cut(points: &[Vec3], keep: f64, rng: &mut ChaCha8Rng) -> Option<Self> {
+        if keep >= 1.0 || points.is_empty() {
+            return None;
+        }
+        let centre = points.iter().sum::<Vec3>() / points.len() as f64;
+        let spread: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
+        let eigen = SymmetricEigen::new(spread);
+        let mut direction: Vec3 = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into();
+        // The sign of an eigenvector is anybody's.
+        direction *= direction[direction.iamax()].signum() * if rng.random::<bool>() { 1.0 } else { -1.0 };
+        let mut along: Vec<f64> = points.iter().map(|p| direction.dot(p)).collect();
+        let last = (keep * (along.len() - 1) as f64) as usize;
+        let limit = *along.select_nth_unstable_by(last, f64::total_cmp).1;
+        Some(Self::Beyond { direction, limit })
+    }
+
     pub fn holds(&self, p: &Vec3) -> bool {
-        (p - self.centre).norm_squared() <= self.radius * self.radius
+        match self {
+            Self::Ball { centre, radius } => (p - centre).norm_squared() <= radius * radius,
+            Self::Beyond { direction, limit } => direction.dot(p) > *limit,
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! A scan of a face: what a structured-light scanner would deliver, with the truth that it would not.
 
 mod curved;
+mod deformation;
 mod depth;
 mod detail;
 mod domain;
@@ -31,6 +32,7 @@ use manner::Manner;
 use surface::{Shell, Surface};
 use view::{Occluder, View};
 
+pub use deformation::Bend;
 pub use options::{Camera, ScanOptions, Scanner, WrinkleMix};
 pub use person::{PRESETS, resolve_shapes};
 pub(crate) use person::{random_weights, weights_by_name};
@@ -104,6 +106,9 @@ enum Stream {
     Manner,
     Edges,
     Camera,
+    Field,
+    Bends,
+    Cut,
 }
 
 impl Stream {
@@ -128,7 +133,7 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
     let pose = options.pose.unwrap_or_else(|| person::random_pose(options, &mut Stream::Pose.of(seed)));
     let detail_seed = options.detail_seed.unwrap_or(seed);
     let Some(model) = &rig.model else {
-        let solid = curved::person(rig, options, [&expression_weights, &identity_weights], pose, detail_seed);
+        let solid = curved::person(rig, options, [&expression_weights, &identity_weights], pose, detail_seed)?;
         let (mesh, observed) = measured(&solid, options, seed)?;
         return Ok(finished(
             rig,
@@ -188,7 +193,7 @@ fn measured(solid: &Solid, options: &ScanOptions, seed: u64) -> Result<(Triangle
         let mut images: Vec<DepthImage> =
             eyes.par_iter().filter_map(|eye| DepthImage::new(*eye, occluder, pitch, options.grazing)).collect();
         let visible: Vec<Vec3> = images.iter().flat_map(DepthImage::points).collect();
-        let holes = Hole::draw(&visible, options, &mut Stream::Holes.of(seed));
+        let holes = Hole::all(&visible, options, seed);
         let mut rngs = [Stream::Edges, Stream::Noise, Stream::Spikes].map(|stream| stream.of(seed));
         let [edges, noise, spikes] = &mut rngs;
         for image in &mut images {
@@ -256,7 +261,7 @@ fn sampled(
     let seen = Seen::new(&trial, &view, &[]);
     let visible: Vec<Vec3> =
         trial.positions.iter().zip(&seen.kept).filter(|(_, kept)| **kept).map(|(p, _)| *p).collect();
-    let holes = Hole::draw(&visible, options, &mut Stream::Holes.of(seed));
+    let holes = Hole::all(&visible, options, seed);
     let seen = seen.without(&trial, &holes);
     let outliers = (options.outliers * options.triangles as f64) as usize;
     let points = seen.points_for(&trial, options.triangles - outliers).ok_or(ScanError::NothingSeen)?;

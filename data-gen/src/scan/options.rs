@@ -5,6 +5,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
+use super::deformation::{self, Bend};
 use super::{ScanError, weights_by_name};
 use crate::FaceRig;
 
@@ -55,6 +56,10 @@ pub struct ScanOptions {
     /// How differently the person makes an expression from how the rig does: largest relative change of a displacement;
     /// default 0.2.
     pub manner: f64,
+    /// Of a rig that was read: root mean square length of a smooth displacement that no shape says; default 0.
+    pub field: f64,
+    /// Of a rig that was read: joints about which parts of it are bent, in this order; default none.
+    pub bends: Vec<Bend>,
     /// Largest height of wrinkles and skin structure that no shape expresses; default 0.8.
     pub detail: f64,
     /// How strong the kinds of detail are among each other.
@@ -86,6 +91,8 @@ pub struct ScanOptions {
     pub holes: usize,
     /// Smallest and largest radius of a hole; default 4 to 9.
     pub hole_radius: [f64; 2],
+    /// Share of the scan that is left when one end is cut off across its longest direction; default 1.
+    pub keep: f64,
     /// Share of the points that are spikes along the ray; default 0.001.
     pub spikes: f64,
     /// Smallest and largest height of a spike, either way; default 3 to 15.
@@ -160,6 +167,8 @@ impl Default for ScanOptions {
             identity: None,
             identity_sigma: 0.8,
             manner: 0.2,
+            field: 0.0,
+            bends: Vec::new(),
             detail: 0.8,
             wrinkles: WrinkleMix::default(),
             detail_seed: None,
@@ -175,6 +184,7 @@ impl Default for ScanOptions {
             grazing_noise: 0.5,
             holes: 4,
             hole_radius: [4.0, 9.0],
+            keep: 1.0,
             spikes: 0.001,
             spike_height: [3.0, 15.0],
             outliers: 0.001,
@@ -224,7 +234,8 @@ impl ScanOptions {
             let what = format!("scanner: frame has one camera, not {}; fused joins several", self.cameras.len());
             return Err(ScanError::Option(what));
         }
-        self.check()
+        self.check()?;
+        deformation::validate(rig, self)
     }
 
     fn check(&self) -> Result<(), ScanError> {
@@ -233,6 +244,7 @@ impl ScanOptions {
         for (what, value, most) in [
             ("identity sigma", self.identity_sigma, 10.0),
             ("manner", self.manner, 1.0),
+            ("field", self.field, 1000.0),
             ("detail", self.detail, 5.0),
             ("forehead lines", mix.forehead, 10.0),
             ("crow's feet", mix.crows_feet, 10.0),
@@ -257,6 +269,12 @@ impl ScanOptions {
         }
         if !(500..=10_000_000).contains(&self.triangles) {
             return bad("triangles", "500 to 10,000,000", self.triangles as f64);
+        }
+        if !(0.05..=1.0).contains(&self.keep) {
+            return bad("share to keep", "0.05 to 1", self.keep);
+        }
+        if let Some(bend) = self.bends.iter().find(|b| !(0.0..=180.0).contains(&b.degrees)) {
+            return bad("angle of a bend", "0 to 180 degrees", bend.degrees);
         }
         for (what, count) in [("holes", self.holes), ("loose parts", self.loose_parts)] {
             if count > 1000 {

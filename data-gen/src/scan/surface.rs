@@ -107,7 +107,7 @@ impl<'a> Surface<'a> {
 }
 
 /// 0 below 0, 1 above 1, smooth between.
-fn smooth(t: f64) -> f64 {
+pub(super) fn smooth(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

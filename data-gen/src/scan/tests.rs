@@ -303,6 +303,75 @@ fn a_clean_scan_is_the_rig_in_its_own_place() {
     assert!(case.observed.iter().all(|o| *o), "{}", share(&case.observed));
 }
 
+/// A rig as if it were read from files, and a clean scan of its neutral.
+fn read_rig() -> (FaceRig, ScanOptions) {
+    let options = ScanOptions {
+        scanner: Scanner::Fused,
+        expressions: Some(Vec::new()),
+        identity: Some(Vec::new()),
+        triangles: 8000,
+        ..ScanOptions::clean()
+    };
+    (FaceRig { model: None, ..rig() }, options)
+}
+
+#[test]
+fn what_lies_beyond_a_joint_turns_as_one_and_the_rest_stays() {
+    let (rig, options) = read_rig();
+    let bend = Bend { tip: "chin".into(), joint: "nose_tip".into(), degrees: 40.0 };
+    let before = scan(&rig, &options, 5).truth;
+    let after = scan(&rig, &ScanOptions { bends: vec![bend.clone()], ..options.clone() }, 5).truth;
+    let still = before.iter().zip(&after).filter(|(a, b)| (*a - *b).norm() < 1e-9).count();
+    let at = |name: &str| rig.landmarks.iter().find(|l| l.name == name).unwrap().vertex as usize;
+    let chin = at("chin");
+    let part: Vec<usize> = (0..before.len()).filter(|v| (before[*v] - before[chin]).norm() < 20.0).collect();
+    assert!(still > before.len() / 3 && part.len() > 10, "{still} {}", part.len());
+    assert!((before[chin] - after[chin]).norm() > 1.0);
+    for v in part {
+        let [a, b] = [&before, &after].map(|p| (p[v] - p[chin]).norm());
+        assert!((a - b).abs() < 1e-9, "{v}: {a} {b}");
+    }
+    let error = |bend: Bend| simulate_scan(&rig, &ScanOptions { bends: vec![bend], ..options.clone() }, 5).unwrap_err();
+    let unknown = error(Bend { tip: "chni".into(), ..bend.clone() }).to_string();
+    assert!(unknown.contains("chni") && unknown.contains("nose_tip"), "{unknown}");
+    assert!(error(Bend { tip: "nose_tip".into(), ..bend }).to_string().contains("no way leads"));
+}
+
+#[test]
+fn the_field_is_as_large_as_it_says_and_smooth() {
+    let (rig, options) = read_rig();
+    let before = scan(&rig, &options, 5).truth;
+    let square: f64 = (0..8)
+        .map(|seed| {
+            let after = scan(&rig, &ScanOptions { field: 2.0, ..options.clone() }, seed).truth;
+            let moved: Vec<Vec3> = before.iter().zip(&after).map(|(a, b)| b - a).collect();
+            for t in rig.mesh.triangulate().triangles {
+                let [a, b] = [t[0] as usize, t[1] as usize];
+                assert!((moved[a] - moved[b]).norm() < 0.15 * (before[a] - before[b]).norm());
+            }
+            moved.iter().map(Vec3::norm_squared).sum::<f64>() / (8 * moved.len()) as f64
+        })
+        .sum();
+    assert!((1.5..2.5).contains(&square.sqrt()), "{}", square.sqrt());
+}
+
+#[test]
+fn one_end_is_cut_off() {
+    let (rig, options) = read_rig();
+    for seed in 0..3 {
+        let whole = scan(&rig, &options, seed);
+        let part = scan(&rig, &ScanOptions { keep: 0.5, ..options.clone() }, seed);
+        let left = share(&part.observed) / share(&whole.observed);
+        assert!((0.35..0.65).contains(&left), "{left}");
+        // A face is longest from top to bottom.
+        let height = |case: &ScanCase| {
+            let heights = case.scan.positions.iter().map(|p| p.y);
+            heights.clone().fold(f64::MIN, f64::max) - heights.fold(f64::MAX, f64::min)
+        };
+        assert!(height(&part) < 0.7 * height(&whole));
+    }
+}
+
 #[test]
 fn options_that_make_no_sense_are_refused() {
     let rig = rig();
