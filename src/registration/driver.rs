@@ -1,7 +1,7 @@
 //! The registration itself: non-rigid ICP. For each level of the schedule: new correspondences, one step of the solver (Gauss-Newton
 //! unless the schedule says otherwise), again.
 
-mod expression;
+mod second_start;
 
 use std::borrow::Cow;
 use std::ops::ControlFlow;
@@ -53,9 +53,10 @@ pub fn register_with(
 ) -> Result<RegistrationResult, RegistrationError> {
     let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     check_input(input, model)?;
-    let mut run = Run::new(input, model, terms, &schedule, start::Cancel(observer.cancel()))?;
+    let cancel = start::Cancel(observer.cancel());
+    let mut run = Run::new(input, model, terms, &schedule, cancel)?;
     if input.warm_start.is_none() {
-        run.start_expression = run.choose_expression(input, &schedule)?;
+        run.choose_start(input, &schedule, cancel)?;
     }
     run.all_stages(&schedule, input.regions, input.warm_start.is_some(), observer)?;
     if observer.wants_equations() {
@@ -79,6 +80,8 @@ struct Run {
     scan_facing: ScanFacing,
     /// Name of the expression that it starts with, if any.
     start_expression: Option<String>,
+    /// Whether it starts bent.
+    start_bent: bool,
     problem: RegistrationProblem,
     x: Vec<f64>,
     workspace: Workspace,
@@ -156,6 +159,7 @@ impl Run {
             start,
             scan_facing: facing,
             start_expression: None,
+            start_bent: false,
             problem,
             x,
             workspace: Workspace::new(),
@@ -212,7 +216,8 @@ impl Run {
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
         for level in &schedule.levels {
-            if self.level(level, most_steps, schedule, observer)?.is_break() {
+            let name = self.level_names[self.levels_done].clone();
+            if self.level(level, &name, most_steps, schedule, observer)?.is_break() {
                 return Ok(ControlFlow::Break(()));
             }
             self.levels_done += 1;
@@ -224,12 +229,12 @@ impl Run {
     fn level(
         &mut self,
         level: &Level,
+        name: &str,
         most_steps: usize,
         schedule: &Schedule,
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
-        let name = self.level_names[self.levels_done].clone();
-        let misfit = |error| RegistrationError::Options { level: name.clone(), error };
+        let misfit = |error| RegistrationError::Options { level: name.to_owned(), error };
         self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit)?;
         if most_steps == usize::MAX {
             self.set_resolution(&level.model);
@@ -240,7 +245,7 @@ impl Run {
         self.template.set_level(level);
         let mut last_energy = f64::INFINITY;
         for step in 0..level.steps.min(most_steps) {
-            let at = At { level: &name, step: step + 1 };
+            let at = At { level: name, step: step + 1 };
             self.find_correspondences(level, &at)?;
             if level.scale == KernelScale::Mad {
                 let kernel = self.measured_kernel(level);
@@ -376,6 +381,7 @@ impl Run {
             start_search: search,
             start_landmarks: by_landmarks,
             start_expression: self.start_expression,
+            start_bent: self.start_bent,
             scan: self.scan,
             scan_facing: self.scan_facing,
             untangled,

@@ -152,6 +152,8 @@ pub struct Report {
     pub start_landmarks: Option<LandmarkStart>,
     /// The expression that it started with instead of rest, where few landmarks said which face it is.
     pub start_expression: Option<String>,
+    /// Whether it started bent instead of at rest.
+    pub start_bent: bool,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
     /// What was taken apart after the last step, if the schedule says so.
@@ -203,6 +205,7 @@ impl Report {
             start_search: result.start_search.clone(),
             start_landmarks: result.start_landmarks.clone(),
             start_expression: result.start_expression.clone(),
+            start_bent: result.start_bent,
             scan_facing: result.scan_facing,
             untangled: result.untangled,
             stop: result.stop,

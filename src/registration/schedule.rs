@@ -62,6 +62,10 @@ pub struct Schedule {
     /// Whether sheets that passed through each other, as closed lips do, are [taken apart](super::Untangled) after the last step.
     #[serde(default)]
     pub untangle: bool,
+    /// Levels of a second start for what bends at joints: it is taken if its shape covers the scan better than rest, both after the first
+    /// two of the levels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bend: Vec<Level>,
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
@@ -73,14 +77,17 @@ pub struct Schedule {
     pub closed: Option<Box<ClosedSubject>>,
 }
 
-/// Model options and levels for bodies, bones and the like: for templates without any open edge whose shapes are all of identity. A
-/// face has openings and expressions. Everything else is as the schedule says.
+/// Model options and levels for bodies, bones and the like: for templates without any open edge whose shapes, if any, are all of
+/// identity. A face has openings and expressions. Everything else is as the schedule says.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClosedSubject {
     /// What the model is told.
     #[serde(default)]
     pub model: Options,
+    /// Levels of the second start.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bend: Vec<Level>,
     /// The levels, stiff to soft.
     #[serde(rename = "level")]
     pub levels: Vec<Level>,
@@ -538,7 +545,7 @@ impl Schedule {
         positive("sigma.beyond".into(), self.sigma.beyond.unwrap_or(1.0))?;
         BoundsOptions::validate("bounds.expression", self.bounds.expression)?;
         BoundsOptions::validate("bounds.identity", self.bounds.identity)?;
-        for (place, level) in self.levels_by_name() {
+        for (place, level) in named("bend ", &self.bend).chain(self.levels_by_name()) {
             let name = |field: &str| format!("{place}: {field}");
             positive(name("steps"), level.steps as f64)?;
             count(name("steps"), level.steps)?;
@@ -579,9 +586,9 @@ impl Schedule {
         let place = |error, place: String| ScheduleError::Options { place, error };
         let mut resolved = self.clone();
         if let (Some(closed), Some(resolved)) = (self.of_closed(), &mut resolved.closed) {
-            let Self { model, levels, .. } =
+            let Self { model, bend, levels, .. } =
                 closed.resolved(model, terms).map_err(|e| ScheduleError::Closed(Box::new(e)))?;
-            **resolved = ClosedSubject { model, levels };
+            **resolved = ClosedSubject { model, bend, levels };
         }
         resolved.model = model.options(&self.model).map_err(|e| place(e, "model".into()))?;
         for term in terms {
@@ -591,6 +598,7 @@ impl Schedule {
         }
         known_terms(&self.terms, "terms", terms)?;
         resolved.terms.retain(|_, options| !options.is_empty());
+        resolve_levels(&mut resolved.bend, "bend ", model, terms)?;
         resolve_levels(&mut resolved.levels, "", model, terms)?;
         let (mut stage, mut prefix) = (resolved.then.as_deref_mut(), String::from("then."));
         while let Some(next) = stage {
@@ -605,14 +613,14 @@ impl Schedule {
 
     /// The schedule for closed subjects, if there is one of their own.
     fn of_closed(&self) -> Option<Self> {
-        let ClosedSubject { model, levels } = self.closed.as_deref()?.clone();
-        Some(Self { model, levels, closed: None, ..self.clone() })
+        let ClosedSubject { model, bend, levels } = self.closed.as_deref()?.clone();
+        Some(Self { model, bend, levels, closed: None, ..self.clone() })
     }
 
     /// The schedule for this template and these shapes: [`closed`](Self::closed) has been decided.
     #[must_use]
     pub fn of_subject(&self, template: &PolygonMesh, shapes: &ShapeBasis) -> Self {
-        let identities = || !shapes.is_empty() && shapes.shapes().iter().all(|s| s.family == Family::Identity);
+        let identities = || shapes.shapes().iter().all(|s| s.family == Family::Identity);
         let open = || EdgeGraph::of(&template.triangulate()).boundary_vertices().contains(&true);
         let of_closed = self.of_closed().filter(|_| identities() && !open());
         of_closed.unwrap_or_else(|| Self { closed: None, ..self.clone() })
@@ -627,9 +635,7 @@ impl Schedule {
 
     /// Levels of all stages, with the names that messages give them: `level 1`, `then.level 2`.
     pub fn levels_by_name(&self) -> impl Iterator<Item = (String, &Level)> {
-        self.stages().flat_map(|(prefix, levels)| {
-            levels.iter().enumerate().map(move |(i, level)| (format!("{prefix}level {}", i + 1), level))
-        })
+        self.stages().flat_map(|(prefix, levels)| named(&prefix, levels).collect::<Vec<_>>())
     }
 
     /// Levels of each stage, with where they stand in the file: nowhere, `then.`, `then.then.`.
@@ -641,6 +647,11 @@ impl Schedule {
     fn later_stages(&self) -> impl Iterator<Item = &Stage> {
         std::iter::successors(self.then.as_deref(), |stage| stage.then.as_deref())
     }
+}
+
+/// Levels with the names that messages give them.
+pub(super) fn named<'a>(prefix: &str, levels: &'a [Level]) -> impl Iterator<Item = (String, &'a Level)> {
+    levels.iter().enumerate().map(move |(i, level)| (format!("{prefix}level {}", i + 1), level))
 }
 
 impl ModelKind {
@@ -715,9 +726,10 @@ mod tests {
         let own = schedule.of_subject(&closed, &identities);
         let stated = schedule.closed.clone().unwrap();
         assert_eq!((&own.model, &own.levels), (&stated.model, &stated.levels));
+        assert_eq!(schedule.of_subject(&closed, &ShapeBasis::none()), own);
         assert!(own.closed.is_none() && own.levels != schedule.levels);
         let expressive = shapes(&[Family::Identity, Family::Expression]);
-        for (template, shapes) in [(&open, &identities), (&closed, &expressive), (&closed, &ShapeBasis::none())] {
+        for (template, shapes) in [(&open, &identities), (&closed, &expressive), (&open, &ShapeBasis::none())] {
             let of_faces = schedule.of_subject(template, shapes);
             assert_eq!(of_faces, Schedule { closed: None, ..schedule.clone() });
         }

@@ -178,7 +178,7 @@ pub(super) struct StartInput<'a> {
 pub(super) struct Cancel<'a>(pub Option<&'a AtomicBool>);
 
 impl Cancel<'_> {
-    fn is_set(self) -> bool {
+    pub(super) fn is_set(self) -> bool {
         self.0.is_some_and(|flag| flag.load(Ordering::Relaxed))
     }
 

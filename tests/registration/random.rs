@@ -94,6 +94,7 @@ fn fitted(mut schedule: Schedule, model: ModelKind) -> Schedule {
     };
     schedule.model = of(model.options(&none).unwrap(), &schedule.model);
     levels(&mut schedule.levels, model);
+    levels(&mut schedule.bend, model);
     if let Some(then) = &mut schedule.then {
         let StageModel { name, options } = &mut then.model;
         *options = of(name.options(&none).unwrap(), options);
@@ -152,6 +153,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 expression: [None, None, Some([0.0, 1.0]), Some([0.3, 0.3])][bounds],
                 identity: None,
             },
+            bend: if solver == 1 { levels.clone() } else { Vec::new() },
             levels,
             then: Some(Box::new(Stage {
                 model: StageModel { name: next, options: next_graph },

@@ -8,7 +8,7 @@ use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::io::{PlyOptions, write_ply};
 use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
-use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
     ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, ScanFacing, ScanFlip,
     Schedule, StartSearch, StepRecord, find_start, register,
@@ -418,6 +418,67 @@ fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
         assert_eq!((none, without), (None, with), "{preset}");
         assert!(with < 1.0, "{preset}: {with} mm");
     }
+}
+
+/// A limb of 400 mm, round and closed, of so many rings and sides, bent in its middle by so many degrees.
+fn limb(rings: u32, sides: u32, degrees: f64) -> TriangleMesh {
+    let at = |ring: u32, side: u32| {
+        let t = f64::from(ring) / f64::from(rings);
+        let radius = 40.0 * (1.0 - (2.0 * t - 1.0).powi(6)).sqrt() * (1.0 + 0.3 * (3.0 * t).sin());
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(side) / f64::from(sides)).sin_cos();
+        let p = Vec3::new(2.0 * radius * cos, 400.0 * t - 200.0, radius * sin);
+        let share = (p.y / 60.0 + 0.5).clamp(0.0, 1.0);
+        Pose::rigid(Vec3::x() * (degrees.to_radians() * share * share * (3.0 - 2.0 * share)), Vec3::zeros()).apply(p)
+    };
+    let mut positions = vec![at(0, 0)];
+    positions.extend((1..rings).flat_map(|ring| (0..sides).map(move |side| at(ring, side))));
+    positions.push(at(rings, 0));
+    let (last, v) = (positions.len() as u32 - 1, |ring: u32, side: u32| 1 + (ring - 1) * sides + side % sides);
+    let mut triangles = Vec::new();
+    for k in 0..sides {
+        triangles.extend([[0, v(1, k), v(1, k + 1)], [last, v(rings - 1, k + 1), v(rings - 1, k)]]);
+        for ring in 1..rings - 1 {
+            let [a, b, c, d] = [v(ring, k), v(ring, k + 1), v(ring + 1, k + 1), v(ring + 1, k)];
+            triangles.extend([[a, c, b], [a, d, c]]);
+        }
+    }
+    TriangleMesh { positions, triangles }
+}
+
+/// Landmarks of what bends at a joint are all far from where one pose has them.
+#[test]
+fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
+    let rest = limb(40, 24, 0.0);
+    let template = PolygonMesh::from(rest.clone());
+    let number = |ring: u32, side: u32| 1 + (ring - 1) * 24 + side;
+    let marked =
+        [(2, 0), (2, 8), (2, 16), (14, 4), (20, 16), (26, 4), (38, 0), (38, 8), (38, 16)].map(|(r, s)| number(r, s));
+    let run = |degrees: f64, wrong: Option<usize>, bend: bool| {
+        let (scan, truth) = (limb(90, 60, degrees), limb(40, 24, degrees).positions);
+        let mut marks: Vec<Landmark> = marked.iter().map(|v| landmark(*v, truth[*v as usize])).collect();
+        if let Some(wrong) = wrong {
+            marks[wrong].target += Vec3::new(300.0, 0.0, 0.0);
+        }
+        let mut schedule = ModelKind::Hybrid.schedule().unwrap();
+        if !bend {
+            schedule.closed.as_mut().unwrap().bend.clear();
+        }
+        let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&template, &scan) };
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = result.unwrap();
+        let square: f64 = result.positions.iter().zip(&truth).map(|(a, b)| (a - b).norm_squared()).sum();
+        let suspects: Vec<String> =
+            result.start_landmarks.iter().flat_map(|l| l.suspects.iter().map(|s| s.name.clone())).collect();
+        ((square / truth.len() as f64).sqrt(), result.start_bent, suspects)
+    };
+    let (without, with) = (run(0.0, None, false), run(0.0, None, true));
+    assert_eq!((&without, with.1), (&with, false));
+    assert!(with.0 < 0.5, "{with:?}");
+    let (without, with) = (run(110.0, None, false), run(110.0, None, true));
+    assert!(!without.1 && with.1 && with.0 < 0.5 * without.0 && with.0 < 10.0, "{without:?} {with:?}");
+    assert!(with.2.is_empty(), "{with:?}");
+    let wrong = run(80.0, Some(7), true);
+    assert_eq!(wrong.2.len(), 1, "{wrong:?}");
 }
 
 /// Landmarks about an open mouth, as one camera sees them from the side, ask for a larger face unless expressions explain them.

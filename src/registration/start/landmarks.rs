@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 
 use super::{OTHER_SIZE, StartInput, StartOptions};
 use crate::landmark::Landmark;
+use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::{Pose, PoseKind, Vec3, weighted_closest_pose};
 use crate::registration::RegistrationError;
 use crate::rig::Family;
@@ -11,9 +12,12 @@ use crate::rig::Family;
 /// By how much a template differs from another person at a landmark, millimetres.
 const MISMATCH: f64 = 4.0;
 /// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
+/// What is closed, such as a body, may bend at joints: there the lengths between landmarks are compared, and not their ways.
 const STRAY: f64 = 25.0;
 const STRAY_SLOPE: f64 = 0.25;
 const NEAREST: usize = 3;
+/// Such a subject is bent if a similarity leaves the landmarks off by more than this share of their spread.
+const BENT: f64 = 0.1;
 /// More than this share of the landmarks cannot be suspect: then nothing says which are right.
 const MOST_SUSPECTS: f64 = 0.25;
 /// Landmarks are mirrored if their mirror image fits so many times better, and they are off by so many millimetres.
@@ -30,18 +34,33 @@ pub(super) fn landmark_pose(
     let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
         weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
     };
+    // What is closed, such as a body, may bend at joints.
+    let bends = !EdgeGraph::of(input.template).boundary_vertices().contains(&true);
     let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
-        let mut free = fit(kept, PoseKind::Similarity, input.sigma)?;
-        let spread = spread(kept.iter().map(|&i| all[i].0)).max(f64::MIN_POSITIVE);
-        let doubt = MISMATCH * input.unit / (spread * (kept.len() as f64).sqrt());
+        let (similar, spread) = (fit(kept, PoseKind::Similarity, input.sigma)?, spread(kept.iter().map(|&i| all[i].0)));
+        let square = |&i: &usize| (similar.apply(all[i].0) - all[i].1.target).norm_squared();
+        let rms = (kept.iter().map(square).sum::<f64>() / kept.len() as f64).sqrt();
+        let bent = (bends && rms > BENT * spread * similar.scale).then(|| size_by_lengths(input, kept)).flatten();
+        let (mut free, spread) = match bent {
+            None => (similar, spread),
+            Some((scale, length)) => {
+                let pairs =
+                    kept.iter().map(|&i| (all[i].0 * scale, all[i].1.target, all[i].1.weight(scale * input.sigma)));
+                (Pose { scale, ..weighted_closest_pose(pairs, PoseKind::Rigid)? }, length / std::f64::consts::SQRT_2)
+            }
+        };
+        let doubt = MISMATCH * input.unit / (spread.max(f64::MIN_POSITIVE) * (kept.len() as f64).sqrt());
         let other_size = |pose: &Pose| options.scale_sigma > 0.0 && pose.scale.ln().abs() > OTHER_SIZE.max(3.0 * doubt);
-        if kind == PoseKind::Similarity {
+        if kind == PoseKind::Similarity && bent.is_none() {
             return Ok(fit(kept, kind, free.scale * input.sigma)?);
         }
         if !(0.5..=2.0).contains(&free.scale) {
             return Err(RegistrationError::Scale { scale: free.scale });
         }
-        if other_size(&free) {
+        if kind == PoseKind::Similarity {
+            return Ok(free);
+        }
+        if other_size(&free) && bent.is_none() {
             let expressive = expressive_similarity(input, kept)?;
             if expressive.scale.ln().abs() < free.scale.ln().abs() {
                 free = expressive;
@@ -52,7 +71,7 @@ pub(super) fn landmark_pose(
     let mut kept: Vec<usize> = (0..all.len()).collect();
     let mut pose = by_kind(&kept)?;
     let mut suspects = Vec::new();
-    while let Some((i, _)) = stray(input, &kept, &pose) {
+    while let Some((i, _)) = stray(input, &kept, &pose, bends) {
         kept.retain(|k| *k != i);
         suspects.push(i);
         if suspects.len() as f64 > MOST_SUSPECTS * all.len() as f64 || kept.len() < 3 {
@@ -84,6 +103,32 @@ pub(super) fn landmark_pose(
         suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     Ok((pose, found))
+}
+
+/// How many times as long the ways from landmarks to their nearest ones are on the scan as on the template, and how long they are there,
+/// both in the median: where joints bend they stay. `None` where landmarks coincide.
+fn size_by_lengths(input: &StartInput<'_>, kept: &[usize]) -> Option<(f64, f64)> {
+    let ways = kept.iter().flat_map(|&a| {
+        let (p, l) = input.landmarks[a];
+        nearest(input, kept, a).map(move |b| {
+            let (q, m) = input.landmarks[b];
+            ((l.target - m.target).norm(), (p - q).norm())
+        })
+    });
+    let apart = ways.filter(|(on_scan, on_template)| *on_scan > 0.0 && *on_template > 0.0);
+    let (mut ratios, mut lengths): (Vec<f64>, Vec<f64>) =
+        apart.map(|(scan, template)| (scan / template, template)).unzip();
+    let middle = ratios.len() / 2;
+    let median = |of: &mut [f64]| *of.select_nth_unstable_by(middle, f64::total_cmp).1;
+    (!ratios.is_empty()).then(|| (median(&mut ratios), median(&mut lengths)))
+}
+
+/// The landmarks of `kept` that are nearest to landmark `a` on the template.
+fn nearest<'a>(input: &StartInput<'_>, kept: &'a [usize], a: usize) -> impl Iterator<Item = usize> + use<'a> {
+    let apart = |b: usize| (input.landmarks[a].0 - input.landmarks[b].0).norm();
+    let mut others: Vec<usize> = kept.iter().copied().filter(|&b| b != a).collect();
+    others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
+    others.into_iter().take(NEAREST)
 }
 
 /// Rounds in which pose and expression follow each other, at most, and the change of the scale that ends them.
@@ -144,21 +189,23 @@ fn spread(points: impl Iterator<Item = Vec3> + Clone) -> f64 {
 }
 
 /// The landmark that differs most from its nearest ones, of those that differ too much. A jaw that opens moves all that is near.
-fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> Option<(usize, f64)> {
+fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose, bends: bool) -> Option<(usize, f64)> {
     if kept.len() < 5 {
         return None;
     }
-    let unit = input.unit * pose.scale;
-    let way: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0)).collect();
+    let way = |i: usize| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0);
     let excess = |a: usize| {
-        let apart = |b: usize| (input.landmarks[kept[a]].0 - input.landmarks[kept[b]].0).norm();
-        let mut others: Vec<usize> = (0..kept.len()).filter(|&b| b != a).collect();
-        others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
-        let over = |&b: &usize| (way[a] - way[b]).norm() - STRAY_SLOPE * apart(b) * pose.scale;
-        let own = input.landmarks[kept[a]].1.sigma.unwrap_or(0.0);
-        others.iter().take(NEAREST).map(over).fold(f64::INFINITY, f64::min) - (STRAY * unit).max(4.0 * own)
+        let (p, l) = input.landmarks[a];
+        let over = |b: usize| {
+            let (q, m) = input.landmarks[b];
+            let apart = (p - q).norm() * pose.scale;
+            let differs = if bends { ((l.target - m.target).norm() - apart).abs() } else { (way(a) - way(b)).norm() };
+            differs - STRAY_SLOPE * apart
+        };
+        let least = (STRAY * input.unit * pose.scale).max(4.0 * l.sigma.unwrap_or(0.0));
+        nearest(input, kept, a).map(over).fold(f64::INFINITY, f64::min) - least
     };
-    let worst = (0..kept.len()).map(|a| (kept[a], excess(a))).filter(|w| w.1 > 0.0);
+    let worst = kept.iter().map(|&a| (a, excess(a))).filter(|w| w.1 > 0.0);
     worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
 }
 
