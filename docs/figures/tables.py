@@ -180,6 +180,33 @@ def closed(run):
     return {name: {model: of[model]["mean_rmse"] for model in models} for name, of in measured.items()}
 
 
+@table("deformed", needs="data")
+def deformed(run):
+    "Mean and worst rmse on posed bodies, half femurs and femurs that the rig's modes do not say, mm."
+    bent = lambda degrees: " ".join(
+        f"--bend {tip}_{side},{joint}_{side}={degrees}"
+        for tip, joint in [("wrist", "elbow"), ("wrist", "acromion"), ("ankle", "knee")] for side in "lr")
+    sets = {
+        "bent": ("bodies", f"--seed 101 --scanner fused --cases 6 {bent(60)}"),
+        "bent-wide": ("bodies", f"--seed 103 --scanner fused --cases 6 {bent(90)}"),
+        "bent-frame": ("bodies", f"--seed 105 --scanner frame --cases 8 {bent(60)}"),
+        "half": ("femur", "--seed 101 --scanner fused --cases 6 --keep 0.5"),
+        "field": ("femur", "--seed 101 --scanner fused --cases 6 --field 1.5"),
+        "bent-test": ("bodies", f"--seed 401 --scanner fused --cases 8 {bent(60)}"),
+        "bent-frame-test": ("bodies", f"--seed 522 --scanner frame --cases 8 {bent(60)}"),
+        "half-test": ("femur", "--seed 401 --scanner fused --cases 8 --keep 0.5"),
+        "field-test": ("femur", "--seed 401 --scanner fused --cases 8 --field 1.5"),
+    }
+    measured = {}
+    for name, (subject, options) in sets.items():
+        rig = f"$NONRIGID_DATA/{subject}/rig"
+        cases, _ = generated(run, name, f"--rig {rig} {options}")
+        models = bench(run, f"bench-{name}", cases, rig, "--models hybrid,graph")
+        measured[name] = {f"{model}{column}": models[model][key]
+                          for model in ("hybrid", "graph") for column, key in [("", "mean_rmse"), ("_worst", "worst_rmse")]}
+    return measured
+
+
 def outcomes(rows: list[dict]) -> dict[str, float]:
     verdicts = [row["verdict"] for row in rows]
     count = lambda *names: sum(verdict in names for verdict in verdicts)

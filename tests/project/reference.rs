@@ -222,6 +222,7 @@ fn the_reference_of_schedules_is_that_of_the_code() {
         "start" => f.doc += " Default `\"rigid\"`.",
         "model" => f.doc = "What is true of the model at all levels. See [Models](#models).".into(),
         "terms" => f.doc = "What is true of a data term at all levels. See [Data terms](#data-terms).".into(),
+        "bend" => f.doc += " See [below](#level).",
         "level" | "then" | "closed" => f.doc += &format!(" See [below](#{}).", f.name),
         name if tables.contains(&name) => f.doc += &format!(" See [below](#{name})."),
         _ => {}
