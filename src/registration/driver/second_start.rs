@@ -33,9 +33,10 @@ impl Run {
             return Ok(());
         }
         let rest = self.x.clone();
-        let at_rest = self.misfit(input, schedule, cancel)?;
+        let (at_rest, scan_missed) = self.misfit(input, schedule, cancel)?;
         self.start_from(&rest);
-        if at_rest <= MARGIN {
+        // A limb elsewhere leaves its scan without a template.
+        if expression.is_none() && scan_missed <= MARGIN {
             return Ok(());
         }
         // It may fail where rest does not, and is then no start.
@@ -45,7 +46,7 @@ impl Run {
         };
         let with_it = other.and_then(|other| {
             self.start_from(&other);
-            Ok((self.misfit(input, schedule, cancel)?, other))
+            Ok((self.misfit(input, schedule, cancel)?.0, other))
         });
         cancel.check()?;
         match with_it {
@@ -84,16 +85,17 @@ impl Run {
         Ok(self.x.clone())
     }
 
-    /// Shares of template and scan that do not find each other after the first levels from here.
+    /// Shares of template and scan that do not find each other after the first levels from here, their sum and that of the scan.
     fn misfit(
         &mut self,
         input: &RegistrationInput<'_>,
         schedule: &Schedule,
         cancel: Cancel<'_>,
-    ) -> Result<f64, RegistrationError> {
+    ) -> Result<(f64, f64), RegistrationError> {
         self.run_levels(&schedule.levels[..LEVELS.min(schedule.levels.len())], "", schedule, cancel)?;
         let seen = Seen::new(input, &self.scan, &self.positions());
-        Ok(seen.map_or(f64::INFINITY, |seen| seen.coverage.contradicted + seen.coverage.scan_missed))
+        let misfit = |seen: Seen| (seen.coverage.contradicted + seen.coverage.scan_missed, seen.coverage.scan_missed);
+        Ok(seen.map_or((f64::INFINITY, f64::INFINITY), misfit))
     }
 
     fn run_levels(
