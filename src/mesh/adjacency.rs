@@ -173,6 +173,12 @@ impl EdgeGraph {
         boundary
     }
 
+    /// Whether there is no open boundary.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        !self.faces.contains(&1)
+    }
+
     /// Connected components.
     #[must_use]
     pub fn components(&self) -> Components {

@@ -621,8 +621,8 @@ impl Schedule {
     #[must_use]
     pub fn of_subject(&self, template: &PolygonMesh, shapes: &ShapeBasis) -> Self {
         let identities = || shapes.shapes().iter().all(|s| s.family == Family::Identity);
-        let open = || EdgeGraph::of(&template.triangulate()).boundary_vertices().contains(&true);
-        let of_closed = self.of_closed().filter(|_| identities() && !open());
+        let closed = || EdgeGraph::of(&template.triangulate()).is_closed();
+        let of_closed = self.of_closed().filter(|_| identities() && closed());
         of_closed.unwrap_or_else(|| Self { closed: None, ..self.clone() })
     }
 

@@ -35,7 +35,7 @@ pub(super) fn landmark_pose(
         weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
     };
     // What is closed, such as a body, may bend at joints.
-    let bends = !EdgeGraph::of(input.template).boundary_vertices().contains(&true);
+    let bends = EdgeGraph::of(input.template).is_closed();
     let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
         let (similar, spread) = (fit(kept, PoseKind::Similarity, input.sigma)?, spread(kept.iter().map(|&i| all[i].0)));
         let square = |&i: &usize| (similar.apply(all[i].0) - all[i].1.target).norm_squared();
