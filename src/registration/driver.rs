@@ -83,6 +83,8 @@ struct Run {
     /// Whether it starts bent.
     start_bent: bool,
     problem: RegistrationProblem,
+    /// Parameters before the first step, and now.
+    first_x: Vec<f64>,
     x: Vec<f64>,
     workspace: Workspace,
     correspondences: Correspondences,
@@ -161,6 +163,7 @@ impl Run {
             start_expression: None,
             start_bent: false,
             problem,
+            first_x: x.clone(),
             x,
             workspace: Workspace::new(),
             correspondences: Correspondences::default(),
@@ -187,7 +190,7 @@ impl Run {
         let first = schedule.levels.iter().map(|level| level.steps.min(most_steps));
         let later = schedule.levels_by_name().skip(schedule.levels.len()).map(|(_, level)| level.steps);
         observer.on_start(self.level_names.len(), first.chain(later).sum());
-        let mut flow = self.stage(schedule, most_steps, observer)?;
+        let mut flow = self.go_on(schedule, most_steps, observer)?;
         self.set_resolution(&Options::new()); // whatever the last level, or the observer, left it at
         self.first_stage = (self.x.clone(), weights(&mut self.problem, &self.x, &mut self.workspace));
         let mut next = schedule.next_stage();
@@ -199,7 +202,7 @@ impl Run {
             self.problem.terms = terms;
             self.x = self.problem.model.rest_parameters();
             self.workspace = Workspace::new();
-            flow = self.stage(schedule, usize::MAX, observer)?;
+            flow = self.stage(&schedule.levels, schedule, usize::MAX, observer)?;
             next = schedule.next_stage();
         }
         if flow.is_break() {
@@ -208,14 +211,15 @@ impl Run {
         Ok(())
     }
 
-    /// All levels of one stage, of at most so many steps each; `schedule` is as if that stage were the first.
+    /// Levels of one stage, of at most so many steps each; `schedule` is as if that stage were the first.
     fn stage(
         &mut self,
+        levels: &[Level],
         schedule: &Schedule,
         most_steps: usize,
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
-        for level in &schedule.levels {
+        for level in levels {
             let name = self.level_names[self.levels_done].clone();
             if self.level(level, &name, most_steps, schedule, observer)?.is_break() {
                 return Ok(ControlFlow::Break(()));

@@ -45,13 +45,15 @@ pub trait RegistrationObserver {
         None
     }
 
-    /// Whether [`on_positions`](Self::on_positions) is called, asked after every step; positions cost nothing unless it says yes.
+    /// Whether [`on_positions`](Self::on_positions) is called, asked before the first step and after every one; positions cost
+    /// nothing unless it says yes.
     fn wants_positions(&self) -> bool {
         false
     }
 
     /// Called right after [`on_step`](Self::on_step), also where that stops the run, with one position per template vertex in the
-    /// scan's frame; those of the last call are the result's, but for what is [untangled](RegistrationResult::untangled).
+    /// scan's frame; those of the last call are the result's, but for what is [untangled](RegistrationResult::untangled) and, where
+    /// it is stopped among coarse levels, what all nodes then say.
     fn on_positions(&mut self, _record: &StepRecord, _positions: &[Vec3]) {}
 
     /// Whether [`on_equations`](Self::on_equations) is called; they are not assembled unless it says yes.

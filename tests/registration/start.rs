@@ -10,8 +10,8 @@ use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, ScanFacing, ScanFlip,
-    Schedule, StartSearch, StepRecord, find_start, register,
+    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
+    ScanFacing, ScanFlip, Schedule, StartSearch, StepRecord, find_start, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use rand::{Rng, SeedableRng};
@@ -479,6 +479,48 @@ fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
     assert!(with.2.is_empty(), "{with:?}");
     let wrong = run(80.0, Some(7), true);
     assert_eq!(wrong.2.len(), 1, "{wrong:?}");
+}
+
+/// Stops at a step, and may want the positions, for which the levels of the trial run again.
+struct Stopping {
+    at: usize,
+    looks: bool,
+    heard: Vec<StepRecord>,
+}
+
+impl RegistrationObserver for Stopping {
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
+        self.heard.push(record.clone());
+        if self.heard.len() == self.at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    fn wants_positions(&self) -> bool {
+        self.looks
+    }
+}
+
+/// What the trial of a start has done is not done twice unless somebody looks: no difference to who listens.
+#[test]
+fn a_trial_that_is_gone_on_from_is_as_if_there_had_been_none() {
+    let template = PolygonMesh::from(limb(40, 24, 0.0));
+    for degrees in [0.0, 110.0] {
+        let (scan, truth) = (limb(90, 60, degrees), limb(40, 24, degrees).positions);
+        let marks: Vec<Landmark> =
+            (1..template.positions.len() as u32).step_by(90).map(|v| landmark(v, truth[v as usize])).collect();
+        let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&template, &scan) };
+        let schedule = ModelKind::Hybrid.schedule().unwrap();
+        for at in [1, 3, 7, 12, usize::MAX] {
+            let [blind, looking] = [false, true].map(|looks| {
+                let mut observer = Stopping { at, looks, heard: Vec::new() };
+                let result = register(&input, &ModelKind::Hybrid, &schedule, &mut observer).unwrap();
+                assert_eq!(result.history, observer.heard);
+                assert_eq!(result.stop == RegistrationStop::StoppedByObserver, at != usize::MAX);
+                assert_eq!(result.start_bent, degrees > 0.0);
+                result
+            });
+            assert_eq!((blind.positions, blind.history), (looking.positions, looking.history), "{degrees}, {at}");
+        }
+    }
 }
 
 /// Landmarks about an open mouth, as one camera sees them from the side, ask for a larger face unless expressions explain them.

@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use super::super::evidence::Seen;
 use super::super::schedule::named;
 use super::super::start::Cancel;
-use super::{Level, RegistrationError, RegistrationInput, Run, Schedule, StepRecord};
+use super::{Level, RegistrationError, RegistrationInput, RegistrationObserver, Run, Schedule, StepRecord};
 use crate::energy::Options;
 use crate::nlls::Problem as _;
 use crate::rig::ShapeBasis;
@@ -20,8 +20,20 @@ const LEVELS: usize = 2;
 /// By how much the shares of template and scan that do not find each other must be less for another start than rest.
 const MARGIN: f64 = 0.01;
 
+/// The first levels from one start.
+struct Trial {
+    /// Parameters before and after.
+    start: Vec<f64>,
+    x: Vec<f64>,
+    history: Vec<StepRecord>,
+    levels_done: usize,
+    /// Shares of template and scan that do not find each other, their sum and that of the scan.
+    misfit: f64,
+    scan_missed: f64,
+}
+
 impl Run {
-    /// Starts from elsewhere than rest, if that shape covers the scan better.
+    /// Starts from elsewhere than rest, if that shape covers the scan better; the first levels from there are then done.
     pub(super) fn choose_start(
         &mut self,
         input: &RegistrationInput<'_>,
@@ -32,32 +44,47 @@ impl Run {
         if expression.is_none() && schedule.bend.is_empty() {
             return Ok(());
         }
-        let rest = self.x.clone();
-        let (at_rest, scan_missed) = self.misfit(input, schedule, cancel)?;
-        self.start_from(&rest);
+        let at_rest = self.tried(self.x.clone(), input, schedule, cancel)?;
         // A limb elsewhere leaves its scan without a template.
-        if expression.is_none() && scan_missed <= MARGIN {
+        if expression.is_none() && at_rest.scan_missed <= MARGIN {
             return Ok(());
         }
-        // It may fail where rest does not, and is then no start.
         let other = match &expression {
             Some((_, moved)) => Ok(moved.clone()),
-            None => self.bent(schedule, cancel),
+            None => self.bent(&at_rest.start, schedule, cancel),
         };
-        let with_it = other.and_then(|other| {
-            self.start_from(&other);
-            Ok((self.misfit(input, schedule, cancel)?.0, other))
-        });
+        // It may fail where rest does not, and is then no start.
+        let other = other.and_then(|other| self.tried(other, input, schedule, cancel));
         cancel.check()?;
-        match with_it {
-            Ok((misfit, other)) if misfit < at_rest - MARGIN => {
-                self.start_from(&other);
-                self.start_bent = expression.is_none();
-                self.start_expression = expression.map(|e| e.0);
-            }
-            _ => self.start_from(&rest),
+        if other.is_ok_and(|other| other.misfit < at_rest.misfit - MARGIN) {
+            self.start_bent = expression.is_none();
+            self.start_expression = expression.map(|e| e.0);
+        } else {
+            self.back_to(at_rest, schedule);
         }
         Ok(())
+    }
+
+    /// The levels of the first stage after those that a trial has done, of which the observer hears first.
+    pub(super) fn go_on(
+        &mut self,
+        schedule: &Schedule,
+        most_steps: usize,
+        observer: &mut dyn RegistrationObserver,
+    ) -> Result<ControlFlow<()>, RegistrationError> {
+        // Where somebody looks at them or stops among them they run again, with the same bits.
+        if observer.wants_positions() {
+            self.start_from(self.first_x.clone());
+        }
+        if let Some(last) = self.history.iter().position(|record| observer.on_step(record).is_break()) {
+            self.start_from(self.first_x.clone());
+            let mut steps = 0..last;
+            let mut up_to_last = |_: &StepRecord| {
+                if steps.next().is_some() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            };
+            return self.stage(&schedule.levels, schedule, most_steps, &mut up_to_last);
+        }
+        self.stage(&schedule.levels[self.levels_done..], schedule, most_steps, observer)
     }
 
     /// The expression that moves most, and the model with it at the weight that the schedule says; `None` where landmarks say it.
@@ -79,23 +106,38 @@ impl Run {
     }
 
     /// Where the model is after the levels that bend it.
-    fn bent(&mut self, schedule: &Schedule, cancel: Cancel<'_>) -> Result<Vec<f64>, RegistrationError> {
+    fn bent(&mut self, rest: &[f64], schedule: &Schedule, cancel: Cancel<'_>) -> Result<Vec<f64>, RegistrationError> {
+        self.start_from(rest.to_vec());
         self.run_levels(&schedule.bend, "bend ", schedule, cancel)?;
         self.set_resolution(&Options::new());
         Ok(self.x.clone())
     }
 
-    /// Shares of template and scan that do not find each other after the first levels from here, their sum and that of the scan.
-    fn misfit(
+    /// The first levels from there.
+    fn tried(
         &mut self,
+        start: Vec<f64>,
         input: &RegistrationInput<'_>,
         schedule: &Schedule,
         cancel: Cancel<'_>,
-    ) -> Result<(f64, f64), RegistrationError> {
+    ) -> Result<Trial, RegistrationError> {
+        self.start_from(start);
         self.run_levels(&schedule.levels[..LEVELS.min(schedule.levels.len())], "", schedule, cancel)?;
         let seen = Seen::new(input, &self.scan, &self.positions());
-        let misfit = |seen: Seen| (seen.coverage.contradicted + seen.coverage.scan_missed, seen.coverage.scan_missed);
-        Ok(seen.map_or((f64::INFINITY, f64::INFINITY), misfit))
+        let (misfit, scan_missed) = seen.map_or((f64::INFINITY, f64::INFINITY), |seen| {
+            (seen.coverage.contradicted + seen.coverage.scan_missed, seen.coverage.scan_missed)
+        });
+        let (start, x, history) = (self.first_x.clone(), self.x.clone(), self.history.clone());
+        Ok(Trial { start, x, history, levels_done: self.levels_done, misfit, scan_missed })
+    }
+
+    /// As that trial left it.
+    fn back_to(&mut self, trial: Trial, schedule: &Schedule) {
+        self.start_from(trial.start);
+        self.set_resolution(schedule.levels[..trial.levels_done].last().map_or(&Options::new(), |level| &level.model));
+        self.x.copy_from_slice(&trial.x);
+        self.vertices.copy_from_slice(self.problem.vertices(&self.x));
+        (self.history, self.levels_done) = (trial.history, trial.levels_done);
     }
 
     fn run_levels(
@@ -110,16 +152,19 @@ impl Run {
         for (name, level) in named(prefix, levels) {
             let _ = self.level(level, &name, usize::MAX, schedule, &mut watch)?;
             cancel.check()?;
+            self.levels_done += 1;
         }
         Ok(())
     }
 
     /// As before the first step, with the model where `x` says.
-    fn start_from(&mut self, x: &[f64]) {
+    fn start_from(&mut self, x: Vec<f64>) {
         self.history.clear();
+        self.levels_done = 0;
         self.set_resolution(&Options::new());
-        self.x.copy_from_slice(x);
-        self.vertices.copy_from_slice(self.problem.vertices(&self.x));
+        self.x.copy_from_slice(&x);
+        self.vertices.copy_from_slice(self.problem.vertices(&x));
+        self.first_x = x;
     }
 }
 
