@@ -71,7 +71,7 @@ impl Correspondences {
         }
         let found = &self.found;
         let weight = |i: usize| if masks.speaker(i) == i && found[i].accepted { masks.weight(i) } else { 0.0 };
-        let seen = |i: usize| if found[masks.speaker(i)].accepted { masks.data[i] } else { 0.0 };
+        let seen = |i: usize| if found[masks.speaker(i)].accepted { masks.own_weight(i) } else { 0.0 };
         self.weights.clear();
         self.weights.extend((0..positions.len()).map(weight));
         self.unseen.clear();

@@ -10,13 +10,18 @@ pub struct VertexMasks {
     pub data: Vec<f64>,
     /// Weight of what binds a vertex at all, the scan or the prediction: what is not free.
     pub bound: Vec<f64>,
+    /// What share of its say the scan's samples leave each vertex; empty where all have their full say.
+    samples: Vec<f64>,
     /// Vertices of the rim where it is rejected; they take no correspondence whatever the masks say.
     pub rim: Vec<bool>,
     /// The vertex that takes a correspondence in each one's place; empty where all take their own.
     speakers: Vec<u32>,
-    /// Sum of `data` over the vertices that each speaks for.
+    /// Sum over the vertices that each speaks for.
     spoken_for: Vec<f64>,
 }
+
+/// Least share of a sample: a vertex of triangles without area is a vertex.
+const LEAST_SHARE: f64 = 1e-4;
 
 impl VertexMasks {
     /// Every one of `count` vertices takes part fully.
@@ -40,7 +45,7 @@ impl VertexMasks {
                 mask.iter().zip(&bound).map(|(m, b)| m * b).collect()
             }
         };
-        Self { data, bound, rim, speakers: Vec::new(), spoken_for: Vec::new() }
+        Self { data, bound, samples: Vec::new(), rim, speakers: Vec::new(), spoken_for: Vec::new() }
     }
 
     /// The same, but the scan has no say in vertices that no polygon uses.
@@ -48,6 +53,15 @@ impl VertexMasks {
     pub fn of_surface(mut self, referenced: &[bool]) -> Self {
         self.data.iter_mut().zip(referenced).filter(|(_, r)| !**r).for_each(|(data, _)| *data = 0.0);
         self
+    }
+
+    /// Has vertices that crowd about one sample of the scan share what it says: one whose `areas` is less than a sample's area counts
+    /// the root of their ratio. Not the ratio, as neighbours do see different places of one triangle.
+    pub fn share_samples(&mut self, areas: &[f64], sample: f64) {
+        self.samples.clear();
+        if sample > 0.0 {
+            self.samples.extend(areas.iter().map(|area| (area / sample).clamp(LEAST_SHARE, 1.0).sqrt()));
+        }
     }
 
     /// Has few vertices take correspondences, no two of them neighbours, each for itself and for neighbours that take none: in the order of
@@ -63,7 +77,9 @@ impl VertexMasks {
             }
         }
         self.spoken_for.resize(self.data.len(), 0.0);
-        speakers.iter().zip(&self.data).for_each(|(&s, data)| self.spoken_for[s as usize] += data);
+        for (i, &speaker) in speakers.iter().enumerate() {
+            self.spoken_for[speaker as usize] += self.own_weight(i);
+        }
         self.speakers = speakers;
     }
 
@@ -82,7 +98,13 @@ impl VertexMasks {
     /// What the scan says of all vertices that `i` speaks for weighs so much; zero where another speaks for it.
     #[must_use]
     pub fn weight(&self, i: usize) -> f64 {
-        self.spoken_for.get(i).copied().unwrap_or(self.data[i])
+        self.spoken_for.get(i).copied().unwrap_or_else(|| self.own_weight(i))
+    }
+
+    /// What the scan says of vertex `i` alone weighs so much.
+    #[must_use]
+    pub fn own_weight(&self, i: usize) -> f64 {
+        self.data[i] * self.samples.get(i).copied().unwrap_or(1.0)
     }
 
     /// Vertices that the scan has no say in.
@@ -110,6 +132,14 @@ mod tests {
         assert_eq!(masks.counted(), 2);
         assert_eq!(VertexMasks::new(None, Some(&[1.0, 0.0, 0.5]), rim).counted(), 2);
         assert_eq!(VertexMasks::all(4).counted(), 4);
+    }
+
+    #[test]
+    fn vertices_that_crowd_share_what_the_scan_says() {
+        let mut masks = VertexMasks::new(Some(&[1.0, 1.0, 0.5, 1.0, 0.0]), None, vec![false; 5]);
+        masks.share_samples(&[8.0, 2.0, 0.5, 0.0, 1.0], 2.0);
+        assert_eq!([0, 1, 2, 3, 4].map(|i| masks.weight(i)), [1.0, 1.0, 0.25, 0.01, 0.0]);
+        assert_eq!(masks.counted(), 4);
     }
 
     #[test]

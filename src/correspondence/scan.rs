@@ -56,6 +56,9 @@ enum Surface {
     Points(OrientedPoints),
 }
 
+/// Triangles that are asked for their area, about.
+const SAMPLE_TRIANGLES: usize = 50_000;
+
 /// The closest point of a scan.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hit {
@@ -96,6 +99,24 @@ impl ScanSurface {
     #[must_use]
     pub fn vertex_count(&self) -> usize {
         self.vertices
+    }
+
+    /// Area of the surface that each sample of the scanner stands for: of a cloud a point's, of a mesh that of two triangles, whether
+    /// or not they share vertices; their median, as walls and floors may have few.
+    #[must_use]
+    pub fn sample_area(&self) -> f64 {
+        let area = match &*self.surface {
+            Surface::Points(points) => points.area() / self.vertices as f64,
+            Surface::Triangles { tree, .. } => {
+                let each = tree.triangles().len() / SAMPLE_TRIANGLES + 1;
+                let chosen: Vec<[u32; 3]> = tree.triangles().step_by(each).collect();
+                let mut areas = face_areas(tree.positions(), &chosen);
+                areas.retain(|area| *area > 0.0);
+                let middle = areas.len() / 2;
+                if areas.is_empty() { 0.0 } else { 2.0 * *areas.select_nth_unstable_by(middle, f64::total_cmp).1 }
+            }
+        };
+        area / self.frame.scale.powi(2)
     }
 
     /// The same surface for whoever asks in another frame, which `pose` takes to the present one.
@@ -349,6 +370,26 @@ mod tests {
             }
             assert!(on_cloud.closest_within(p + Vec3::z() * 3.0, 1.0).is_none());
         }
+    }
+
+    #[test]
+    fn a_sample_has_an_area_whatever_the_scan_is_made_of() {
+        let mesh = sheet(31, 31, |c, r| Vec3::new(0.5 * c, 0.5 * r, 0.0));
+        let corners = mesh.triangles.as_flattened();
+        let mut with_floor = mesh.clone();
+        with_floor.positions.extend([Vec3::zeros(), Vec3::x() * 900.0, Vec3::y() * 900.0]);
+        with_floor.triangles.push([961, 962, 963]);
+        let soup = TriangleMesh {
+            positions: corners.iter().map(|&c| mesh.positions[c as usize]).collect(),
+            triangles: (0..mesh.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+        };
+        for scan in [mesh.clone(), with_floor, soup] {
+            let scan = ScanSurface::new(scan, None, &ScanOptions::default()).unwrap();
+            approx::assert_relative_eq!(scan.sample_area(), 0.25, max_relative = 1e-9);
+            let twice = Pose { scale: 2.0, ..Pose::identity() };
+            approx::assert_relative_eq!(scan.seen_from(&twice).sample_area(), 0.0625, max_relative = 1e-9);
+        }
+        approx::assert_relative_eq!(cloud(&mesh).sample_area(), 0.25, max_relative = 0.2);
     }
 
     #[test]

@@ -117,7 +117,7 @@ impl Run {
         schedule: &Schedule,
         cancel: start::Cancel<'_>,
     ) -> Result<Self, RegistrationError> {
-        let template = Rest::new(input, schedule);
+        let mut template = Rest::new(input, schedule);
         let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
         let shapes = shapes.with_beyond(|shape| schedule.sigma.beyond(shape));
         let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
@@ -154,8 +154,10 @@ impl Run {
         let vertices = problem.vertices(&x).to_vec();
         let Placed { start, scan, facing } = placed.facing_outwards(&template, &vertices, schedule.scan.flip);
         problem.terms = build_terms(terms, input.landmarks, &on_template, &start, &template, schedule)?;
+        let scan_here = scan.seen_from(&start.frame(template.centre));
+        template.set_scan(&scan_here);
         Ok(Self {
-            scan_here: scan.seen_from(&start.frame(template.centre)),
+            scan_here,
             scan,
             template,
             start,

@@ -5,7 +5,7 @@ use super::facing;
 use super::{Level, Schedule};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
-use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::normals::{NormalWeighting, vertex_areas, vertex_normals};
 use crate::mesh::{TriangleMesh, Vec3, referenced, surface_points};
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
@@ -17,6 +17,10 @@ pub(super) struct Rest {
     /// Vertices that take no correspondence at levels that reject the rim.
     rim: Vec<bool>,
     edges: EdgeGraph,
+    /// Surface that each vertex stands for, and by its side that of a sample of the scan, zero before that is known. Vertices finer
+    /// than the schedule's reference template are crowded no sooner: they weigh less already.
+    areas: Vec<f64>,
+    sample_area: f64,
     pub centre: Vec3,
     /// Length of one of the schedule's millimetres.
     pub unit: f64,
@@ -41,11 +45,18 @@ impl Rest {
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
         let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).of_surface(&used);
         let density = schedule.reference_vertices / count;
-        Self { mesh, used, masks, rim, edges, centre, unit, density }
+        let areas = vertex_areas(&mesh.positions, &mesh.triangles);
+        Self { mesh, used, masks, rim, edges, areas, sample_area: 0.0, centre, unit, density }
     }
 
-    /// Which vertices take correspondences from now on.
+    /// Hears of the scan, where it lies over the template.
+    pub fn set_scan(&mut self, scan: &ScanSurface) {
+        self.sample_area = scan.sample_area() * self.density.min(1.0);
+    }
+
+    /// Which vertices take correspondences from now on, and what they weigh.
     pub fn set_level(&mut self, level: &Level) {
+        self.masks.share_samples(&self.areas, level.sampling * self.sample_area);
         self.masks.rim.iter_mut().zip(&self.rim).for_each(|(now, on_rim)| *now = level.reject_rim && *on_rim);
         if level.thinned {
             self.masks.thin(&self.edges);

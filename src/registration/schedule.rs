@@ -273,6 +273,10 @@ pub struct Level {
     /// take none: faster, and enough where the model is stiff.
     #[serde(default)]
     pub thinned: bool,
+    /// Vertices closer together than what the scanner resolves say one thing several times: where a vertex stands for less surface than
+    /// so many samples of the scan, it counts the root of the ratio. 0 (default): all count alike.
+    #[serde(default)]
+    pub sampling: f64,
     /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
     pub kernel: Kernel,
     /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
@@ -300,6 +304,7 @@ impl Default for Level {
             normal_angle: 60.0,
             reject_rim: true,
             thinned: false,
+            sampling: 0.0,
             kernel: Kernel::None,
             scale: KernelScale::Fixed,
             model: Options::new(),
@@ -554,6 +559,7 @@ impl Schedule {
                 .validate()
                 .map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
             positive(name("distance_cap"), level.distance_cap)?;
+            not_negative(name("sampling"), level.sampling)?;
             check(
                 name("normal_angle"),
                 level.normal_angle,
