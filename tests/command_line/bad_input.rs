@@ -77,6 +77,7 @@ const ROWS: &[Row] = &[
     ("register", "--config huge_steps.toml", LOADING, &["huge_steps.toml", "level 1: steps", "at most 1000000"]),
     ("register", "--config huge_influences.toml", LOADING, &["huge_influences.toml", "model.influences", "at most 1000000"]),
     ("register", "--config nan_cap.toml", LOADING, &["nan_cap.toml", "level 1: distance_cap", "NaN"]),
+    ("register", "--config negative_sampling.toml", LOADING, &["negative_sampling.toml", "level 1: sampling", "-1"]),
     ("register", "--config infinite_weight.toml", LOADING, &["infinite_weight.toml", "level 1: terms.point_to_plane.weight", "inf"]),
     ("register", "--config wide_angle.toml", LOADING, &["wide_angle.toml", "normal_angle", "180"]),
     ("register", "--config no_nodes.toml", LOADING, &["no_nodes.toml", "model.nodes"]),

@@ -290,6 +290,7 @@ pub fn broken() -> Bench {
         ("huge_steps", "steps = 2", "steps = 1000001"),
         ("huge_influences", "nodes = 60", "influences = 9000000000000000000"),
         ("nan_cap", "distance_cap = 25.0", "distance_cap = nan"),
+        ("negative_sampling", "distance_cap = 25.0", "distance_cap = 25.0\nsampling = -1.0"),
         ("infinite_weight", "point_to_plane = { weight = 1.0 }", "point_to_plane = { weight = inf }"),
         ("wide_angle", "normal_angle = 60.0", "normal_angle = 200.0"),
         ("no_nodes", "nodes = 60", "nodes = 0"),
