@@ -56,7 +56,7 @@ impl VertexMasks {
     }
 
     /// Has vertices that crowd about one sample of the scan share what it says: one whose `areas` is less than a sample's area counts
-    /// the root of their ratio. Not the ratio, as neighbours do see different places of one triangle.
+    /// the root of their ratio. Not the ratio, as neighbours do see different places of one triangle. The rest of its say is unseen.
     pub fn share_samples(&mut self, areas: &[f64], sample: f64) {
         self.samples.clear();
         if sample > 0.0 {

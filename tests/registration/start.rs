@@ -481,6 +481,29 @@ fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
     assert_eq!(wrong.2.len(), 1, "{wrong:?}");
 }
 
+/// Where the trials are all there is, what a rejected one found last is no part of the result.
+#[test]
+fn a_rejected_trial_leaves_nothing_behind() {
+    let rig = rig();
+    let shapes = expressions(&rig);
+    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+    let expressions = Some(data_gen::preset_weights("neutral"));
+    let case = simulate_scan(&rig, &ScanOptions { expressions, ..options }, 70).unwrap();
+    let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
+    for levels in [1, 2, 3] {
+        let [without, with] = [0.0, 0.6].map(|expression| {
+            let mut schedule = ModelKind::Hybrid.schedule().unwrap();
+            schedule.search.expression = expression;
+            schedule.levels.truncate(levels);
+            register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap()
+        });
+        assert_eq!(with.start_expression, None, "{levels} levels");
+        assert_eq!((&without.positions, &without.history), (&with.positions, &with.history), "{levels} levels");
+        assert_eq!((&without.accepted, &without.weights), (&with.accepted, &with.weights), "{levels} levels");
+        assert_eq!(without.unobserved_directions, with.unobserved_directions, "{levels} levels");
+    }
+}
+
 /// Stops at a step, and may want the positions, for which the levels of the trial run again.
 struct Stopping {
     at: usize,

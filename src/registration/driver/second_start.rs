@@ -26,7 +26,6 @@ struct Trial {
     start: Vec<f64>,
     x: Vec<f64>,
     history: Vec<StepRecord>,
-    levels_done: usize,
     /// Shares of template and scan that do not find each other, their sum and that of the scan.
     misfit: f64,
     scan_missed: f64,
@@ -122,22 +121,24 @@ impl Run {
         cancel: Cancel<'_>,
     ) -> Result<Trial, RegistrationError> {
         self.start_from(start);
-        self.run_levels(&schedule.levels[..LEVELS.min(schedule.levels.len())], "", schedule, cancel)?;
+        self.run_levels(tried_levels(schedule), "", schedule, cancel)?;
         let seen = Seen::new(input, &self.scan, &self.positions());
         let (misfit, scan_missed) = seen.map_or((f64::INFINITY, f64::INFINITY), |seen| {
             (seen.coverage.contradicted + seen.coverage.scan_missed, seen.coverage.scan_missed)
         });
         let (start, x, history) = (self.first_x.clone(), self.x.clone(), self.history.clone());
-        Ok(Trial { start, x, history, levels_done: self.levels_done, misfit, scan_missed })
+        Ok(Trial { start, x, history, misfit, scan_missed })
     }
 
-    /// As that trial left it.
+    /// As that trial left it, or before it where no level is left to find what another trial has overwritten: correspondences, and
+    /// what the solver and the terms remember.
     fn back_to(&mut self, trial: Trial, schedule: &Schedule) {
         self.start_from(trial.start);
-        self.set_resolution(schedule.levels[..trial.levels_done].last().map_or(&Options::new(), |level| &level.model));
+        let (Some(last), true) = (tried_levels(schedule).last(), schedule.levels.len() > LEVELS) else { return };
+        self.set_resolution(&last.model);
         self.x.copy_from_slice(&trial.x);
         self.vertices.copy_from_slice(self.problem.vertices(&self.x));
-        (self.history, self.levels_done) = (trial.history, trial.levels_done);
+        (self.history, self.levels_done) = (trial.history, LEVELS);
     }
 
     fn run_levels(
@@ -166,6 +167,11 @@ impl Run {
         self.vertices.copy_from_slice(self.problem.vertices(&x));
         self.first_x = x;
     }
+}
+
+/// The levels by which two starts are compared.
+fn tried_levels(schedule: &Schedule) -> &[Level] {
+    &schedule.levels[..LEVELS.min(schedule.levels.len())]
 }
 
 /// The name of the shape whose weight is meant to lie from 0 to 1 that moves the surface most.
