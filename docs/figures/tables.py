@@ -190,6 +190,8 @@ def deformed(run):
         "bent": ("bodies", f"--seed 101 --scanner fused --cases 6 {bent(60)}"),
         "bent-wide": ("bodies", f"--seed 103 --scanner fused --cases 6 {bent(90)}"),
         "bent-frame": ("bodies", f"--seed 105 --scanner frame --cases 8 {bent(60)}"),
+        "bent-far": ("bodies", f"--seed 125 --scanner fused --cases 8 {bent(110)}"),
+        "bent-frame-more": ("bodies", f"--seed 111 --scanner frame --cases 10 {bent(60)}"),
         "half": ("femur", "--seed 101 --scanner fused --cases 6 --keep 0.5"),
         "field": ("femur", "--seed 101 --scanner fused --cases 6 --field 1.5"),
         "bent-test": ("bodies", f"--seed 401 --scanner fused --cases 8 {bent(60)}"),

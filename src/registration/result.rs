@@ -116,7 +116,7 @@ pub struct RegistrationResult {
     /// The expression that it started with instead of rest, as few landmarks said which face it is: see
     /// [`StartOptions::expression`](super::StartOptions::expression).
     pub start_expression: Option<String>,
-    /// Whether it started bent: where the [second start](super::Schedule::bend) covered the scan better.
+    /// Whether it started bent: where one of the [further starts](super::Schedule::bend) covered the scan better than rest.
     pub start_bent: bool,
     /// The scan as it was registered, in its own frame, for what is measured on it and taken from it. Large: whoever keeps results
     /// does better without ([`std::mem::take`]).

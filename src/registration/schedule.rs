@@ -62,8 +62,9 @@ pub struct Schedule {
     /// Whether sheets that passed through each other, as closed lips do, are [taken apart](super::Untangled) after the last step.
     #[serde(default)]
     pub untangle: bool,
-    /// Levels of a second start for what bends at joints: it is taken if its shape covers the scan better than rest, both after the first
-    /// two of the levels.
+    /// Further starts for what bends at joints, tried while parts of the scan are without a template. The first level leads; each of the
+    /// others goes on from it and is a start of its own. That is taken whose shape covers the scan best after the first two of the levels,
+    /// rest among them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bend: Vec<Level>,
     /// The levels, stiff to soft.
@@ -85,7 +86,7 @@ pub struct ClosedSubject {
     /// What the model is told.
     #[serde(default)]
     pub model: Options,
-    /// Levels of the second start.
+    /// Levels of further starts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bend: Vec<Level>,
     /// The levels, stiff to soft.

@@ -10,7 +10,7 @@ use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
+    Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
     ScanFacing, ScanFlip, Schedule, StartSearch, StepRecord, find_start, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
@@ -479,6 +479,36 @@ fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
     assert!(with.2.is_empty(), "{with:?}");
     let wrong = run(80.0, Some(7), true);
     assert_eq!(wrong.2.len(), 1, "{wrong:?}");
+}
+
+/// Ways of bending are tried in turn, one that fails or covers the scan no better is passed over, and what leads is a way itself where
+/// there is no other.
+#[test]
+fn the_best_way_of_bending_is_kept_whatever_comes_before_and_after_it() {
+    let template = PolygonMesh::from(limb(40, 24, 0.0));
+    let (scan, truth) = (limb(90, 60, 110.0), limb(40, 24, 110.0).positions);
+    let marks: Vec<Landmark> =
+        (1..template.positions.len() as u32).step_by(90).map(|v| landmark(v, truth[v as usize])).collect();
+    let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&template, &scan) };
+    let default = ModelKind::Hybrid.schedule().unwrap();
+    let bend = &default.closed.as_ref().unwrap().bend;
+    let (lead, good) = (bend[0].clone(), bend[1].clone());
+    // One finds nothing at all, the other only pulls the limb straight again.
+    let fails = Level { distance_cap: 1e-9, ..good.clone() };
+    let straightens = Level { distance_cap: 1e-9, ..lead.clone() }.with_model("lambda_graph", 1e9);
+    let run = |ways: &[&Level]| {
+        let mut schedule = default.clone();
+        schedule.closed.as_mut().unwrap().bend = [&lead].into_iter().chain(ways.iter().copied()).cloned().collect();
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = result.unwrap();
+        (result.start_bent, result.history, result.positions)
+    };
+    let alone = run(&[&good]);
+    assert!(alone.0);
+    for ways in [[&fails, &good], [&straightens, &good], [&good, &fails], [&good, &straightens]] {
+        assert!(run(&ways) == alone, "{ways:?}");
+    }
+    assert!(!run(&[&fails]).0 && run(&[]).0);
 }
 
 /// Where the trials are all there is, what a rejected one found last is no part of the result.

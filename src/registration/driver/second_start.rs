@@ -1,7 +1,7 @@
 //! Where a subject may be far from rest: with the expression that moves most, as an open mouth does, or bent at joints.
 //!
 //! From a closed mouth the lower lip finds the scan's upper one, and an open mouth stays shut or tears; an arm that hangs finds the hip of
-//! one that is raised. So the first levels run from rest and from the other, and the start is that whose shape covers the scan better.
+//! one that is raised. So the first levels run from rest and from elsewhere, and the start is that whose shape covers the scan best.
 
 use std::ops::ControlFlow;
 
@@ -17,8 +17,13 @@ use crate::rig::ShapeBasis;
 const MANY_LANDMARKS: usize = 16;
 /// How many levels are run before the two are compared.
 const LEVELS: usize = 2;
-/// By how much the shares of template and scan that do not find each other must be less for another start than rest.
+/// By how much the shares of template and scan that do not find each other must be less for another start.
 const MARGIN: f64 = 0.01;
+/// Share of the scan without a template below which no further start is tried.
+const COVERED: f64 = 0.004;
+/// A limb that nothing found may be a hundredth of the scan, and where the scan ends the template finds nothing either: what the scan
+/// shows counts so many times.
+const SHOWN: f64 = 5.0;
 
 /// The first levels from one start.
 struct Trial {
@@ -26,13 +31,21 @@ struct Trial {
     start: Vec<f64>,
     x: Vec<f64>,
     history: Vec<StepRecord>,
-    /// Shares of template and scan that do not find each other, their sum and that of the scan.
-    misfit: f64,
+    /// Shares of template and scan that do not find each other.
+    contradicted: f64,
     scan_missed: f64,
 }
 
+impl Trial {
+    /// Whether it covers the scan better than another, where a share of the scan counts `shown` times one of the template.
+    fn is_better_than(&self, other: &Self, shown: f64) -> bool {
+        let misfit = |trial: &Self| trial.contradicted + shown * trial.scan_missed;
+        misfit(self) < misfit(other) - MARGIN
+    }
+}
+
 impl Run {
-    /// Starts from elsewhere than rest, if that shape covers the scan better; the first levels from there are then done.
+    /// Starts from elsewhere than rest, if that shape covers the scan better; the first levels of the one or the other are then done.
     pub(super) fn choose_start(
         &mut self,
         input: &RegistrationInput<'_>,
@@ -44,23 +57,54 @@ impl Run {
             return Ok(());
         }
         let at_rest = self.tried(self.x.clone(), input, schedule, cancel)?;
-        // A limb elsewhere leaves its scan without a template.
-        if expression.is_none() && at_rest.scan_missed <= MARGIN {
-            return Ok(());
-        }
-        let other = match &expression {
-            Some((_, moved)) => Ok(moved.clone()),
-            None => self.bent(&at_rest.start, schedule, cancel),
-        };
+        let Some((name, moved)) = expression else { return self.choose_bend(at_rest, input, schedule, cancel) };
         // It may fail where rest does not, and is then no start.
-        let other = other.and_then(|other| self.tried(other, input, schedule, cancel));
+        let moved = self.tried(moved, input, schedule, cancel);
         cancel.check()?;
-        if other.is_ok_and(|other| other.misfit < at_rest.misfit - MARGIN) {
-            self.start_bent = expression.is_none();
-            self.start_expression = expression.map(|e| e.0);
+        if moved.is_ok_and(|moved| moved.is_better_than(&at_rest, 1.0)) {
+            self.start_expression = Some(name);
         } else {
             self.back_to(at_rest, schedule);
         }
+        Ok(())
+    }
+
+    /// Bends the model in one way after the other, as long as parts of the scan are without a template: a limb elsewhere leaves them so.
+    fn choose_bend(
+        &mut self,
+        at_rest: Trial,
+        input: &RegistrationInput<'_>,
+        schedule: &Schedule,
+        cancel: Cancel<'_>,
+    ) -> Result<(), RegistrationError> {
+        if at_rest.scan_missed <= MARGIN {
+            return Ok(());
+        }
+        let (lead, ways) = schedule.bend.split_at(1);
+        let rest = at_rest.start.clone();
+        self.start_from(rest.clone());
+        let led = self.run_levels(lead, "bend ", schedule, cancel).map(|()| self.x.clone());
+        cancel.check()?;
+        // What leads is a start itself where there is no way to go on.
+        let ways = if ways.is_empty() { vec![ways] } else { ways.chunks(1).collect() };
+        let mut best = at_rest;
+        for (led, way) in led.iter().flat_map(|led| ways.iter().map(move |way| (led, way))) {
+            if best.scan_missed <= COVERED {
+                break;
+            }
+            self.start_from(rest.clone());
+            self.place(led, &lead[0].model);
+            let bent = self.run_levels(way, "bend ", schedule, cancel).and_then(|()| {
+                self.set_resolution(&Options::new());
+                self.tried(self.x.clone(), input, schedule, cancel)
+            });
+            cancel.check()?;
+            if let Some(bent) = bent.ok().filter(|bent| bent.is_better_than(&best, SHOWN)) {
+                best = bent;
+                self.start_bent = true;
+            }
+        }
+        self.back_to(best, schedule);
         Ok(())
     }
 
@@ -104,14 +148,6 @@ impl Run {
         Some((shape, moved))
     }
 
-    /// Where the model is after the levels that bend it.
-    fn bent(&mut self, rest: &[f64], schedule: &Schedule, cancel: Cancel<'_>) -> Result<Vec<f64>, RegistrationError> {
-        self.start_from(rest.to_vec());
-        self.run_levels(&schedule.bend, "bend ", schedule, cancel)?;
-        self.set_resolution(&Options::new());
-        Ok(self.x.clone())
-    }
-
     /// The first levels from there.
     fn tried(
         &mut self,
@@ -123,11 +159,10 @@ impl Run {
         self.start_from(start);
         self.run_levels(tried_levels(schedule), "", schedule, cancel)?;
         let seen = Seen::new(input, &self.scan, &self.positions());
-        let (misfit, scan_missed) = seen.map_or((f64::INFINITY, f64::INFINITY), |seen| {
-            (seen.coverage.contradicted + seen.coverage.scan_missed, seen.coverage.scan_missed)
-        });
+        let covers = seen.map(|seen| (seen.coverage.contradicted, seen.coverage.scan_missed));
+        let (contradicted, scan_missed) = covers.unwrap_or((f64::INFINITY, f64::INFINITY));
         let (start, x, history) = (self.first_x.clone(), self.x.clone(), self.history.clone());
-        Ok(Trial { start, x, history, misfit, scan_missed })
+        Ok(Trial { start, x, history, contradicted, scan_missed })
     }
 
     /// As that trial left it, or before it where no level is left to find what another trial has overwritten: correspondences, and
@@ -135,9 +170,7 @@ impl Run {
     fn back_to(&mut self, trial: Trial, schedule: &Schedule) {
         self.start_from(trial.start);
         let (Some(last), true) = (tried_levels(schedule).last(), schedule.levels.len() > LEVELS) else { return };
-        self.set_resolution(&last.model);
-        self.x.copy_from_slice(&trial.x);
-        self.vertices.copy_from_slice(self.problem.vertices(&self.x));
+        self.place(&trial.x, &last.model);
         (self.history, self.levels_done) = (trial.history, LEVELS);
     }
 
@@ -162,10 +195,15 @@ impl Run {
     fn start_from(&mut self, x: Vec<f64>) {
         self.history.clear();
         self.levels_done = 0;
-        self.set_resolution(&Options::new());
-        self.x.copy_from_slice(&x);
-        self.vertices.copy_from_slice(self.problem.vertices(&x));
+        self.place(&x, &Options::new());
         self.first_x = x;
+    }
+
+    /// Puts the model where `x` says, which is of the resolution that the options ask for.
+    fn place(&mut self, x: &[f64], options: &Options) {
+        self.set_resolution(options);
+        self.x.copy_from_slice(x);
+        self.vertices.copy_from_slice(self.problem.vertices(x));
     }
 }
 
