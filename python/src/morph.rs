@@ -117,7 +117,7 @@ fn morph_mesh<'py>(
             basis = basis.with_bounds(|_| bounds);
         }
         let mut moved: PolygonMesh = mesh.polygons().clone();
-        let regions = rig.and_then(|r| r.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(&moved));
+        let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
         for (recipe, amount) in &recipes {
             let subject = Subject { mesh: &moved, landmarks: &points, regions: &regions, shapes: &basis };
@@ -159,7 +159,7 @@ fn measure_mesh(
         let polygons = mesh.polygons();
         let regions = match regions {
             Some(regions) => Regions::new(polygons.positions.len(), regions).map_err(input)?,
-            None => rig.and_then(|r| r.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(polygons)),
+            None => Regions::of(rig.map(|r| &r.rig), polygons),
         };
         if let Some(after) = after.as_mut().filter(|_| align) {
             let pairs: Vec<_> = after.iter().copied().zip(polygons.positions.iter().copied()).collect();

@@ -389,7 +389,7 @@ fn register(
             let names = names.as_ref().map(|((set, _), path)| (set, path.as_path()));
             pairs = pair_landmarks((set, &landmarks.path), names, mesh, Some(&target)).map_err(input)?;
         }
-        let known_regions = rig.and_then(|r| r.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(mesh));
+        let known_regions = Regions::of(rig.map(|r| &r.rig), mesh);
         let region_mask = |names: &[String], option: &str| -> PyResult<Option<Vec<f64>>> {
             let mask = (!names.is_empty()).then(|| known_regions.mask(names)).transpose();
             mask.map_err(|e| value(format!("{option}: {e}")))

@@ -571,10 +571,11 @@ fn without_far(scan: &TriangleMesh) -> Cow<'_, TriangleMesh> {
     let middle = Vec3::from_fn(|axis, _| median(centres.iter().map(|c| c[axis]).collect()));
     let limit = FAR * median(centres.iter().map(|c| (c - middle).norm()).collect());
     let is_near = |t: &[u32; 3]| t.iter().all(|&v| (scan.positions[v as usize] - middle).norm() <= limit);
-    if scan.triangles.iter().all(is_near) {
+    let triangles: Vec<[u32; 3]> = scan.triangles.iter().copied().filter(is_near).collect();
+    // A single triangle has no size to be far by.
+    if triangles.is_empty() || triangles.len() == scan.triangles.len() {
         return Cow::Borrowed(scan);
     }
-    let triangles = scan.triangles.iter().copied().filter(is_near).collect();
     Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles })
 }
 

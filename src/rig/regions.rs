@@ -6,9 +6,9 @@ use std::path::Path;
 
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
-use super::RigError;
 use super::read::read_json;
 use super::write::write_json;
+use super::{Rig, RigError};
 use crate::io::{Place, ReadError, WriteError};
 use crate::mesh::PolygonMesh;
 use crate::text::{self, LONGEST_NAME};
@@ -70,6 +70,12 @@ impl Regions {
             }
         }
         Ok(Self { vertex_count, regions })
+    }
+
+    /// The regions of a rig or, without any, the groups of a mesh.
+    #[must_use]
+    pub fn of(rig: Option<&Rig>, mesh: &PolygonMesh) -> Self {
+        rig.and_then(Rig::regions).cloned().unwrap_or_else(|| Self::of_groups(mesh))
     }
 
     /// The groups of a mesh (`g` of an OBJ file, which may name several at once) with the vertices of their polygons.

@@ -257,7 +257,7 @@ impl Store {
     /// When the rig cannot be read.
     pub fn regions(&self, vault: &Vault, case: &Case, mesh: &PolygonMesh) -> Result<Regions, Problem> {
         let rig = case.rig.as_ref().map(|source| self.rig(vault, source, 0)).transpose()?;
-        Ok(rig.and_then(|rig| rig.rig.regions().cloned()).unwrap_or_else(|| Regions::of_groups(mesh)))
+        Ok(Regions::of(rig.as_ref().map(|rig| &rig.rig), mesh))
     }
 
     /// The face that plans change: the wrapped template, or else the template.

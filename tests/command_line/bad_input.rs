@@ -21,6 +21,7 @@ const ROWS: &[Row] = &[
     ("register", "--target missing.ply", LOADING, &["missing.ply", "cannot be read"]),
     ("register", "--target truncated.ply", LOADING, &["truncated.ply", "bytes"]),
     ("register", "--target no_faces.ply --unit mm", LOADING, &["scan", "no triangles"]),
+    ("register", "--target triangle.obj --landmarks - --unit mm", COMPUTATION, &["no start found"]),
     ("register", "--target no_faces.ply --unit mm", LOADING, &["no normals", "nx, ny, nz"]),
     ("register", "--target lone.ply --unit mm", COMPUTATION, &["no vertex of the template", "25 mm"]),
     ("register", "--target away.ply", COMPUTATION, &["no vertex of the template", "landmarks"]),

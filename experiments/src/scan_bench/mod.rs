@@ -144,7 +144,7 @@ impl BenchCase {
             truth: points("truth.npy")?,
             observed: io::read_npy_mask(&folder.join("observed.npy"), Some(vertices))?,
             landmarks: landmark::read_landmarks(&folder.join("landmarks.json"), None, &rig.template, Some(&scan.mesh))?,
-            regions: rig.rig.regions().cloned().unwrap_or_else(|| Regions::of_groups(&rig.template)),
+            regions: Regions::of(Some(&rig.rig), &rig.template),
             rig_landmarks: rig.rig.landmarks().unwrap_or_default().to_vec(),
             scan,
         })
