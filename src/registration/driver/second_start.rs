@@ -4,6 +4,7 @@
 //! one that is raised. So the first levels run from rest and from elsewhere, and the start is that whose shape covers the scan best.
 
 use std::ops::ControlFlow;
+use std::slice;
 
 use super::super::evidence::Seen;
 use super::super::schedule::named;
@@ -15,7 +16,7 @@ use crate::rig::ShapeBasis;
 
 /// As many landmarks that pull say an expression themselves.
 const MANY_LANDMARKS: usize = 16;
-/// How many levels are run before the two are compared.
+/// How many levels are run before starts are compared.
 const LEVELS: usize = 2;
 /// By how much the shares of template and scan that do not find each other must be less for another start.
 const MARGIN: f64 = 0.01;
@@ -80,20 +81,24 @@ impl Run {
         if at_rest.scan_missed <= MARGIN {
             return Ok(());
         }
-        let (lead, ways) = schedule.bend.split_at(1);
+        let Some((lead, ways)) = schedule.bend.split_first() else { return Ok(()) };
         let rest = at_rest.start.clone();
         self.start_from(rest.clone());
-        let led = self.run_levels(lead, "bend ", schedule, cancel).map(|()| self.x.clone());
+        let led = self.run_levels(slice::from_ref(lead), "bend ", schedule, cancel).map(|()| self.x.clone());
         cancel.check()?;
+        let Ok(led) = led else {
+            self.back_to(at_rest, schedule);
+            return Ok(());
+        };
+        let mut best = at_rest;
         // What leads is a start itself where there is no way to go on.
         let ways = if ways.is_empty() { vec![ways] } else { ways.chunks(1).collect() };
-        let mut best = at_rest;
-        for (led, way) in led.iter().flat_map(|led| ways.iter().map(move |way| (led, way))) {
+        for way in ways {
             if best.scan_missed <= COVERED {
                 break;
             }
             self.start_from(rest.clone());
-            self.place(led, &lead[0].model);
+            self.place(&led, &lead.model);
             let bent = self.run_levels(way, "bend ", schedule, cancel).and_then(|()| {
                 self.set_resolution(&Options::new());
                 self.tried(self.x.clone(), input, schedule, cancel)
@@ -207,7 +212,7 @@ impl Run {
     }
 }
 
-/// The levels by which two starts are compared.
+/// The levels by which starts are compared.
 fn tried_levels(schedule: &Schedule) -> &[Level] {
     &schedule.levels[..LEVELS.min(schedule.levels.len())]
 }
