@@ -2,6 +2,10 @@
 
 #[path = "../support/awkward.rs"]
 mod awkward;
+#[path = "../support/real_data.rs"]
+mod real_data;
+#[path = "../support/skip.rs"]
+mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 

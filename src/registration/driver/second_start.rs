@@ -35,6 +35,8 @@ struct Trial {
     /// Shares of template and scan that do not find each other.
     contradicted: f64,
     scan_missed: f64,
+    /// After the last step; infinite without one.
+    energy: f64,
 }
 
 impl Trial {
@@ -62,7 +64,8 @@ impl Run {
         // It may fail where rest does not, and is then no start.
         let moved = self.tried(moved, input, schedule, cancel);
         cancel.check()?;
-        if moved.is_ok_and(|moved| moved.is_better_than(&at_rest, 1.0)) {
+        // A mouth that opens wrongly covers what was uncovered for other reasons, hair or a hole, but shapes must bend for it.
+        if moved.is_ok_and(|moved| moved.is_better_than(&at_rest, 1.0) && moved.energy < at_rest.energy) {
             self.start_expression = Some(name);
         } else {
             self.back_to(at_rest, schedule);
@@ -167,7 +170,8 @@ impl Run {
         let covers = seen.map(|seen| (seen.coverage.contradicted, seen.coverage.scan_missed));
         let (contradicted, scan_missed) = covers.unwrap_or((f64::INFINITY, f64::INFINITY));
         let (start, x, history) = (self.first_x.clone(), self.x.clone(), self.history.clone());
-        Ok(Trial { start, x, history, contradicted, scan_missed })
+        let energy = history.last().map_or(f64::INFINITY, |record| record.energy);
+        Ok(Trial { start, x, history, contradicted, scan_missed, energy })
     }
 
     /// As that trial left it, or before it where no level is left to find what another trial has overwritten: correspondences, and
