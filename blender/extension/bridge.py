@@ -146,7 +146,8 @@ class Wrap:
 
     template: Surface
     scan: Surface
-    model: str = "hybrid"
+    model: str | None = None
+    """The usual one unless stated."""
     schedule: str | None = None
     """A TOML file, in place of the model's own."""
     flip: str | None = None
@@ -296,7 +297,8 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
             return _wrap(nonrigid, given.joined(of, first), job).parted(of, first)
     rig = None if given.rig is None else read_rig(given.rig, given.template)
     template, scan = given.template.mesh(), given.scan.mesh()
-    schedule = nonrigid.Schedule.of(given.schedule, given.model)
+    model = given.model or ("sumner" if rig is None and given.schedule is None else "hybrid")
+    schedule = nonrigid.Schedule.of(given.schedule, model)
     levels = schedule.to_dict()
     total, done = max(_step_count(levels), 1), 0
     share = 0.7 if rig is not None else 0.9
@@ -316,7 +318,7 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
         identity_modes=0 if rig is None else min(given.identity_modes, rig.families.count("identity")),
         landmarks=given.scan_landmarks or None,
         template_landmarks=given.template_landmarks if given.scan_landmarks else None,
-        model=given.model,
+        model=model,
         schedule=schedule,
         flip=given.flip,
         mask=given.mask,

@@ -6,6 +6,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 MODELS = [
+    ("usual", "Automatic", "Hybrid with a rig, a graph of affine nodes without"),
     ("hybrid", "Hybrid", "A graph of rigid nodes over blendshapes (Klimov 2020). The most accurate with a rig"),
     ("klimov2020", "Klimov 2020", "The energy of the paper and nothing besides"),
     ("sequential", "Sequential", "Blendshapes first, then free vertices"),
@@ -52,7 +53,7 @@ class Settings(bpy.types.PropertyGroup):
     )
     scan: PointerProperty(name="Scan", description="The mesh whose shape the result has", type=bpy.types.Object, poll=_is_mesh)
     unit: EnumProperty(name="Unit", description="What a Blender unit is", items=UNITS, default="MM")
-    model: EnumProperty(name="Model", description="How the template may deform", items=MODELS, default="hybrid")
+    model: EnumProperty(name="Model", description="How the template may deform", items=MODELS, default="usual")
     schedule: StringProperty(
         name="Schedule", description="Levels and weights (.toml) instead of the model's own: 'nonrigid' documents the keys", subtype="FILE_PATH"
     )

@@ -41,7 +41,7 @@ class Run:
         given = bridge.Wrap(
             surface,
             target,
-            model=chosen.model,
+            model=None if chosen.model == "usual" else chosen.model,
             schedule=self._schedule(chosen),
             flip=None if chosen.flip == "SCHEDULE" else chosen.flip.lower(),
             rig=self._rig(chosen, template, factor),

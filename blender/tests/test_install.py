@@ -59,4 +59,4 @@ def test_off_and_on(installed: Any) -> None:
     assert bpy.ops.preferences.addon_disable(module=MODULE) == {"FINISHED"}
     assert not hasattr(bpy.context.scene, "nonrigid")
     assert bpy.ops.preferences.addon_enable(module=MODULE) == {"FINISHED"}
-    assert bpy.context.scene.nonrigid.model == "hybrid"
+    assert bpy.context.scene.nonrigid.model == "usual"

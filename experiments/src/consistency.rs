@@ -20,7 +20,7 @@ use nonrigid::registration::{
     ModelFactory, ModelKind, RegistrationInput, RegistrationResult, Schedule, StepRecord, register,
 };
 use nonrigid::render::{ColourScale, View, error_sheet, save_png};
-use nonrigid::rig::{Family, Population, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Population, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
 use crate::check_millimetres;
@@ -135,12 +135,12 @@ pub fn run(a: &Arguments) -> Result<()> {
 }
 
 fn shapes_of(rig: &BenchRig, asked: Option<usize>) -> Result<ShapeBasis> {
-    let has = rig.rig().shapes().iter().filter(|s| s.family == Family::Identity).count();
+    let has = rig.rig().identity_modes();
     if let Some(asked) = asked.filter(|asked| *asked > has) {
         let message = format!("--identity-modes: {asked} asked for, the rig has {has}");
         return Err(Failure::new(Stage::Arguments, message).into());
     }
-    let identity_modes = asked.unwrap_or(has.min(40));
+    let identity_modes = asked.unwrap_or_else(|| rig.rig().usual_identity_modes(None, false));
     Ok(rig.rig().select(ShapeSelection { identity_modes, ..ShapeSelection::default() })?)
 }
 

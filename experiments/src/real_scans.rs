@@ -20,7 +20,7 @@ use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, 
 use nonrigid::render::{
     Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_height, text_size,
 };
-use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Family, IDENTITY_MODES, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
 use crate::output::make_output_folder;
@@ -44,7 +44,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub rig: PathBuf,
     /// Identity modes to use, from the first
-    #[arg(long, value_name = "K", default_value_t = 40)]
+    #[arg(long, value_name = "K", default_value_t = IDENTITY_MODES)]
     pub identity_modes: usize,
     /// Models to run
     #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]

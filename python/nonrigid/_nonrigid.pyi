@@ -286,7 +286,7 @@ def register(
     neutral: Mesh | None,
     rig: Rig | None,
     shapes: list[str] | None,
-    identity_modes: int,
+    identity_modes: int | None,
     landmarks: Landmarks | None,
     template_landmarks: Landmarks | None,
     landmark_units: tuple[str | None, str | None],

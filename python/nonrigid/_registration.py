@@ -223,11 +223,11 @@ def register(
     rig: Rig | PathLike | None = None,
     landmarks: Any = None,
     template_landmarks: Any = None,
-    model: Model = "hybrid",
+    model: Model | None = None,
     schedule: Schedule | PathLike | Mapping[str, Any] | None = None,
     neutral: Any = None,
     shapes: Iterable[str] | None = None,
-    identity_modes: int = 0,
+    identity_modes: int | None = None,
     expression_bounds: tuple[float, float] | None = None,
     identity_bounds: tuple[float, float] | None = None,
     mask: ArrayLike | PathLike | None = None,
@@ -250,14 +250,14 @@ def register(
     with normals. Files are brought to millimetres as the command line does, everything else is in millimetres unless `unit` says otherwise.
 
     rig: blendshapes on the template's vertices, a `Rig` or a path; shapes: names of the expressions to use, all unless stated;
-    identity_modes: how many of the first identity modes to use besides; expression_bounds, identity_bounds: between which weights are held,
-    such as (0, 1) and (-3, 3).
+    identity_modes: how many of the first identity modes to use besides; unless stated 40 or as many as there are, and none beside the subject's
+    own neutral. expression_bounds, identity_bounds: between which weights are held, such as (0, 1) and (-3, 3).
 
     landmarks: a file, {template vertex or name: (x, y, z)} with a standard deviation as a fourth number where known, or
     (vertices (L,), points (L, 3)). template_landmarks: what names mean, a file or {name: vertex or point}. With fewer than three landmarks the
     start is searched.
 
-    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "gpmm", "gpmm_rig", "graph", "sumner", "arap", "poisson", "laplacian", "affine", "mass_spring", "fem", "ffd", "free", "rigid" or "similarity".
+    model: "hybrid" (Klimov 2020; "klimov2020" is the paper's energy alone), "sequential", "blendshape", "flame", "gpmm", "gpmm_rig", "graph", "sumner", "arap", "poisson", "laplacian", "affine", "mass_spring", "fem", "ffd", "free", "rigid" or "similarity"; unless stated "hybrid" with a rig or a schedule, and "sumner" without.
     schedule: a `Schedule`, its keys, or a TOML file; the model's own unless stated.
 
     neutral: the subject's own neutral, (V, 3) or a file. mask: (V,) from 0 to 1, what the scan says counts so much; free_mask: 1 for vertices
@@ -304,7 +304,9 @@ def register(
     elif shapes is not None or identity_modes or expression_bounds is not None or identity_bounds is not None:
         raise ValueError("shapes, identity_modes, expression_bounds and identity_bounds are of a rig; give rig")
     elif model == "hybrid":
-        warn("no rig given: without blendshapes the hybrid model is the graph model")
+        warn("no rig given: without blendshapes the hybrid is a graph that stays stiff; the model sumner comes nearer")
+    if model is None:
+        model = "sumner" if rig is None and schedule is None else "hybrid"
     if not 0 <= subdivide <= 3:
         raise ValueError(f"subdivide: found {subdivide}, expected 0 to 3 rounds")
     if template_landmarks is not None and landmarks is None:

@@ -344,7 +344,7 @@ fn register(
     neutral: Option<&Mesh>,
     rig: Option<&Rig>,
     shapes: Option<Vec<String>>,
-    identity_modes: usize,
+    identity_modes: Option<usize>,
     landmarks: Option<&Landmarks>,
     template_landmarks: Option<&Landmarks>,
     landmark_units: (Option<String>, Option<String>),
@@ -376,7 +376,12 @@ fn register(
         let target = mesh_of_scan(scan);
         let basis = match rig {
             None => ShapeBasis::none(),
-            Some(rig) => rig.rig.select(ShapeSelection { names: shapes.as_deref(), identity_modes }).map_err(input)?,
+            Some(rig) => {
+                let names = shapes.as_deref();
+                let usual = || rig.rig.usual_identity_modes(names, neutral.is_some());
+                let identity_modes = identity_modes.unwrap_or_else(usual);
+                rig.rig.select(ShapeSelection { names, identity_modes }).map_err(input)?
+            }
         };
         let mut pairs = Vec::new();
         if let Some(landmarks) = landmarks {

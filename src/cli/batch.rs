@@ -27,7 +27,7 @@ use crate::text;
     sequence one animated file, sequences/SEQUENCE.usda, smoothed in time, and a report of lost frames, sequences/SEQUENCE.json.\n\n\
     scans.csv:\n  target,landmarks,sequence\n  ann/0001.ply,ann/0001.json,ann\n  ann/0002.ply,ann/0002.json,ann\n  \
     ben.obj,ben.mrk.json,\n\n\
-    Examples:\n  nonrigid batch scans.csv --out wrapped --template face.obj --rig rig --identity-modes 40 --pictures\n  \
+    Examples:\n  nonrigid batch scans.csv --out wrapped --template face.obj --rig rig --pictures\n  \
     nonrigid batch scans.csv --out wrapped --template face.obj --shard 1/8     # a part of it, on each of eight machines"
 )]
 pub struct Arguments {

@@ -9,7 +9,7 @@ use super::{Failure, warn};
 use crate::io::{self, Inputs};
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::registration::ScanFlip;
-use crate::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
+use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
 
 /// The rig and which of its shapes to use.
 #[derive(Debug, Args)]
@@ -20,9 +20,9 @@ pub struct RigArguments {
     /// Expression shapes to use, by name [default: all]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig")]
     pub shapes: Option<Vec<String>>,
-    /// Identity modes to use, from the first
-    #[arg(long, value_name = "K", default_value_t = 0, requires = "rig")]
-    pub identity_modes: usize,
+    /// Identity modes to use, from the first [default: 40 or as many as there are for an unknown subject, none beside its own neutral]
+    #[arg(long, value_name = "K", requires = "rig")]
+    pub identity_modes: Option<usize>,
     /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
     #[arg(long, value_enum, requires = "rig")]
     pub shape_kind: Option<ShapeKindArgument>,
@@ -38,11 +38,15 @@ pub enum ShapeKindArgument {
 }
 
 impl RigArguments {
-    /// Reads the rig and takes out the shapes that are asked for; with the rig's regions, if it has any.
-    pub fn read(&self, units: &mut Units<'_>) -> Result<(ShapeBasis, Option<Regions>), Failure> {
+    /// Reads the rig and takes out the shapes that are asked for, and the usual ones where none are, beside the subject's own neutral
+    /// or without; with the rig's regions, if it has any.
+    pub fn read(&self, units: &mut Units<'_>, own_neutral: bool) -> Result<(ShapeBasis, Option<Regions>), Failure> {
         let Some(folder) = &self.rig else { return Ok((ShapeBasis::none(), None)) };
-        let rig = read_rig(folder, self.identity_modes, self.shape_kind, units)?;
-        let selection = ShapeSelection { names: self.shapes.as_deref(), identity_modes: self.identity_modes };
+        let most = if own_neutral { 0 } else { IDENTITY_MODES };
+        let rig = read_rig(folder, self.identity_modes.unwrap_or(most), self.shape_kind, units)?;
+        let names = self.shapes.as_deref();
+        let identity_modes = self.identity_modes.unwrap_or_else(|| rig.usual_identity_modes(names, own_neutral));
+        let selection = ShapeSelection { names, identity_modes };
         let shapes = rig.select(selection).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
         Ok((shapes, rig.regions().cloned()))
     }

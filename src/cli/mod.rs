@@ -51,7 +51,7 @@ that command. In a checkout, `nonrigid` is `cargo run --release --`, and `data-g
 
 Examples, on what `data-gen --seed 7 --out out/data` makes:
   nonrigid doctor
-  nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\
+  nonrigid register --template out/data/rig/template.obj --rig out/data/rig \\
       --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json --out wrapped.obj
   nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --truth out/data/cases/same_open/truth.npy";
 

@@ -32,10 +32,10 @@ use crate::texture::{BakeInput, Baked};
 /// Arguments of `nonrigid register`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples, on what `data-gen --seed 7 --out out/data` makes; on files of your own:\n  \
-    nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\\n      \
+    nonrigid register --template out/data/rig/template.obj --rig out/data/rig \\\n      \
     --target out/data/cases/same_open/scan.ply --landmarks out/data/cases/same_open/landmarks.json \\\n      \
     --out wrapped.obj --report wrapped.json --picture wrapped.png\n  \
-    nonrigid register --template face.obj --target scan.ply --rig rig --identity-modes 40 \\\n      \
+    nonrigid register --template face.obj --target scan.ply --rig rig \\\n      \
     --landmarks landmarks.json --out own.obj")]
 pub struct Arguments {
     /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
@@ -63,9 +63,9 @@ pub struct Arguments {
     /// Whether the scan is inside out, its normals facing inwards, and has to be turned over [default: the schedule's, or auto]
     #[arg(long, value_enum, value_name = "WHEN")]
     flip: Option<FlipArgument>,
-    #[arg(long, default_value = "hybrid", value_parser = str::parse::<ModelKind>,
-        help = format!("Deformation model: {}", ModelKind::names()))]
-    model: ModelKind,
+    #[arg(long, value_parser = str::parse::<ModelKind>,
+        help = format!("Deformation model: {} [default: hybrid with --rig or --config, sumner without]", ModelKind::names()))]
+    model: Option<ModelKind>,
     /// Schedule (.toml) [default: the model's own]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -103,6 +103,11 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// The model that is asked for.
+    fn model(&self) -> ModelKind {
+        self.model.unwrap_or_else(|| ModelKind::usual(self.rig.rig.is_some() || self.config.is_some()))
+    }
+
     /// Every file that is read, with what it is read as.
     pub fn input_paths(&self) -> Vec<(&'static str, PathBuf)> {
         let of_meshes =
@@ -182,8 +187,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
     let mut progress = Progress::new(Interrupt::listen()?);
     let inputs = Inputs::default();
-    if a.model.needs_shapes() && a.rig.rig.is_none() {
-        return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model)));
+    if a.model().needs_shapes() && a.rig.rig.is_none() {
+        return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model())));
     }
     let schedule = inputs.reading(SCHEDULE, || read_schedule(a))?;
     check_outputs(a)?;
@@ -201,19 +206,21 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     materials.missing.iter().for_each(|(_, told)| warn(told));
     let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
     let neutral = neutral.transpose()?;
-    let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units))?;
+    let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units, neutral.is_some()))?;
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
     let [mask, free_mask] = a.masks.read(&inputs, &template, &regions)?;
     let landmarks = read_landmarks(a, &inputs, &mut units, &template, &scan.mesh)?;
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
     units.say();
-    if shapes.is_empty() && a.model == ModelKind::Hybrid {
+    if shapes.is_empty() && a.model() == ModelKind::Hybrid {
         let why = match a.rig.rig {
             None => "no rig given",
             Some(_) => "nothing of the rig is used (--identity-modes takes modes of it)",
         };
-        warn(format_args!("{why}: without blendshapes the hybrid model is the graph model"));
+        warn(format_args!(
+            "{why}: without blendshapes the hybrid is a graph that stays stiff; --model sumner comes nearer"
+        ));
     }
     let input = RegistrationInput {
         neutral: neutral.as_deref(),
@@ -232,7 +239,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         let stage = if e.is_input() { Stage::Loading } else { Stage::Computation };
         Failure::new(stage, e.to_string())
     };
-    let result = register(&input, &a.model, &schedule, &mut progress).map_err(failed)?;
+    let result = register(&input, &a.model(), &schedule, &mut progress).map_err(failed)?;
     let coarse = clock.elapsed().as_secs_f64();
     let rounds = a.subdivide.filter(|_| result.stop == RegistrationStop::Finished);
     let detail = rounds.map(|n| add_detail(&input, &result, n, &mut progress)).transpose();
@@ -261,7 +268,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let baking_seconds = clock.elapsed().as_secs_f64() - before_texture;
     let report = match &a.report {
         Some(path) => {
-            let report = Report::new(a.model.name(), files, &result, quality.clone(), reliability.clone());
+            let report = Report::new(a.model().name(), files, &result, quality.clone(), reliability.clone());
             let (regions, free_regions) = (a.masks.regions.clone(), a.masks.free_regions.clone());
             let colors_observed = colors.as_ref().map(VertexColors::observed_count);
             let units = units.known();
@@ -307,7 +314,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &a.picture {
         let percent = 100.0 * reliability.probability;
         let title =
-            format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model.name(), file_name(&a.target));
+            format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model().name(), file_name(&a.target));
         let sheet = registration_sheet(&title, template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
@@ -404,11 +411,11 @@ struct Timing {
 /// The schedule, with the bounds that are given besides.
 fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
     let mut schedule = match &a.config {
-        None => a.model.schedule().map_err(Failure::loading)?,
+        None => a.model().schedule().map_err(Failure::loading)?,
         Some(path) => {
             let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
             let text = io::read_text(path).map_err(Failure::loading)?;
-            Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model, &TERMS)).map_err(|e| failed(&e))?
+            Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model(), &TERMS)).map_err(|e| failed(&e))?
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);
@@ -443,7 +450,7 @@ fn print_summary(
     let inliers = result.history.last().map_or(0.0, |h| h.inliers);
     say(format_args!(
         "{}: {} steps in {seconds:.2} s, {:.0} % of the vertices accepted",
-        a.model.name(),
+        a.model().name(),
         result.history.len(),
         100.0 * inliers
     ))?;

@@ -23,7 +23,7 @@ use crate::rig::{
     standard_deviations.npy (K).\n\n\
     Examples, on what `data-gen --seed 7 --out out/data --population 50` makes:\n  \
     nonrigid rig pca --meshes out/data/population --components 40 --out people\n  \
-    nonrigid register --template people/template.obj --rig people --identity-modes 40 \\\n      \
+    nonrigid register --template people/template.obj --rig people \\\n      \
     --target out/data/cases/new_neutral/scan.ply --landmarks out/data/cases/new_neutral/landmarks.json --out new.obj"
 )]
 pub struct Arguments {

@@ -16,7 +16,7 @@ use crate::rig::{TransferError, TransferOptions};
     after_help = "Deformation transfer (Sumner & Popovic 2004): triangles of the subject deform as those of the rig do. Identity modes\n\
     are left out. The subject is a registered neutral scan: the rig's template after `nonrigid register`.\n\n\
     Examples, on what `data-gen --seed 7 --out out/data` makes:\n  \
-    nonrigid register --template out/data/rig/template.obj --rig out/data/rig --identity-modes 40 \\\n      \
+    nonrigid register --template out/data/rig/template.obj --rig out/data/rig \\\n      \
     --target out/data/cases/new_neutral/scan.ply --landmarks out/data/cases/new_neutral/landmarks.json --out me.obj\n  \
     nonrigid rig transfer --rig out/data/rig --subject me.obj --out me.glb"
 )]

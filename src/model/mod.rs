@@ -134,6 +134,13 @@ models! {
 }
 
 impl ModelKind {
+    /// The model where nobody names one: the hybrid with a rig; without shapes that is a graph which stays stiff for long, and Sumner's
+    /// comes nearest to the truth.
+    #[must_use]
+    pub const fn usual(with_rig: bool) -> Self {
+        if with_rig { Self::Hybrid } else { Self::Sumner }
+    }
+
     /// The names of all of them, in one line.
     #[must_use]
     pub fn names() -> String {

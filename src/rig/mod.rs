@@ -90,6 +90,10 @@ pub struct Rig {
     regions: Option<Regions>,
 }
 
+/// How many identity modes are used where nobody says: the first say most of how people differ. More fit a scan more closely, and
+/// slide more on faces of another population than the rig's.
+pub const IDENTITY_MODES: usize = 40;
+
 /// Which shapes a fit uses.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ShapeSelection<'a> {
@@ -289,6 +293,21 @@ impl Rig {
         Err(RigError::UnknownShape { name: name.to_owned(), closest, known: known.join(", ") })
     }
 
+    /// How many identity modes it has.
+    #[must_use]
+    pub fn identity_modes(&self) -> usize {
+        self.shapes.iter().filter(|shape| shape.family == Family::Identity).count()
+    }
+
+    /// How many identity modes a fit uses where nobody says: [`IDENTITY_MODES`] or as many as there are for an unknown subject; none
+    /// beside the subject's own neutral, or where the shapes that are named hold modes.
+    #[must_use]
+    pub fn usual_identity_modes(&self, names: Option<&[String]>, own_neutral: bool) -> usize {
+        let is_mode = |name: &String| self.shapes.iter().any(|s| s.name == *name && s.family == Family::Identity);
+        let named = names.is_some_and(|names| names.iter().any(is_mode));
+        if own_neutral || named { 0 } else { self.identity_modes().min(IDENTITY_MODES) }
+    }
+
     /// Takes out the shapes that a fit uses.
     ///
     /// # Errors
@@ -381,6 +400,19 @@ mod tests {
         let names = ["id1".to_owned(), "jawOpen".to_owned()];
         let selected = rig.select(ShapeSelection { names: Some(&names), ..ShapeSelection::default() }).unwrap();
         assert_eq!(selected.vertex(1), [0.0, 4.0, 9.0, 5.0, 0.0, 6.0]);
+    }
+
+    #[test]
+    fn an_unknown_subject_gets_modes_and_one_with_a_neutral_of_its_own_none() {
+        let (rig, _) = rig();
+        assert_eq!(rig.usual_identity_modes(None, false), 2);
+        assert_eq!(rig.usual_identity_modes(None, true), 0);
+        let [expression, mode] = ["jawOpen".to_owned(), "id1".to_owned()];
+        assert_eq!(rig.usual_identity_modes(Some(std::slice::from_ref(&expression)), false), 2);
+        assert_eq!(rig.usual_identity_modes(Some(&[expression, mode]), false), 0);
+        let modes = (0..50).map(|k| shape(&format!("id{k}"), Family::Identity)).collect();
+        let (rich, _) = Rig::new(vec![Vec3::zeros(), Vec3::x()], None, modes, vec![1.0; 50 * 6]).unwrap();
+        assert_eq!((rich.identity_modes(), rich.usual_identity_modes(None, false)), (50, IDENTITY_MODES));
     }
 
     #[test]

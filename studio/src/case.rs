@@ -1,6 +1,8 @@
 //! A client's case: what a person has made of one face. Everything in it is the user's; each change is an [`Edit`], applied to the
 //! document and nothing else, so that undo, several windows and a crash are matters of the vault alone.
 
+use nonrigid::registration::{ModelFactory as _, ModelKind};
+use nonrigid::rig::IDENTITY_MODES;
 use serde::{Deserialize, Serialize};
 use ts_rs::TS;
 
@@ -75,9 +77,9 @@ pub struct Pair {
 pub struct WrapSettings {
     /// Landmarks.
     pub pairs: Vec<Pair>,
-    /// Deformation model, as the command line calls it.
-    pub model: String,
-    /// Identity modes of the rig.
+    /// Deformation model, as the command line calls it; the usual one unless stated.
+    pub model: Option<String>,
+    /// Identity modes of the rig, at most.
     pub identity_modes: u32,
     /// Regions outside of which the scan is not looked at; none for everywhere.
     pub regions: Vec<String>,
@@ -99,8 +101,8 @@ impl Default for WrapSettings {
     fn default() -> Self {
         Self {
             pairs: Vec::new(),
-            model: "hybrid".to_owned(),
-            identity_modes: 40,
+            model: None,
+            identity_modes: IDENTITY_MODES as u32,
             regions: Vec::new(),
             free_regions: Vec::new(),
             expression_bounds: None,
@@ -445,6 +447,12 @@ impl Case {
         files.map(|at| at.asset.as_str()).chain(of_command)
     }
 
+    /// The model that wraps it.
+    #[must_use]
+    pub fn model(&self) -> String {
+        self.wrap.model.clone().unwrap_or_else(|| ModelKind::usual(self.rig.is_some()).name().to_owned())
+    }
+
     fn recipe(&mut self, change: impl FnOnce(&str) -> Result<String, Problem>) -> Result<(), Problem> {
         let recipe = change(&self.plan_in_work()?.recipe)?;
         let id = self.plan;
@@ -525,7 +533,7 @@ impl Case {
             }
             Edit::SetWrap { settings } => {
                 let WrapSettings { pairs, mask, schedule, .. } = std::mem::take(&mut self.wrap);
-                settings.model.parse::<nonrigid::registration::ModelKind>().map_err(problem)?;
+                settings.model.iter().try_for_each(|name| name.parse::<ModelKind>().map(drop)).map_err(problem)?;
                 for [low, high] in settings.expression_bounds.iter().chain(&settings.identity_bounds) {
                     if low.is_nan() || high.is_nan() || low > high {
                         return Err(problem(format!(

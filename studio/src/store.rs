@@ -221,7 +221,7 @@ impl Store {
         })
     }
 
-    /// A rig with so many identity modes, millimetres.
+    /// A rig with so many identity modes at most, millimetres.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -241,14 +241,14 @@ impl Store {
         })
     }
 
-    /// The shapes of a case's rig; none without a rig.
+    /// The shapes of a case's rig, with so many identity modes at most; none without a rig.
     ///
     /// # Errors
-    /// When it cannot be read or has not so many modes.
+    /// When it cannot be read.
     pub fn shapes(&self, vault: &Vault, case: &Case, identity_modes: u32) -> Result<ShapeBasis, Problem> {
         let Some(source) = &case.rig else { return Ok(ShapeBasis::none()) };
         let rig = self.rig(vault, source, identity_modes)?;
-        rig.rig.select(ShapeSelection { names: None, identity_modes: identity_modes as usize }).map_err(problem)
+        rig.rig.select(ShapeSelection { names: None, identity_modes: rig.rig.identity_modes() }).map_err(problem)
     }
 
     /// The regions of a case's rig, or the groups of a mesh.

@@ -14,7 +14,7 @@ use nonrigid::registration::{
     ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report, Schedule,
     StepRecord, TERMS, WarmStart, assess, register, scan_colors,
 };
-use nonrigid::rig::{Regions, ShapeBasis};
+use nonrigid::rig::{Family, Regions, ShapeBasis};
 
 use crate::case::{Case, FileRef, Pair, Source, Unit, WrapSummary, Wrapped};
 use crate::error::{Problem, problem};
@@ -147,10 +147,9 @@ impl WrapJob {
             return Err(problem(format!("the model '{model}' needs blendshapes: add a rig, or choose graph or arap")));
         }
         let settings = &case.wrap;
-        let modes = if case.rig.is_some() { settings.identity_modes } else { 0 };
         let template = store.mesh(vault, template_source)?;
         let scan = store.scan(vault, scan_source)?;
-        let shapes = store.shapes(vault, case, modes)?;
+        let shapes = store.shapes(vault, case, settings.identity_modes)?;
         if !shapes.is_empty() && shapes.vertex_count() != template.positions.len() {
             return Err(problem(format!(
                 "the rig has {} vertices, the template {}: they do not belong together; add the rig's own template",
@@ -165,6 +164,7 @@ impl WrapJob {
         add(&["register", "--template", &asset_path(&template_source.at), "--target", &asset_path(&scan_source.at)]);
         add(&["--model", model.name()]);
         if let Some(rig) = &case.rig {
+            let modes = shapes.shapes().iter().filter(|shape| shape.family == Family::Identity).count();
             add(&["--rig", &asset_path(&rig.at), "--identity-modes", &modes.to_string()]);
             units.push(format!("rig={}", rig.unit.name()));
         }

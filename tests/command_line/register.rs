@@ -110,6 +110,21 @@ fn outputs_are_the_same_bytes_at_any_number_of_threads() {
 }
 
 #[test]
+fn an_unknown_subject_is_explained_by_identity_modes_and_one_with_a_neutral_is_not() {
+    let bench = Bench::new();
+    let weights = |options: &str| {
+        bench.done(&format!("{options} {INPUTS} --model blendshape --out r.obj --report r.json"));
+        json(bench.read("r.json"))["weights"].as_array().unwrap().len()
+    };
+    let expressions = bench.rig.expressions.len();
+    let modes = bench.rig.identities.len();
+    assert!(modes > 0);
+    assert_eq!(weights(FIT), expressions);
+    assert_eq!(weights(&FIT.replace(" --neutral case/neutral.npy", "")), expressions + modes);
+    assert_eq!(weights(&FIT.replace(" --neutral case/neutral.npy", " --identity-modes 0")), expressions);
+}
+
+#[test]
 fn the_report_says_what_was_read_done_and_reached() {
     let bench = Bench::new();
     let printed = bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 --out r.obj --report r.json"));

@@ -340,13 +340,11 @@ fn next_commands(data: &Data, out: &Path) -> String {
     let (rig, template) = (quoted(data.rig_folder.clone()), quoted(data.rig_folder.join("template.obj")));
     let below = [data.cases_folder.clone(), data.cases_folder.join("cases")].map(|at| at.join(&data.extreme().name));
     let case = below.iter().find(|at| at.is_dir()).unwrap_or(&below[0]).clone();
-    let modes = data.rig.rig().shapes().iter().filter(|s| s.family == nonrigid::rig::Family::Identity).count();
-    let modes = if modes > 0 { format!(" --identity-modes {}", modes.min(40)) } else { String::new() };
     format!(
         "look closer:\n  \
          cargo run --release -p experiments -- scan-bench {} --rig {rig} --out {}\n\n\
          your own scan, in a folder YOUR_SCAN with scan.ply and landmarks.json ({} is one):\n  \
-         cargo run --release -- register --template {template} --rig {rig}{modes} \
+         cargo run --release -- register --template {template} --rig {rig} \
          --target YOUR_SCAN/scan.ply --landmarks YOUR_SCAN/landmarks.json --out {} --picture {}",
         quoted(data.cases_folder.clone()),
         quoted(out.join("scan-bench")),

@@ -58,7 +58,7 @@ impl Window {
                 })?;
             }
             Role::Schedule => {
-                let model = self.case()?.case.wrap.model.parse().map_err(problem)?;
+                let model = self.case()?.case.model().parse().map_err(problem)?;
                 wrap::read_schedule(&at_file, &model).map_err(|e| without_folder(&e, &gathered))?;
                 let asset = hub.vault.take(&gathered)?;
                 self.change(&format!("schedule {main}"), |case| {

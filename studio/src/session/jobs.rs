@@ -44,7 +44,7 @@ impl Window {
         let OpenCase { id, case, .. } = self.case()?.clone();
         self.start("wrapping", move |job| {
             let hub = &job.hub;
-            let wrap = WrapJob::new(&hub.vault, &hub.store, &case, &case.wrap.model, &case.wrap.pairs, warm)?;
+            let wrap = WrapJob::new(&hub.vault, &hub.store, &case, &case.model(), &case.wrap.pairs, warm)?;
             let result = job.register("wrapping", &wrap, Some("wrapped"))?;
             job.say(ServerMessage::Progress { what: "measuring".to_owned(), share: None });
             let outcome = wrap.measure(result)?;

@@ -46,11 +46,11 @@ export type WrapSettings = {
  */
 pairs: Array<Pair>, 
 /**
- * Deformation model, as the command line calls it.
+ * Deformation model, as the command line calls it; the usual one unless stated.
  */
-model: string, 
+model: string | null, 
 /**
- * Identity modes of the rig.
+ * Identity modes of the rig, at most.
  */
 identity_modes: number, 
 /**

@@ -304,7 +304,7 @@ export function panel(): HTMLElement[] {
     "details",
     { "data-key": "how" },
     h("summary", {}, "How"),
-    h("label", { class: "row" }, "Model", select(app.welcome?.models ?? [], wrap.model, (model) => change({ model }))),
+    h("label", { class: "row" }, "Model", select([["", "automatic"], ...(app.welcome?.models ?? [])], wrap.model ?? "", (model) => change({ model: model || null }), { title: "automatic: hybrid with a rig, sumner without" })),
     h(
       "div",
       { class: "row" },

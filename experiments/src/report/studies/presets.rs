@@ -6,7 +6,7 @@ use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::morph::{Recipe, ReplayOptions, StepOutcome, preset, preset_names};
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
-use nonrigid::rig::{Rig, ShapeBasis};
+use nonrigid::rig::{IDENTITY_MODES, Rig, ShapeBasis};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -30,8 +30,6 @@ pub const STUDY: Study = Study {
 
 /// Vertices of the coarser and the finer mesh, about.
 const RESOLUTIONS: [usize; 2] = [2000, 20_000];
-/// Of the rig, for the other person and for registrations.
-const IDENTITY_MODES: usize = 40;
 
 /// The paper's three pictures: caption, and presets with millimetres.
 const FIGURES: [(&str, &[(&str, f64)]); 3] = [

@@ -1,6 +1,7 @@
 //! Real scans, every model: nobody knows the truth, so what counts is distance, coverage and the state of the mesh.
 
 use anyhow::{Result, bail};
+use nonrigid::rig::IDENTITY_MODES;
 
 use crate::real_scans::{Arguments, COLUMNS, numbers, register_all};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked};
@@ -16,9 +17,6 @@ pub const STUDY: Study = Study {
     seconds: |effort| 6.0 * effort.models.len() as f64,
     run,
 };
-
-/// Of the rig, from the first.
-const IDENTITY_MODES: usize = 40;
 
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let Some(real) = &setting.data.real else {
