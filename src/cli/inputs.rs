@@ -38,8 +38,8 @@ pub enum ShapeKindArgument {
 }
 
 impl RigArguments {
-    /// Reads the rig and takes out the shapes that are asked for, and the usual ones where none are, beside the subject's own neutral
-    /// or without; with the rig's regions, if it has any.
+    /// Reads the rig and takes out the shapes that are asked for, and as many identity modes as are usual if the subject's own neutral
+    /// is known or is not; with the rig's regions, if it has any.
     pub fn read(&self, units: &mut Units<'_>, own_neutral: bool) -> Result<(ShapeBasis, Option<Regions>), Failure> {
         let Some(folder) = &self.rig else { return Ok((ShapeBasis::none(), None)) };
         let most = if own_neutral { 0 } else { IDENTITY_MODES };

@@ -65,7 +65,8 @@ pub struct StartOptions {
     /// another, as a child's; 0 keeps it always.
     pub scale_sigma: f64,
     /// Weight of the expression that moves most, as an open mouth does, in a second start where fewer than 16 landmarks pull; the start is
-    /// taken whose shape covers the scan better after two levels, at no more energy. Of expressions with a name of ARKit's; 0 for no second start.
+    /// taken whose shape covers the scan better after two levels, at no more energy. Of expressions with a name of ARKit's; 0 for no
+    /// second start.
     pub expression: f64,
 }
 
