@@ -10,7 +10,7 @@ use nonrigid::morph::{
 };
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourMap, ColourScale, Frame, Panel, Scene, Sheet, Style, View, render};
-use nonrigid::rig::{Family, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{IDENTITY_MODES, ShapeBasis, ShapeSelection};
 
 use crate::generated::face;
 use crate::plots::{Axis, Plot, Point, Series};
@@ -39,7 +39,6 @@ pub const STUDY: Study = Study {
 
 /// Presets and millimetres that every model is given: more than usual, so that differences show.
 const MASKS: [(&str, f64); 3] = [("nose-bridge", 4.0), ("chin-forward", 6.0), ("hump", 2.5)];
-const IDENTITY_MODES: usize = 40;
 /// Vertices of the faces on which models are compared, about.
 const FACES: [usize; 2] = [5000, 20_000];
 /// The reference is computed on meshes of so many vertices at least.
@@ -117,8 +116,8 @@ fn cases(setting: &Setting<'_>) -> Result<Vec<Case>> {
     }
     if !setting.data.generated {
         let rig = setting.data.rig.rig();
-        let modes = rig.shapes().iter().filter(|s| s.family == Family::Identity).count().min(IDENTITY_MODES);
-        let shapes = rig.select(ShapeSelection { names: Some(&[]), identity_modes: modes })?;
+        let identity_modes = rig.usual_identity_modes(None, false);
+        let shapes = rig.select(ShapeSelection { names: Some(&[]), identity_modes })?;
         let template = setting.data.rig.template().clone();
         let name = "your template".to_owned();
         faces.insert(0, (name.clone(), Patient::new(name, template, rig.landmarks(), shapes)?));

@@ -197,8 +197,7 @@ fn raw_shapes(rig: &Rig, count: usize, seed: u64) -> Result<ShapeBasis> {
     let shapes: Vec<_> = order.iter().map(|k| rig.shapes()[*k].clone()).collect();
     let deltas = order.iter().flat_map(|k| rig.deltas(*k).iter().copied()).collect();
     let chosen = Rig::new(rig.neutral().to_vec(), rig.mesh().cloned(), shapes, deltas)?.0;
-    let modes = chosen.shapes().iter().filter(|s| s.family == Family::Identity).count();
-    Ok(chosen.select(ShapeSelection { names: None, identity_modes: modes })?)
+    Ok(chosen.select(ShapeSelection { names: None, identity_modes: chosen.identity_modes() })?)
 }
 
 fn schedule(paper: bool) -> Result<Schedule> {
