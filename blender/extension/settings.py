@@ -70,7 +70,7 @@ class Settings(bpy.types.PropertyGroup):
     )
     rig_path: StringProperty(name="Path", description="Folder or file of the rig", subtype="FILE_PATH")
     identity_modes: IntProperty(
-        name="Identity Modes", description="How many of the rig's first identity modes are used, at most", default=40, min=0, max=1000
+        name="Identity Modes", description="How many of the rig's first identity modes are used, at most", default=60, min=0, max=1000
     )
     mask: StringProperty(name="Mask", description="Vertex group of the template: how much the scan counts there. All of it if empty")
     free_mask: StringProperty(

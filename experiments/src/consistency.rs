@@ -48,7 +48,7 @@ pub struct Arguments {
     /// Models to run
     #[arg(long, value_delimiter = ',', default_values_t = [ModelKind::Hybrid, ModelKind::Graph], value_parser = str::parse::<ModelKind>)]
     models: Vec<ModelKind>,
-    /// How many of the rig's identity modes take part [default: 40, or as many as it has]
+    /// How many of the rig's identity modes take part [default: 60, or as many as it has]
     #[arg(long, value_name = "N")]
     identity_modes: Option<usize>,
     /// How many faces, evenly spread over the population [default: all]

@@ -250,7 +250,7 @@ def register(
     with normals. Files are brought to millimetres as the command line does, everything else is in millimetres unless `unit` says otherwise.
 
     rig: blendshapes on the template's vertices, a `Rig` or a path; shapes: names of the expressions to use, all unless stated;
-    identity_modes: how many of the first identity modes to use besides; unless stated 40 or as many as there are, and none beside the subject's
+    identity_modes: how many of the first identity modes to use besides; unless stated 60 or as many as there are, and none beside the subject's
     own neutral. expression_bounds, identity_bounds: between which weights are held, such as (0, 1) and (-3, 3).
 
     landmarks: a file, {template vertex or name: (x, y, z)} with a standard deviation as a fourth number where known, or

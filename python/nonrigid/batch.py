@@ -7,7 +7,7 @@ than one machine can take gives a Dask client, Ray, or any `concurrent.futures.E
     import nonrigid.batch
     from distributed import Client
 
-    nonrigid.batch.run("scans.csv", "wrapped", scheduler=Client("tcp://scheduler:8786"), template="face.obj", rig="rig", identity_modes=40)
+    nonrigid.batch.run("scans.csv", "wrapped", scheduler=Client("tcp://scheduler:8786"), template="face.obj", rig="rig")
 """
 
 from __future__ import annotations
@@ -461,7 +461,7 @@ def run(
     "pc2", "glb" or None; fps: its frames a second; smooth: above how many Hz motion counts as noise there, or None. again: do what is done again. retries: how often Ray tries a task whose
     worker was lost; Dask has a setting of its own (distributed.scheduler.allowed-failures). storage_options: {protocol: options of fsspec}.
     callback: sees every row of the summary as it comes; what it raises ends the batch. options: those of `nonrigid register`, for every
-    scan, with underscores: template="face.obj", rig="rig", identity_modes=40, expression_bounds=(0, 1).
+    scan, with underscores: template="face.obj", rig="rig", expression_bounds=(0, 1).
 
     What is done is known by the SHA-256 of all that decides it, and is not done again: after an interruption the same call goes on. One scan
     that fails is a row of the summary; so is one whose workers were lost too often. A folder is locked while a batch writes there; at a URL,

@@ -24,6 +24,10 @@ pub trait RegistrationModel: DeformationModel {
         None
     }
 
+    /// Takes the parameters at which a level starts, for a model that trusts its shapes the less, the less likely they are. Called after
+    /// [`set_level`](Self::set_level).
+    fn trust_shapes(&mut self, _x: &[f64]) {}
+
     /// Takes which vertices have no correspondence, 0 to 1 each, for a model that is stiffer there. Called before every step.
     fn set_unseen(&mut self, _unseen: &[f64]) {}
 

@@ -41,11 +41,15 @@ impl ModelFactory for Factory {
     }
 
     fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        if given.read::<GraphOptions>()?.smooth_shapes > 0 {
-            return Err(OptionsError::Conflict {
-                key: "smooth_shapes",
-                reason: "the graph has no shapes; the hybrid has",
-            });
+        let options = given.read::<GraphOptions>()?;
+        for (key, given) in [
+            ("smooth_shapes", options.smooth_shapes > 0),
+            ("proportions", options.proportions > 0.0),
+            ("distrust", options.distrust > 0.0),
+        ] {
+            if given {
+                return Err(OptionsError::Conflict { key, reason: "the graph has no shapes; the hybrid has" });
+            }
         }
         given.filled::<GraphOptions>()
     }

@@ -10,7 +10,7 @@ use super::{
 use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::nlls::Kernel;
-use crate::rig::ShapeBasis;
+use crate::rig::{Family, ShapeBasis};
 
 /// `[model]` of the hybrid and the graph: how the deformation graph is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -33,6 +33,15 @@ pub struct GraphOptions {
     /// than once, with `u` the share of its nodes' vertices that have no correspondence. What is not seen then keeps the form that
     /// the blendshapes give it and goes where what is seen beside it goes. 0 for a graph that is equally stiff everywhere.
     pub lambda_unseen: f64,
+    /// Standard deviation of a subject's width, height and depth (x, y and z of the template) beside what the rig's identity modes know of
+    /// them, as a share: three shapes join the rig's where identities are among these. People of another kind than the rig's differ from it in
+    /// proportion first. For the hybrid alone.
+    pub proportions: f64,
+    /// How much stiffer shapes become that a subject needs more of than the rig's own people do: a level's `lambda_blend` counts
+    /// `u^distrust` times, with `u` the sum of squares of the identities' weights where the level starts, in units of two standard deviations
+    /// above what their prior expects, if that is more than one. Such a rig knows people of another kind, and its shapes say wrongly
+    /// where a smooth surface has slid to. 0 for never. For the hybrid alone.
+    pub distrust: f64,
     /// Number of smooth shapes that join the rig's, if it has any, as in the model `gpmm_rig`: three for each function of the Gaussian
     /// process `smooth`; 0 for none. `lambda_blend` is their prior too. They say how much a subject differs from what its rig knows, and over which
     /// length: along a shaft, where nothing shows how far it has slid, the graph alone would slide on. For the hybrid alone.
@@ -53,6 +62,8 @@ impl Default for GraphOptions {
             node: NodeKind::Rigid,
             rotation: RotationKind::Matrix,
             lambda_unseen: 0.0,
+            proportions: 0.0,
+            distrust: 0.0,
             smooth_shapes: 0,
             smooth: GaussianKernel { sigma: 0.8, length: 14.0 },
             linearisation: Linearisation::Structured,
@@ -65,6 +76,8 @@ impl OptionTable for GraphOptions {
         OptionsError::count("nodes", self.nodes)?;
         OptionsError::count("influences", self.influences)?;
         OptionsError::not_negative("lambda_unseen", self.lambda_unseen)?;
+        OptionsError::not_negative("proportions", self.proportions)?;
+        OptionsError::not_negative("distrust", self.distrust)?;
         self.smooth.check(["smooth.sigma", "smooth.length"])?;
         if self.smooth_shapes > MOST_SHAPES {
             return Err(OptionsError::Conflict { key: "smooth_shapes", reason: "it must be at most 3000" });
@@ -84,12 +97,16 @@ impl GraphOptions {
         GpmmOptions { kernels: vec![self.smooth], rank: self.smooth_shapes.max(1), ..GpmmOptions::default() }
     }
 
-    /// `shapes`, and the smooth ones.
-    fn with_smooth(&self, shapes: &ShapeBasis, input: &ModelInput<'_>) -> Result<ShapeBasis, ModelError> {
-        if self.smooth_shapes == 0 || shapes.is_empty() {
-            return Ok(shapes.clone());
+    /// `shapes`, and those that the options add.
+    fn with_further(&self, shapes: &ShapeBasis, input: &ModelInput<'_>) -> Result<ShapeBasis, ModelError> {
+        let mut all = shapes.clone();
+        if self.proportions > 0.0 && shapes.shapes().iter().any(|shape| shape.family == Family::Identity) {
+            all = all.joined(&ShapeBasis::proportions(&input.rest.positions, self.proportions));
         }
-        Ok(shapes.joined(&self.smooth_process().basis(input.rest, input.unit)?))
+        if self.smooth_shapes > 0 && !shapes.is_empty() {
+            all = all.joined(&self.smooth_process().basis(input.rest, input.unit)?);
+        }
+        Ok(all)
     }
 }
 
@@ -203,11 +220,12 @@ pub(super) fn build(
     ) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let nodes = options.distance.graph(input, options.nodes, options.influences)?;
         let rest = input.rest.positions.clone();
-        let all_shapes = options.with_smooth(shapes, input)?;
+        let all_shapes = options.with_further(shapes, input)?;
         let mut model = Hybrid::<T, W>::named(name, rest, nodes, all_shapes, Stiffness::default());
         model.reported_shapes = shapes.len();
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
+        model.distrust = options.distrust;
         model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
         Ok(Box::new(model))
     }
@@ -265,6 +283,10 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
         Some(parameters)
     }
 
+    fn trust_shapes(&mut self, x: &[f64]) {
+        self.stiffness.blend *= self.shapes().unlikeliness(self.weights(x)).max(1.0).powf(self.distrust);
+    }
+
     fn set_unseen(&mut self, unseen: &[f64]) {
         let graph = self.stiffness.graph;
         self.stiffen_unseen(unseen, if graph > 0.0 { (self.lambda_unseen / graph).max(1.0) } else { 1.0 });
@@ -287,36 +309,51 @@ mod tests {
     use crate::energy::DeformationModel as _;
     use crate::mesh::testing::{noise, sheet};
     use crate::model::{ModelFactory as _, graph, hybrid};
-    use crate::rig::{Family, Shape};
+    use crate::rig::Shape;
 
     #[test]
-    fn smooth_shapes_join_a_rig_and_are_not_reported() {
+    fn further_shapes_join_a_rig_and_are_not_reported() {
         let rest = sheet(9, 9, |c, r| Vec3::new(c, r, 0.1 * (c - r)));
-        let name = |k: usize| Shape { name: format!("mode_{k}"), family: Family::Identity };
-        let deltas = (0..2 * 3 * 81).map(|i| noise(i) as f32).collect();
-        let rig = ShapeBasis::new((0..2).map(name).collect(), deltas);
-        let options = |smooth: usize| Options::new().with("nodes", 9).with("smooth_shapes", smooth as i64);
-        let build = |shapes: &ShapeBasis, smooth: usize| {
-            let options = &hybrid::Factory.options(&options(smooth)).unwrap();
+        let shapes_of = |family: Family| {
+            let name = |k: usize| Shape { name: format!("mode_{k}"), family };
+            ShapeBasis::new((0..2).map(name).collect(), (0..2 * 3 * 81).map(|i| noise(i) as f32).collect())
+        };
+        let (rig, expressions) = (shapes_of(Family::Identity), shapes_of(Family::Expression));
+        let smooth = |count: i64| Options::new().with("nodes", 9).with("smooth_shapes", count);
+        let proportions = |share: f64| Options::new().with("nodes", 9).with("proportions", share);
+        let build = |shapes: &ShapeBasis, options: &Options| {
+            let options = &hybrid::Factory.options(options).unwrap();
             let input = ModelInput { rest: &rest, shapes, options, reference_vertices: 81.0, unit: 1.0, regions: None };
             hybrid::Factory.build(&input).unwrap()
         };
-        let (with, without) = (build(&rig, 6), build(&rig, 0));
-        assert_eq!(with.parameter_len(), without.parameter_len() + 6);
+        let without = build(&rig, &smooth(0));
         let names = |model: &dyn RegistrationModel| model.named_weights(&model.rest_parameters());
-        assert_eq!(names(&*with).iter().map(|w| w.0.as_str()).collect::<Vec<_>>(), ["mode_0", "mode_1"]);
-        assert_eq!(names(&*with), names(&*without));
-        for (bad, start) in [("smooth_shapes", "smooth_shapes: it must"), ("smooth", "smooth.sigma")] {
-            let options = match bad {
-                "smooth" => options(6).with("smooth", toml::toml! { sigma = -1.0 length = 7.0 }),
-                name => Options::new().with(name, 3001),
-            };
+        for (options, further) in [(smooth(6), 6), (proportions(0.02), 3)] {
+            let with = build(&rig, &options);
+            assert_eq!(with.parameter_len(), without.parameter_len() + further);
+            assert_eq!(names(&*with).iter().map(|w| w.0.as_str()).collect::<Vec<_>>(), ["mode_0", "mode_1"]);
+            assert_eq!(names(&*with), names(&*without));
+        }
+        // Somebody whose neutral is known has known proportions.
+        assert_eq!(build(&expressions, &proportions(0.02)).parameter_len(), without.parameter_len());
+        let bad = [
+            (smooth(3001), "smooth_shapes: it must"),
+            (smooth(6).with("smooth", toml::toml! { sigma = -1.0 length = 7.0 }), "smooth.sigma"),
+            (proportions(-0.1), "proportions"),
+        ];
+        for (options, start) in bad {
             let error = hybrid::Factory.options(&options).err().unwrap().to_string();
             assert!(error.starts_with(start), "{error}");
         }
         let none = ShapeBasis::none();
-        assert_eq!(build(&none, 6).parameter_len(), build(&none, 0).parameter_len());
-        let error = graph::Factory.options(&options(6)).err().unwrap().to_string();
-        assert!(error.starts_with("smooth_shapes: the graph has no shapes"), "{error}");
+        assert_eq!(build(&none, &smooth(6)).parameter_len(), build(&none, &smooth(0)).parameter_len());
+        for (options, key) in [
+            (smooth(6), "smooth_shapes"),
+            (proportions(0.02), "proportions"),
+            (Options::new().with("distrust", 5.0), "distrust"),
+        ] {
+            let error = graph::Factory.options(&options).err().unwrap().to_string();
+            assert!(error.starts_with(&format!("{key}: the graph has no shapes")), "{error}");
+        }
     }
 }

@@ -242,6 +242,7 @@ impl Run {
     ) -> Result<ControlFlow<()>, RegistrationError> {
         let misfit = |error| RegistrationError::Options { level: name.to_owned(), error };
         self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit)?;
+        self.problem.model.trust_shapes(&self.x);
         if most_steps == usize::MAX {
             self.set_resolution(&level.model);
         }

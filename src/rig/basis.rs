@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Shape;
+use super::{Family, Shape};
 use crate::mesh::Vec3;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
@@ -36,6 +36,19 @@ impl ShapeBasis {
         assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
         let beyond = vec![f64::INFINITY; shapes.len()];
         Self { sigmas: vec![1.0; shapes.len()], beyond, bounds: Default::default(), shapes, slab: Arc::new(slab) }
+    }
+
+    /// The width, height and depth of a template about its centre, each larger by `share` at weight one.
+    #[must_use]
+    pub fn proportions(rest: &[Vec3], share: f64) -> Self {
+        let centre = rest.iter().sum::<Vec3>() / rest.len().max(1) as f64;
+        let shapes = ["width", "height", "depth"].map(|name| Shape { name: name.to_owned(), family: Family::Identity });
+        // Rows x, y and z of a vertex, of three shapes each.
+        let rows = rest.iter().flat_map(|p| {
+            let delta = (p - centre) * share;
+            (0..9).map(move |k| if k % 4 == 0 { delta[k / 4] as f32 } else { 0.0 })
+        });
+        Self::new(shapes.into(), rows.collect())
     }
 
     /// The same shapes with `sigma_k = sigma(shape k)`.
@@ -142,6 +155,20 @@ impl ShapeBasis {
         &self.sigmas
     }
 
+    /// How unlikely identities of these weights are: the sum of their squares over the mean and twice the standard deviation of the
+    /// chi-square distribution that it has where each weight is normal with its `sigma_k`. Zero without identities.
+    ///
+    /// # Panics
+    /// Unless there is a weight for each shape.
+    #[must_use]
+    pub fn unlikeliness(&self, weights: &[f64]) -> f64 {
+        assert_eq!(weights.len(), self.len(), "one weight for each shape");
+        let identities = (0..self.len()).filter(|&k| self.shapes[k].family == Family::Identity);
+        let (sum, count) =
+            identities.fold((0.0, 0.0), |(sum, count), k| (sum + (weights[k] / self.sigmas[k]).powi(2), count + 1.0));
+        if count > 0.0 { sum / (count + 2.0 * (2.0_f64 * count).sqrt()) } else { 0.0 }
+    }
+
     /// The prior of weight `k` at `w`: `(w / sigma)^2 + ((w - clamp(w, 0, 1)) / sigma_beyond)^2`, half its derivative, and half its
     /// second derivative.
     ///
@@ -216,7 +243,24 @@ fn dot(a: &[f32], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::Family;
+
+    #[test]
+    fn identities_are_unlikely_two_standard_deviations_beyond_the_mean_of_their_squares() {
+        let shape = |family| Shape { name: String::new(), family };
+        let families = [Family::Expression, Family::Identity, Family::Identity];
+        let basis = ShapeBasis::new(families.map(shape).into(), vec![0.0; 9]).with_sigmas(|_| 2.0);
+        assert_eq!(basis.unlikeliness(&[9.0, 2.0, -2.0]), 2.0 / 6.0);
+        assert_eq!(basis.unlikeliness(&[0.0, 2.0 * 6f64.sqrt(), 0.0]).round(), 1.0);
+        assert_eq!(ShapeBasis::new(vec![shape(Family::Expression)], vec![0.0; 3]).unlikeliness(&[5.0]), 0.0);
+    }
+
+    #[test]
+    fn proportions_are_of_the_template_about_its_centre() {
+        let basis = ShapeBasis::proportions(&[Vec3::new(3.0, 10.0, -1.0), Vec3::new(1.0, 20.0, -5.0)], 0.1);
+        assert_eq!(basis.shapes().iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["width", "height", "depth"]);
+        assert_eq!(basis.vertex(0), [0.1, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.2]);
+        assert_eq!(basis.vertex(1), [-0.1, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, -0.2]);
+    }
 
     /// The prior's derivatives are those of differences, and names decide who is held between 0 and 1.
     #[test]

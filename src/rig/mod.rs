@@ -90,9 +90,9 @@ pub struct Rig {
     regions: Option<Regions>,
 }
 
-/// How many identity modes are used where nobody says: the first say most of how people differ. With more, a
-/// start that is off by a centimetre is left less surely.
-pub const IDENTITY_MODES: usize = 40;
+/// How many identity modes are used where nobody says: the first say most of how people differ. More of
+/// them explain other people of the rig's own kind better and those of another kind worse.
+pub const IDENTITY_MODES: usize = 60;
 
 /// Which shapes a fit uses.
 #[derive(Debug, Clone, Copy, Default)]
@@ -410,9 +410,9 @@ mod tests {
         let [expression, mode] = ["jawOpen".to_owned(), "id1".to_owned()];
         assert_eq!(rig.usual_identity_modes(Some(std::slice::from_ref(&expression)), false), 2);
         assert_eq!(rig.usual_identity_modes(Some(&[expression, mode]), false), 0);
-        let modes = (0..50).map(|k| shape(&format!("id{k}"), Family::Identity)).collect();
-        let (rich, _) = Rig::new(vec![Vec3::zeros(), Vec3::x()], None, modes, vec![1.0; 50 * 6]).unwrap();
-        assert_eq!((rich.identity_modes(), rich.usual_identity_modes(None, false)), (50, IDENTITY_MODES));
+        let modes = (0..70).map(|k| shape(&format!("id{k}"), Family::Identity)).collect();
+        let (rich, _) = Rig::new(vec![Vec3::zeros(), Vec3::x()], None, modes, vec![1.0; 70 * 6]).unwrap();
+        assert_eq!((rich.identity_modes(), rich.usual_identity_modes(None, false)), (70, IDENTITY_MODES));
     }
 
     #[test]

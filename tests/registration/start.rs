@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::real_data::real_data;
 use crate::support::{Bench, farthest};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
-use nonrigid::io::{PlyOptions, read_scan, write_ply};
+use nonrigid::io::{PlyOptions, read_polygon_mesh, read_scan, write_ply};
 use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
@@ -14,7 +14,7 @@ use nonrigid::registration::{
     Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
     ScanFacing, ScanFlip, Schedule, StartSearch, StepRecord, find_start, register,
 };
-use nonrigid::rig::{Family, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Family, Population, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -438,6 +438,25 @@ fn shut_mouths_of_real_scans_stay_shut() {
             register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
         assert_eq!(found.start_expression, None, "{name}");
     }
+}
+
+/// Shapes explain a start that lies off, the more the more there are: this face's nose came to lie below its own by a centimetre.
+#[test]
+fn a_real_face_lies_where_it_lies_with_any_number_of_modes() {
+    let (Some(people), Some(folder)) = (real_data("population"), real_data("ict-facekit/narrow")) else { return };
+    let (rig, _) = Rig::read(&folder, &RigReadOptions::default()).unwrap();
+    let topology = read_polygon_mesh(&people.join("template.ply")).unwrap();
+    let faces = Population::read_npy(&people.join("faces.npy"), topology).unwrap();
+    let scan = TriangleMesh { positions: faces.samples()[2].clone(), ..faces.mesh().unwrap().triangulate() };
+    let [some, many] = [40, 60].map(|identity_modes| {
+        let shapes = rig.select(ShapeSelection { identity_modes, ..ShapeSelection::default() }).unwrap();
+        let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(rig.mesh().unwrap(), &scan) };
+        let schedule = ModelKind::Hybrid.schedule().unwrap();
+        register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap()
+    });
+    let squares = some.positions.iter().zip(&many.positions).map(|(a, b)| (a - b).norm_squared());
+    let apart = (squares.sum::<f64>() / some.positions.len() as f64).sqrt();
+    assert!(apart < 2.0, "{apart} mm");
 }
 
 /// A limb of 400 mm, round and closed, of so many rings and sides, bent in its middle by so many degrees.

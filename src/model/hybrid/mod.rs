@@ -106,6 +106,8 @@ pub struct Hybrid<T = RigidMotion, const W: usize = 6> {
     pub linearisation: Linearisation,
     /// [`GraphOptions::lambda_unseen`](super::GraphOptions::lambda_unseen).
     pub lambda_unseen: f64,
+    /// [`GraphOptions::distrust`](super::GraphOptions::distrust).
+    pub distrust: f64,
     /// The graph of the other kind of levels: of the coarse ones, at a fine one. None if all have the same.
     pub(super) other_graph: Option<NodeGraph>,
     /// Whether the graph is that of coarse levels.
@@ -177,6 +179,7 @@ impl<T: NodeTransform<W>, const W: usize> Hybrid<T, W> {
             stiffness,
             linearisation: Linearisation::default(),
             lambda_unseen: 0.0,
+            distrust: 0.0,
             other_graph: None,
             coarse: false,
             placed: Placement::default(),

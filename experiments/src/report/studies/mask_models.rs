@@ -25,7 +25,7 @@ pub const STUDY: Study = Study {
     name: "mask-models",
     title: "Li 2018: one mask on every model, and its speed",
     about: "Varied: the deformation model under the same masks, on faces of 5,000 and 20,000 vertices; then the number of vertices. Held: \
-            mask, displacement, the smoothing length of 2 mm, 40 identity modes for the models with blendshapes. Measured: what was \
+            mask, displacement, the smoothing length of 2 mm, 60 identity modes for the models with blendshapes. Measured: what was \
             reached of what was asked; how far the result is from what the mask asks (the paper's own result) and from soft tissue, \
             rms over the vertices that move; what becomes of volume, edges, triangles and of the held border; processor time to the \
             first result and of a handle that is dragged by a tenth of a millimetre; memory. Soft tissue is the reference for \

@@ -10,7 +10,7 @@ use crate::report::table::Table;
 pub const STUDY: Study = Study {
     name: "real",
     title: "Real scans, every model",
-    about: "Varied: the model. Held: the rig with its expressions and 40 identity modes, landmarks where a scan has some, the default \
+    about: "Varied: the model. Held: the rig with its expressions and 60 identity modes, landmarks where a scan has some, the default \
             schedules. Measured, as nobody knows the truth: the share of vertices with an accepted correspondence, the median \
             distance to the scan, self-intersections, the stretch of edges.",
     tables: &["real"],
