@@ -195,12 +195,13 @@ def test_normal_equations(face: data_gen.Face, case: data_gen.Case, registered: 
     found = nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, identity_modes=4, landmarks=case.landmarks, equations=True)
     assert np.array_equal(found.positions, registered.positions), "keeping the equations changes nothing"
     hessian, gradient = found.normal_equations()
-    assert sparse.issparse(hessian) and hessian.shape == (len(gradient), len(gradient)) and (len(gradient) - 58) % 6 == 0
+    # Weights of 58 shapes, and of the three proportions.
+    assert sparse.issparse(hessian) and hessian.shape == (len(gradient), len(gradient)) and (len(gradient) - 61) % 6 == 0
     assert abs(hessian - hessian.T).max() == 0
     lowest = np.linalg.eigvalsh(hessian.toarray())[0]
     assert lowest > -1e-6 * hessian.diagonal().max()
     # the deviations of the report are those of the covariance of the border
-    inverse = np.linalg.inv(hessian.toarray())[-58:, -58:]
+    inverse = np.linalg.inv(hessian.toarray())[-61:-3, -61:-3]
     deviations = np.array([w.std_dev for w in found.weights.values()], dtype=float)
     ratio = np.sqrt(np.diag(inverse)) / deviations
     assert ratio.std() < 0.02 * ratio.mean()
