@@ -106,8 +106,8 @@ class Registration:
 
     def normal_equations(self) -> tuple[csc_matrix, Floats]:
         """H and g of H d = -g at the result, of half the energy and without damping: (n, n) `scipy.sparse.csc_matrix`, symmetric, both
-        triangles, and (n,). Coordinates are the model's tangents, sparse ones (nodes or vertices) first, then the blendshape weights; in
-        the template's centred frame, at the correspondences of the last step. Needs SciPy.
+        triangles, and (n,). Coordinates are the model's tangents, sparse ones (nodes or vertices) first, then the blendshape weights and
+        those of shapes that the schedule adds (`proportions`); in the template's centred frame, at the correspondences of the last step. Needs SciPy.
 
         Raises ValueError unless `register(..., equations=True)` has kept them.
         """
