@@ -90,8 +90,8 @@ pub struct Rig {
     regions: Option<Regions>,
 }
 
-/// How many identity modes are used where nobody says: the first say most of how people differ. More of
-/// them explain other people of the rig's own kind better and those of another kind worse.
+/// How many identity modes are used where nobody says: the first say most of how people differ. More of them
+/// explain other people of the rig's own kind better and those of another kind worse.
 pub const IDENTITY_MODES: usize = 60;
 
 /// Which shapes a fit uses.
