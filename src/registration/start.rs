@@ -301,8 +301,9 @@ const LANDMARK_WEIGHT: f64 = 0.1;
 const MOST_LANDMARKS: f64 = 0.5;
 /// Loss below which a scan is not tried inside out.
 const EVIDENT: f64 = 0.5;
-/// Logarithm of the scale below which a rigid start keeps its own size.
+/// Logarithm of the scale below which a rigid start keeps its own size, unless its gain then falls below this share.
 const OTHER_SIZE: f64 = 0.12;
+const OWN_SIZE: f64 = 0.8;
 /// Lever arm that turns radians into millimetres where a step is measured.
 const ARM: f64 = 67.0;
 
@@ -663,12 +664,23 @@ fn search_at(
         .collect();
     cancel.check()?;
     let refined = ends.len();
-    let ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
-    let winner = ends[0];
-    let mut pose = winner.pose;
-    if kind == PoseKind::Rigid && (pose.scale * factor).ln().abs() <= OTHER_SIZE {
-        (problem.kind, pose.scale) = (kind, 1.0 / factor);
+    let mut ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
+    if kind == PoseKind::Rigid && (ends[0].pose.scale * factor).ln().abs() <= OTHER_SIZE {
+        // Rivals too: of any size, they fit a part of the scan that is as small as they like.
+        problem.kind = kind;
+        let of_own_size = |c: &Candidate| {
+            let mut pose = Pose { scale: 1.0 / factor, ..c.pose };
+            problem.descend(&mut pose, fine(options.reach), 8, 0.05);
+            Candidate { pose, fit: problem.fit(&pose, fine(options.reach)), given: c.given }
+        };
+        let own = distinct(&problem, ends.par_iter().map(of_own_size).collect(), usize::MAX, options.greatest_rival);
+        if 1.0 - own[0].fit.loss >= OWN_SIZE * (1.0 - ends[0].fit.loss) {
+            ends = own;
+        } else {
+            problem.kind = freest;
+        }
     }
+    let Candidate { mut pose, given, .. } = ends[0];
     problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
     let fit = problem.fit(&pose, fine(options.reach));
     let expression = Expressions::new(&problem, input)?.find(&problem, &mut pose, options.reach, input)?;
@@ -679,7 +691,7 @@ fn search_at(
     };
     let found = Pose { translation: found.apply(-input.centre), ..found };
     let runner_up = ends.get(1).map(|e| e.fit);
-    Ok((found, StartSearch { tried, refined, given: winner.given, fit, runner_up, expression, flipped }))
+    Ok((found, StartSearch { tried, refined, given, fit, runner_up, expression, flipped }))
 }
 
 /// Vertices of the template near its surfels, and the triangles round them: what shapes deform.
