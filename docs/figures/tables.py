@@ -251,6 +251,18 @@ def silence_design(run):
     return {"all": outcomes(silence_rows(run, "silence-design", f"--set design --runs 20 --cases {ICT[0]} --rig {ICT[1]}"))}
 
 
+@table("starts", needs="data")
+def starts(run):
+    "Starts without landmarks of scans that are turned, of another size, cut, inside out and more: right to 15 mm, wrong, refused."
+    sets = {
+        "design": generated(run, "starts-102", "--seed 102 --scanner fused --cases 12"),
+        "test": generated(run, "starts-7", "--seed 7 --scanner fused --cases 12"),
+        "ict": ICT,
+    }
+    found = {name: run(f"experiments dev start-bench --kinds all --poses 2 --rig {rig} {cases}") for name, (cases, rig) in sets.items()}
+    return {name: dict(re.findall(r"(right|wrong|refused): (\d+)", said)) for name, said in found.items()}
+
+
 @table("rigs", needs="data")
 def rigs(run):
     "The generated rig beside ICT-FaceKit."
