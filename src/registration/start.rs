@@ -77,6 +77,13 @@ pub struct StartFit {
     pub residual: f64,
 }
 
+impl StartFit {
+    /// What the pose is better than none by.
+    fn gain(&self) -> f64 {
+        1.0 - self.loss
+    }
+}
+
 /// What the search of a start found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StartSearch {
@@ -124,7 +131,7 @@ impl StartSearch {
     /// right starts, from 0.93 for wrong ones.
     #[must_use]
     pub fn rival(&self) -> f64 {
-        self.runner_up.map_or(0.0, |other| (1.0 - other.loss) / (1.0 - self.fit.loss).max(f64::MIN_POSITIVE))
+        self.runner_up.map_or(0.0, |other| other.gain() / self.fit.gain().max(f64::MIN_POSITIVE))
     }
 }
 

@@ -97,24 +97,20 @@ pub(super) fn search_start(
         let best = found.into_iter().min_by(|a, b| a.1.fit.loss.total_cmp(&b.1.fit.loss));
         best.ok_or(RegistrationError::Size { ratio })
     };
-    let gain = |found: &(Pose, StartSearch)| 1.0 - found.1.fit.loss;
     let (pose, search) = match input.flip {
         ScanFlip::Yes => search(true)?,
         ScanFlip::No => search(false)?,
         ScanFlip::Auto => {
-            let (as_given, mut tried) = (search(false)?, 0);
-            let best = if as_given.1.fit.loss > EVIDENT {
+            let as_given = search(false)?;
+            if as_given.1.fit.loss > EVIDENT {
                 let over = search(true)?;
-                tried = if gain(&over) > gain(&as_given) / options.greatest_rival {
-                    as_given.1.tried
-                } else {
-                    over.1.tried
-                };
-                if gain(&over) > gain(&as_given) / options.greatest_rival { over } else { as_given }
+                let tried = as_given.1.tried + over.1.tried;
+                let turned = over.1.fit.gain() > as_given.1.fit.gain() / options.greatest_rival;
+                let best = if turned { over } else { as_given };
+                (best.0, StartSearch { tried, ..best.1 })
             } else {
                 as_given
-            };
-            (best.0, StartSearch { tried: best.1.tried + tried, ..best.1 })
+            }
         }
     };
     if search.fit.share < options.least_share || search.fit.loss > options.greatest_loss {
@@ -241,7 +237,7 @@ fn search_at(
             Candidate { pose, fit: problem.fit(&pose, fine(options.reach)), given: c.given }
         };
         let own = distinct(&problem, ends.par_iter().map(of_own_size).collect(), usize::MAX, options.greatest_rival);
-        if 1.0 - own[0].fit.loss >= OWN_SIZE * (1.0 - ends[0].fit.loss) {
+        if own[0].fit.gain() >= OWN_SIZE * ends[0].fit.gain() {
             ends = own;
         } else {
             problem.kind = freest;
@@ -273,7 +269,7 @@ fn medoid(surfels: &[Surfel]) -> usize {
 
 /// The best, no two the same. The given pose wins if it is as good, up to `greatest_rival`.
 fn distinct(problem: &Problem<'_>, mut candidates: Vec<Candidate>, most: usize, greatest_rival: f64) -> Vec<Candidate> {
-    let gain = |c: &Candidate| (1.0 - c.fit.loss) / if c.given { greatest_rival } else { 1.0 };
+    let gain = |c: &Candidate| c.fit.gain() / if c.given { greatest_rival } else { 1.0 };
     candidates.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
     let mut kept: Vec<Candidate> = Vec::new();
     for c in candidates {
