@@ -9,7 +9,7 @@ use super::{Failure, warn};
 use crate::io::{self, Inputs};
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::registration::ScanFlip;
-use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, ShapeBasis, ShapeKind, ShapeSelection};
+use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection};
 
 /// The rig and which of its shapes to use.
 #[derive(Debug, Args)]
@@ -41,9 +41,25 @@ impl RigArguments {
     /// Reads the rig and takes out the shapes that are asked for, and as many identity modes as are usual if the subject's own neutral
     /// is known or is not; with the rig's regions, if it has any.
     pub fn read(&self, units: &mut Units<'_>, own_neutral: bool) -> Result<(ShapeBasis, Option<Regions>), Failure> {
-        let Some(folder) = &self.rig else { return Ok((ShapeBasis::none(), None)) };
+        self.choose(self.open(own_neutral)?, units, own_neutral)
+    }
+
+    /// What [`read`](Self::read) reads: it needs nothing of other inputs, so that those can be read meanwhile.
+    pub fn open(&self, own_neutral: bool) -> Result<Option<OpenRig>, Failure> {
         let most = if own_neutral { 0 } else { IDENTITY_MODES };
-        let rig = read_rig(folder, self.identity_modes.unwrap_or(most), self.shape_kind, units)?;
+        let open = |folder| open_rig(folder, self.identity_modes.unwrap_or(most), self.shape_kind);
+        self.rig.as_deref().map(open).transpose()
+    }
+
+    /// What [`read`](Self::read) makes of it.
+    pub fn choose(
+        &self,
+        open: Option<OpenRig>,
+        units: &mut Units<'_>,
+        own_neutral: bool,
+    ) -> Result<(ShapeBasis, Option<Regions>), Failure> {
+        let (Some(folder), Some(open)) = (&self.rig, open) else { return Ok((ShapeBasis::none(), None)) };
+        let rig = bring_rig(folder, open, units)?;
         let names = self.shapes.as_deref();
         let identity_modes = self.identity_modes.unwrap_or_else(|| rig.usual_identity_modes(names, own_neutral));
         let selection = ShapeSelection { names, identity_modes };
@@ -169,6 +185,9 @@ pub fn rig_files(rig: &Path) -> Vec<(&'static str, PathBuf)> {
     inside.into_iter().map(|p| ("rig", p)).collect()
 }
 
+/// A rig as its files have it, and what to warn of.
+pub type OpenRig = (Rig, Vec<RigWarning>);
+
 /// Reads a rig and prints its warnings.
 pub fn read_rig(
     folder: &Path,
@@ -176,12 +195,18 @@ pub fn read_rig(
     kind: Option<ShapeKindArgument>,
     units: &mut Units<'_>,
 ) -> Result<Rig, Failure> {
+    bring_rig(folder, open_rig(folder, modes, kind)?, units)
+}
+
+fn open_rig(folder: &Path, modes: usize, kind: Option<ShapeKindArgument>) -> Result<OpenRig, Failure> {
     let kind = kind.map(|k| match k {
         ShapeKindArgument::Full => ShapeKind::Full,
         ShapeKindArgument::Delta => ShapeKind::Delta,
     });
-    let (mut rig, warnings) =
-        Rig::read(folder, &RigReadOptions { identity_modes: modes, kind }).map_err(Failure::loading)?;
+    Rig::read(folder, &RigReadOptions { identity_modes: modes, kind }).map_err(Failure::loading)
+}
+
+fn bring_rig(folder: &Path, (mut rig, warnings): OpenRig, units: &mut Units<'_>) -> Result<Rig, Failure> {
     warnings.iter().for_each(warn);
     units.bring_rig(folder, &mut rig)?;
     Ok(rig)

@@ -193,20 +193,26 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let schedule = inputs.reading(SCHEDULE, || read_schedule(a))?;
     check_outputs(a)?;
     let mut units = a.units.of(&["template", "target", "neutral", "rig", "landmarks", "template-landmarks"])?;
-    let template = inputs.reading(TEMPLATE, || units.read_mesh("template", &a.template))?;
-    let (scan, paint) = inputs.reading(TARGET, || match a.bake.asked() {
-        true => units.read_painted_scan("target", &a.target),
-        false => units.read_scan("target", &a.target).map(|scan| (scan, None)),
-    })?;
+    let meshes = || -> Result<_, Failure> {
+        let template = inputs.reading(TEMPLATE, || units.read_mesh("template", &a.template))?;
+        let painted = inputs.reading(TARGET, || match a.bake.asked() {
+            true => units.read_painted_scan("target", &a.target),
+            false => units.read_scan("target", &a.target).map(|scan| (scan, None)),
+        })?;
+        let neutral =
+            a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
+        Ok((template, painted, neutral.transpose()?))
+    };
+    let own_neutral = a.neutral.is_some();
+    let (meshes, rig) = rayon::join(meshes, || inputs.reading(RIG, || a.rig.open(own_neutral)));
+    let (template, (scan, paint), neutral) = meshes?;
     let painter = match a.bake.asked() {
         true => a.bake.prepare((&a.template, &template), (&a.target, &scan), paint.as_ref())?,
         false => None,
     };
     let materials = a.materials();
     materials.missing.iter().for_each(|(_, told)| warn(told));
-    let neutral = a.neutral.as_deref().map(|path| inputs.reading(NEUTRAL, || units.read_positions("neutral", path)));
-    let neutral = neutral.transpose()?;
-    let (shapes, regions) = inputs.reading(RIG, || a.rig.read(&mut units, neutral.is_some()))?;
+    let (shapes, regions) = a.rig.choose(rig?, &mut units, own_neutral)?;
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
     let [mask, free_mask] = a.masks.read(&inputs, &template, &regions)?;
     let landmarks = read_landmarks(a, &inputs, &mut units, &template, &scan.mesh)?;

@@ -169,24 +169,9 @@ impl ScanSurface {
         let (candidates, area) = self.surface.points(self.reject_boundary);
         let frame = &self.frame;
         let placed = |(p, n): (Vec3, Vec3)| (frame.apply_inverse(p), frame.rotation.tr_mul(&n) * self.side);
-        let cell = |p: &Vec3| p.map(|x| (x / spacing).floor() as i64);
-        // nearest cells first: what is too near is mostly there
-        let mut around: Vec<[i64; 3]> = (0..27).map(|k| [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1]).collect();
-        around.sort_by_key(|d| d.map(i64::abs).iter().sum::<i64>());
-        let mut cells: HashMap<[i64; 3], Vec<u32>, BuildHasherDefault<CellHasher>> = HashMap::default();
-        let mut chosen: Vec<(Vec3, Vec3)> = Vec::new();
-        for (p, normal) in candidates.into_iter().map(placed) {
-            let at = cell(&p);
-            let near = |dx: i64, dy: i64, dz: i64| {
-                let others = cells.get(&[at.x.saturating_add(dx), at.y.saturating_add(dy), at.z.saturating_add(dz)]);
-                others.is_some_and(|c| c.iter().any(|&i| (chosen[i as usize].0 - p).norm() < spacing))
-            };
-            if !around.iter().any(|&[dx, dy, dz]| near(dx, dy, dz)) {
-                cells.entry(at.into()).or_default().push(chosen.len() as u32);
-                chosen.push((p, normal));
-            }
-        }
-        chosen.shrink_to_fit();
+        let candidates: Vec<(Vec3, Vec3)> = candidates.into_iter().map(placed).collect();
+        let chosen: Vec<(Vec3, Vec3)> =
+            apart(candidates.iter().map(|c| c.0), spacing).into_iter().map(|i| candidates[i]).collect();
         let each = area / frame.scale.powi(2) / chosen.len().max(1) as f64;
         (chosen, each)
     }
@@ -293,6 +278,36 @@ fn origin_near(mesh: &TriangleMesh) -> Vec3 {
     let near = (low * 0.5 + high * 0.5).map(|x| (x / grid).round() * grid);
     // what is not finite is named by the tree
     if near.iter().all(|x| x.is_finite()) { near } else { Vec3::zeros() }
+}
+
+/// Indices of points that are taken in their order unless one before is nearer than `spacing`.
+fn apart(points: impl Iterator<Item = Vec3>, spacing: f64) -> Vec<usize> {
+    // Cells twice as wide: what is too near is in a point's own, or in those on the side where it lies in it.
+    let cell = |x: f64| {
+        let at = x / (2.0 * spacing);
+        let side = if at - at.floor() < 0.5 { -1 } else { 1 };
+        [at.floor() as i64, (at.floor() as i64).saturating_add(side)]
+    };
+    /// After the last point of a cell.
+    const NONE: u32 = u32::MAX;
+    let mut last: HashMap<[i64; 3], u32, BuildHasherDefault<CellHasher>> = HashMap::default();
+    let mut taken: Vec<(usize, Vec3, u32)> = Vec::new(); // with the one before it in its cell
+    for (index, p) in points.enumerate() {
+        let cells = [cell(p.x), cell(p.y), cell(p.z)];
+        let of = |k: usize| [cells[0][k & 1], cells[1][k >> 1 & 1], cells[2][k >> 2]];
+        let near = |k: usize| {
+            let mut next = last.get(&of(k)).copied().unwrap_or(NONE);
+            while next != NONE && (taken[next as usize].1 - p).norm() >= spacing {
+                next = taken[next as usize].2;
+            }
+            next != NONE
+        };
+        if !(0..8).any(near) {
+            let before = last.insert(of(0), taken.len() as u32).unwrap_or(NONE);
+            taken.push((index, p, before));
+        }
+    }
+    taken.into_iter().map(|t| t.0).collect()
 }
 
 /// Spreads the numbers of a cell; the standard library's hasher withstands attackers and takes five times as long.

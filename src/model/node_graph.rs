@@ -144,18 +144,26 @@ impl NodeGraph {
     /// If an influence names a node that does not exist.
     #[must_use]
     pub fn from_influences(nodes: Vec<Vec3>, per_vertex: impl IntoIterator<Item = Vec<(u32, f64)>>) -> Self {
-        let mut graph = Self { nodes, influences: Rows::default(), edges: Vec::new(), fixed: 0 };
-        let mut edges = Vec::new();
-        for mut list in per_vertex {
+        let sorted = |mut list: Vec<(u32, f64)>| {
             list.retain(|i| i.1 > 0.0);
             list.sort_unstable_by_key(|i| i.0);
-            assert!(list.iter().all(|i| (i.0 as usize) < graph.nodes.len()), "influence of a node that does not exist");
-            for a in &list {
-                edges.extend(list.iter().filter(|b| b.0 != a.0).map(|b| (a.0, b.0)));
+            assert!(list.iter().all(|i| (i.0 as usize) < nodes.len()), "influence of a node that does not exist");
+            list
+        };
+        let influences: Rows<(u32, f64)> = per_vertex.into_iter().map(sorted).collect();
+        let rows = (0..influences.len()).map(|i| influences.row(i));
+        let shared = rows.flat_map(|row| row.iter().flat_map(move |a| row.iter().map(move |b| (a.0, b.0))));
+        let shared = Rows::sorted(nodes.len(), shared);
+        let mut edges = Vec::new();
+        let mut last_of = vec![u32::MAX; nodes.len()];
+        for i in 0..nodes.len() as u32 {
+            for &j in shared.row(i as usize) {
+                if i != j && std::mem::replace(&mut last_of[j as usize], i) != i {
+                    edges.push((i, j));
+                }
             }
-            graph.influences.push(list);
         }
-        graph.with_edges(edges)
+        Self { nodes, influences, edges: Vec::new(), fixed: 0 }.with_edges(edges)
     }
 
     /// The same nodes and influences with these directed edges; repeated ones count once.
@@ -197,11 +205,15 @@ impl NodeGraph {
         for (new, &old) in order.iter().enumerate() {
             number[old as usize] = new as u32;
         }
-        let renumbered = |i: usize| self.influences(i).iter().map(|&(j, omega)| (number[j as usize], omega)).collect();
+        let renumbered = |i: usize| {
+            let mut list: Vec<_> = self.influences(i).iter().map(|&(j, omega)| (number[j as usize], omega)).collect();
+            list.sort_unstable_by_key(|influence| influence.0);
+            list
+        };
         let nodes = order.iter().map(|&j| self.nodes[j as usize]).collect();
+        let influences = (0..self.vertex_count()).map(renumbered).collect();
         let edges = self.edges.iter().map(|&(i, j)| (number[i as usize], number[j as usize])).collect();
-        let graph = Self::from_influences(nodes, (0..self.vertex_count()).map(renumbered)).with_edges(edges);
-        Self { fixed: self.fixed, ..graph }
+        Self { nodes, influences, edges: Vec::new(), fixed: self.fixed }.with_edges(edges)
     }
 
     /// How many nodes can move: the first ones. The others are fixed; they have no parameters, and their motion is the identity.

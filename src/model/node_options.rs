@@ -122,28 +122,22 @@ pub enum GraphDistance {
 }
 
 impl GraphDistance {
-    /// A graph of so many nodes on the model's rest shape.
-    pub(super) fn graph(
+    /// Graphs on the model's rest shape: one of so many nodes, and that of coarse levels, if they have one of their own.
+    pub(super) fn graphs(
         self,
         input: &ModelInput<'_>,
-        nodes: usize,
+        [nodes, coarse]: [usize; 2],
         influences: usize,
-    ) -> Result<NodeGraph, ModelError> {
-        let nodes = nodes.min(input.rest.positions.len().div_ceil(3));
-        Ok(match self {
-            Self::Surface => NodeGraph::along_surface(input.rest, nodes, influences)?,
-            Self::Euclidean => NodeGraph::through_space(input.rest, nodes, influences)?,
-        })
-    }
-
-    /// The graph of coarse levels, if they have one of their own.
-    pub(super) fn coarse_graph(
-        self,
-        input: &ModelInput<'_>,
-        nodes: usize,
-        influences: usize,
-    ) -> Result<Option<NodeGraph>, ModelError> {
-        if nodes == 0 { Ok(None) } else { Ok(Some(self.graph(input, nodes, influences)?)) }
+    ) -> Result<(NodeGraph, Option<NodeGraph>), ModelError> {
+        let graph = |nodes: usize| {
+            let nodes = nodes.min(input.rest.positions.len().div_ceil(3));
+            match self {
+                Self::Surface => NodeGraph::along_surface(input.rest, nodes, influences),
+                Self::Euclidean => NodeGraph::through_space(input.rest, nodes, influences),
+            }
+        };
+        let (fine, coarse) = rayon::join(|| graph(nodes), || (coarse > 0).then(|| graph(coarse)).transpose());
+        Ok((fine?, coarse?))
     }
 }
 
@@ -218,15 +212,17 @@ pub(super) fn build(
         shapes: &ShapeBasis,
         options: &GraphOptions,
     ) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        let nodes = options.distance.graph(input, options.nodes, options.influences)?;
+        let GraphOptions { distance, nodes, coarse_nodes, influences, .. } = *options;
+        let graphs = || distance.graphs(input, [nodes, coarse_nodes], influences);
+        let (graphs, all_shapes) = rayon::join(graphs, || options.with_further(shapes, input));
+        let (nodes, other_graph) = graphs?;
         let rest = input.rest.positions.clone();
-        let all_shapes = options.with_further(shapes, input)?;
-        let mut model = Hybrid::<T, W>::named(name, rest, nodes, all_shapes, Stiffness::default());
+        let mut model = Hybrid::<T, W>::named(name, rest, nodes, all_shapes?, Stiffness::default());
         model.reported_shapes = shapes.len();
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
         model.distrust = options.distrust;
-        model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
+        model.other_graph = other_graph;
         Ok(Box::new(model))
     }
     let options = input.options.read::<GraphOptions>()?;

@@ -76,11 +76,12 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let options = input.options.read::<SumnerOptions>()?;
-        let nodes = options.distance.graph(input, options.nodes, options.influences)?;
+        let counts = [options.nodes, options.coarse_nodes];
+        let (nodes, other_graph) = options.distance.graphs(input, counts, options.influences)?;
         let mut model = sumner(input.rest.positions.clone(), nodes, 0.0, 0.0);
         model.linearisation = options.linearisation;
         model.lambda_unseen = options.lambda_unseen;
-        model.other_graph = options.distance.coarse_graph(input, options.coarse_nodes, options.influences)?;
+        model.other_graph = other_graph;
         Ok(Box::new(model))
     }
 

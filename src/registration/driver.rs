@@ -97,8 +97,8 @@ struct Run {
     level_names: Vec<String>,
     levels_done: usize,
     history: Vec<StepRecord>,
-    /// Parameters at the end of the first stage, and its weights.
-    first_stage: (Vec<f64>, Vec<NamedWeight>),
+    /// Parameters at the end of the first stage, and its weights, once there is another stage.
+    first_stage: Option<(Vec<f64>, Vec<NamedWeight>)>,
     stop: RegistrationStop,
 }
 
@@ -175,7 +175,7 @@ impl Run {
             level_names: schedule.levels_by_name().map(|l| l.0).collect(),
             levels_done: 0,
             history: Vec::new(),
-            first_stage: Default::default(),
+            first_stage: None,
             stop: RegistrationStop::Finished,
         })
     }
@@ -194,9 +194,10 @@ impl Run {
         observer.on_start(self.level_names.len(), first.chain(later).sum());
         let mut flow = self.go_on(schedule, most_steps, observer)?;
         self.set_resolution(&Options::new()); // whatever the last level, or the observer, left it at
-        self.first_stage = (self.x.clone(), weights(&mut self.problem, &self.x, &mut self.workspace));
         let mut next = schedule.next_stage();
         while let (Some((model, schedule)), ControlFlow::Continue(())) = (&next, flow) {
+            let Self { problem, x, workspace, first_stage, .. } = &mut *self;
+            first_stage.get_or_insert_with(|| (x.clone(), weights(problem, x, workspace)));
             self.template.mesh.positions.copy_from_slice(&self.vertices);
             let model = model.build(&model_input(&self.template, &ShapeBasis::none(), regions, schedule))?;
             let terms = std::mem::take(&mut self.problem.terms);
@@ -250,7 +251,6 @@ impl Run {
             self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit)?;
         }
         self.template.set_level(level);
-        let mut last_energy = f64::INFINITY;
         for step in 0..level.steps.min(most_steps) {
             let at = At { level: name, step: step + 1 };
             self.find_correspondences(level, &at)?;
@@ -264,9 +264,8 @@ impl Run {
             if observer.wants_positions() {
                 observer.on_positions(&record, &self.positions());
             }
-            let change = (last_energy - record.energy).abs() / record.energy.max(f64::MIN_POSITIVE);
-            let still = record.motion <= schedule.stop.motion && change <= schedule.stop.energy;
-            last_energy = record.energy;
+            let fall = (record.energy_before - record.energy) / record.energy.max(f64::MIN_POSITIVE);
+            let still = record.motion <= schedule.stop.motion && fall <= schedule.stop.energy;
             self.history.push(record);
             if flow.is_break() {
                 return Ok(flow);
@@ -372,14 +371,16 @@ impl Run {
         self.vertices.iter().map(|&v| self.start.pose.apply(v + self.template.centre)).collect()
     }
 
-    fn finish(self, model: String, schedule: Schedule, rest: &[Vec3]) -> RegistrationResult {
+    fn finish(mut self, model: String, schedule: Schedule, rest: &[Vec3]) -> RegistrationResult {
         let unobserved = self.problem.model.unobserved_directions();
         let mut positions = self.positions();
-        let untangled = schedule.untangle.then(|| {
-            let triangles = self.template.mesh.triangles.clone();
-            untangle(&TriangleMesh { positions: rest.to_vec(), triangles }, &mut positions)
-        });
-        let (parameters, weights) = self.first_stage;
+        let Self { template, problem, x, workspace, first_stage, .. } = &mut self;
+        let untangled = || {
+            let rest = TriangleMesh { positions: rest.to_vec(), triangles: template.mesh.triangles.clone() };
+            schedule.untangle.then(|| untangle(&rest, &mut positions))
+        };
+        let first_stage = || first_stage.take().unwrap_or_else(|| (x.clone(), weights(problem, x, workspace)));
+        let (untangled, (parameters, weights)) = rayon::join(untangled, first_stage);
         let Start { pose, search, by_landmarks } = self.start;
         RegistrationResult {
             positions,

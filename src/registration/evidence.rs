@@ -157,15 +157,16 @@ impl Seen {
 
 /// [`Coverage::scan_missed`].
 fn scan_missed(scan: &ScanSurface, result: &TriangleMesh, size: f64) -> Result<f64, MeshError> {
-    let tree = ClosestPoint::new(result)?;
-    let boundary = OpenBoundary::of(result);
+    let of_result = || (ClosestPoint::new(result), OpenBoundary::of(result));
+    let ((tree, boundary), (points, _)) = rayon::join(of_result, || scan.spread(SPACING * size));
+    let tree = tree?;
     let over = |(p, _): &(Vec3, Vec3)| {
         let hit = tree.query_within(p, (OVER * size).powi(2))?;
         let t = hit.triangle as usize;
         let past = boundary.holds(t, result.triangles[t], hit.barycentric);
         (!past).then_some(hit.squared_distance.sqrt() > NEAR * size)
     };
-    let over: Vec<bool> = scan.spread(SPACING * size).0.par_iter().filter_map(over).collect();
+    let over: Vec<bool> = points.par_iter().filter_map(over).collect();
     Ok(over.iter().filter(|missed| **missed).count() as f64 / over.len().max(1) as f64)
 }
 

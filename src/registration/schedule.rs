@@ -161,13 +161,13 @@ pub enum StepAlgorithm {
     Dogleg,
 }
 
-/// When a level ends early.
+/// When a level ends early: after a step that does no more than this.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StopOptions {
-    /// Largest relative change of the energy from step to step.
+    /// Relative fall of the energy in a step, at its correspondences.
     pub energy: f64,
-    /// Largest motion of any vertex from step to step, millimetres.
+    /// Motion of any vertex in a step, millimetres.
     pub motion: f64,
 }
 

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::{Family, Shape};
 use crate::mesh::Vec3;
 
@@ -99,12 +101,16 @@ impl ShapeBasis {
             return if self.is_empty() { other.clone() } else { self.clone() };
         }
         assert_eq!(self.vertex_count(), other.vertex_count(), "shapes of different templates");
-        let rows = self.slab.chunks_exact(self.len()).zip(other.slab.chunks_exact(other.len()));
-        let mut slab = Vec::with_capacity(self.slab.len() + other.slab.len());
-        rows.for_each(|(own, others)| {
-            slab.extend_from_slice(own);
-            slab.extend_from_slice(others);
-        });
+        let mut slab = vec![0.0; self.slab.len() + other.slab.len()];
+        let own = self.slab.par_chunks_exact(self.len());
+        let others = other.slab.par_chunks_exact(other.len());
+        slab.par_chunks_exact_mut(self.len() + other.len()).zip(own.zip(others)).with_min_len(1024).for_each(
+            |(row, (own, others))| {
+                let (first, second) = row.split_at_mut(own.len());
+                first.copy_from_slice(own);
+                second.copy_from_slice(others);
+            },
+        );
         let bounds =
             [(0, f64::NEG_INFINITY), (1, f64::INFINITY)].map(|(side, free)| match (self.bounds(), other.bounds()) {
                 (None, None) => Vec::new(),

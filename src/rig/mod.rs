@@ -37,6 +37,8 @@ pub use write::RIG_FILES;
 use std::borrow::Cow;
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use crate::io::{LARGEST_COORDINATE, Place, ReadError};
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 use crate::text::{self, LONGEST_NAME};
@@ -147,7 +149,7 @@ impl Rig {
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             return Err(RigError::DuplicateName { name: pair[0].to_owned() });
         }
-        if let Some(i) = deltas.iter().position(|x| !x.is_finite()) {
+        if let Some(i) = first_not_finite(&deltas) {
             let what = format!("shape {:?}", shapes[i / width].name);
             return Err(RigError::NotFinite { what, vertex: i % width / 3 });
         }
@@ -165,21 +167,29 @@ impl Rig {
         let size = bounding_box_diagonal(&self.surface_points());
         // a neutral that is one point has no size to compare with
         let most = if size > 0.0 { FARTHEST_SHARE * size } else { LARGEST_COORDINATE };
-        let far = |d: &[f32]| Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2])).norm() > most;
-        let Some(i) = self.deltas.chunks_exact(3).position(far) else { return Ok(()) };
+        let Some(i) = lengths(&self.deltas).position(|length| length > most) else { return Ok(()) };
         let (shape, vertex) = (self.shapes[i / self.neutral.len()].name.clone(), i % self.neutral.len());
         let d = [0, 1, 2].map(|axis| f64::from(self.deltas[3 * i + axis]));
         Err(RigError::Displacement { shape, vertex, displacement: d, size })
     }
 
+    /// What a vertex moves by that does not count as moving, millimetres.
+    fn motionless_below(&self) -> f64 {
+        MOTIONLESS_SHARE * bounding_box_diagonal(&self.surface_points())
+    }
+
     fn drop_motionless(&mut self) -> Vec<RigWarning> {
         let width = 3 * self.neutral.len();
-        let keep: Vec<bool> = self.info().iter().map(|shape| shape.moved_vertices > 0).collect();
+        let threshold = self.motionless_below();
+        let keep: Vec<bool> =
+            (0..self.shapes.len()).map(|k| lengths(self.deltas(k)).any(|length| length > threshold)).collect();
         let mut warnings = Vec::new();
         let mut kept = 0;
         for (k, shape) in std::mem::take(&mut self.shapes).into_iter().enumerate() {
             if keep[k] {
-                self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
+                if kept < k {
+                    self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
+                }
                 self.shapes.push(shape);
                 kept += 1;
             } else {
@@ -194,6 +204,9 @@ impl Rig {
 
     /// Multiplies all lengths, to bring them to millimetres.
     pub fn scale(&mut self, factor: f64) {
+        if factor == 1.0 {
+            return;
+        }
         let mesh = self.mesh.iter_mut().flat_map(|mesh| &mut mesh.positions);
         self.neutral.iter_mut().chain(mesh).for_each(|p| *p *= factor);
         self.deltas.iter_mut().for_each(|d| *d = (f64::from(*d) * factor) as f32);
@@ -335,14 +348,14 @@ impl Rig {
         let mut slab = vec![0.0; 3 * self.neutral.len() * nb];
         // a few rows at a time, so that the part of the slab being filled stays in the cache
         const ROWS: usize = 48;
-        for (block, rows) in slab.chunks_mut((ROWS * nb).max(1)).enumerate() {
+        slab.par_chunks_mut((ROWS * nb).max(1)).enumerate().for_each(|(block, rows)| {
             for (column, &k) in chosen.iter().enumerate() {
                 let deltas = &self.deltas(k)[block * ROWS..];
                 for (row, &delta) in rows.chunks_exact_mut(nb).zip(deltas) {
                     row[column] = delta;
                 }
             }
-        }
+        });
         let shapes = chosen.into_iter().map(|k| self.shapes[k].clone()).collect();
         Ok(ShapeBasis::new(shapes, slab))
     }
@@ -350,11 +363,10 @@ impl Rig {
     /// What each shape moves.
     #[must_use]
     pub fn info(&self) -> Vec<ShapeInfo> {
-        let threshold = MOTIONLESS_SHARE * bounding_box_diagonal(&self.surface_points());
+        let threshold = self.motionless_below();
         let info = |(k, shape): (usize, &Shape)| {
             let (mut moved_vertices, mut max_displacement) = (0, 0.0f64);
-            for d in self.deltas(k).chunks_exact(3) {
-                let length = Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2])).norm();
+            for length in lengths(self.deltas(k)) {
                 moved_vertices += usize::from(length > threshold);
                 max_displacement = max_displacement.max(length);
             }
@@ -362,6 +374,20 @@ impl Rig {
         };
         self.shapes.iter().enumerate().map(info).collect()
     }
+}
+
+/// How far each vertex moves.
+fn lengths(deltas: &[f32]) -> impl Iterator<Item = f64> {
+    deltas.chunks_exact(3).map(|d| Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2])).norm())
+}
+
+/// Index of the first number that is not finite.
+fn first_not_finite(numbers: &[f32]) -> Option<usize> {
+    /// Numbers between two branches; one after each takes several times as long.
+    const BLOCK: usize = 1024;
+    let finite = |block: &[f32]| block.iter().fold(true, |all, x| all & x.is_finite());
+    let before = BLOCK * numbers.chunks(BLOCK).position(|block| !finite(block))?;
+    Some(before + numbers[before..].iter().position(|x| !x.is_finite())?)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape};
+use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape, first_not_finite};
 use crate::io::{
     Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh,
     refuse_unfinished,
@@ -137,37 +137,18 @@ fn read_arrays(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
             warnings.push(RigWarning::NeutralDiffers { distance: far });
         }
     }
-    let mut shapes = Vec::new();
-    let mut deltas: Vec<f32> = Vec::new();
-    for (stem, family, most) in
-        [("expression", Family::Expression, usize::MAX), ("identity", Family::Identity, options.identity_modes)]
-    {
-        let path = folder.join(format!("{stem}_deltas.npy"));
-        if !path.exists() {
-            continue;
-        }
-        let names_path = folder.join(format!("{stem}_names.json"));
-        let names: Vec<String> = read_json(&names_path, "an array of names")?;
-        let array = NpyArray::open(&path)?;
-        array.expect_shape(&[None, None, Some(3)])?;
-        let (count, vertices) = (array.shape()[0], array.shape()[1]);
-        check_count(&path, vertices, neutral.len())?;
-        if count != names.len() {
-            let (array, names_file) = (path.display().to_string(), names_path.display().to_string());
-            return Err(RigError::NameCount { array, found: count, names: names_file, expected: names.len() });
-        }
-        let most = most.min(count);
-        let new = array.read_f32_rows(most)?;
-        if let Some(i) = new.iter().position(|x| !x.is_finite()) {
-            let what = format!("{}: shape {:?}", path.display(), names[i / (3 * vertices)]);
-            return Err(RigError::NotFinite { what, vertex: i / 3 % vertices });
-        }
-        if deltas.is_empty() {
-            deltas = new;
-        } else {
-            deltas.extend_from_slice(&new);
-        }
-        shapes.extend(names.into_iter().take(most).map(|name| Shape { name, family }));
+    let read = |family, most| read_family(folder, family, most, neutral.len());
+    let noting = Noting::here();
+    let (expressions, identities) = rayon::join(
+        || Noting::along(noting.as_ref(), || read(Family::Expression, usize::MAX)),
+        || Noting::along(noting.as_ref(), || read(Family::Identity, options.identity_modes)),
+    );
+    let ((mut shapes, mut deltas), (modes, of_modes)) = (expressions?, identities?);
+    shapes.extend(modes);
+    if deltas.is_empty() {
+        deltas = of_modes;
+    } else {
+        deltas.extend_from_slice(&of_modes);
     }
     let vertices = neutral.len();
     let (mut rig, dropped) = Rig::new(neutral, mesh, shapes, deltas)?;
@@ -182,6 +163,36 @@ fn read_arrays(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
         rig.landmarks = Some(landmarks);
     }
     Ok((rig, warnings))
+}
+
+/// The first `most` shapes of one of the two arrays and their displacements; none if there is no such array.
+fn read_family(
+    folder: &Path,
+    family: Family,
+    most: usize,
+    vertices: usize,
+) -> Result<(Vec<Shape>, Vec<f32>), RigError> {
+    let stem = if family == Family::Identity { "identity" } else { "expression" };
+    let path = folder.join(format!("{stem}_deltas.npy"));
+    if !path.exists() {
+        return Ok(Default::default());
+    }
+    let names_path = folder.join(format!("{stem}_names.json"));
+    let names: Vec<String> = read_json(&names_path, "an array of names")?;
+    let array = NpyArray::open(&path)?;
+    array.expect_shape(&[None, None, Some(3)])?;
+    let (count, found) = (array.shape()[0], array.shape()[1]);
+    check_count(&path, found, vertices)?;
+    if count != names.len() {
+        let (array, names_file) = (path.display().to_string(), names_path.display().to_string());
+        return Err(RigError::NameCount { array, found: count, names: names_file, expected: names.len() });
+    }
+    let deltas = array.read_f32_rows(most)?;
+    if let Some(i) = first_not_finite(&deltas) {
+        let what = format!("{}: shape {:?}", path.display(), names[i / (3 * vertices)]);
+        return Err(RigError::NotFinite { what, vertex: i / 3 % vertices });
+    }
+    Ok((names.into_iter().take(most).map(|name| Shape { name, family }).collect(), deltas))
 }
 
 fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigError> {

@@ -21,6 +21,8 @@ pub struct NpyArray<'a> {
     path: PathBuf,
     header: Header,
     reader: Box<dyn Read + 'a>,
+    /// Whether the data are known to be as long as the header says.
+    sized: bool,
 }
 
 impl std::fmt::Debug for NpyArray<'_> {
@@ -100,7 +102,7 @@ impl<'a> NpyArray<'a> {
         if needed.is_none() {
             return Err(error(data_start, "a shape that fits in memory", shape_text(&header.shape)));
         }
-        Ok(Self { path: path.to_owned(), header, reader })
+        Ok(Self { path: path.to_owned(), header, reader, sized: size.is_some() })
     }
 
     /// Length of each axis.
@@ -199,7 +201,7 @@ impl<'a> NpyArray<'a> {
             ));
         }
         header.fortran = false;
-        let codes = Self { path: self.path, header, reader: self.reader }.read_with(usize::MAX, |b| {
+        let codes = Self { header, ..self }.read_with(usize::MAX, |b| {
             let bytes = [b[0], b[1], b[2], b[3]];
             if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
         })?;
@@ -226,8 +228,8 @@ impl<'a> NpyArray<'a> {
         let row: usize = header.shape.iter().skip(1).product();
         let kept = row * rows.min(header.shape.first().copied().unwrap_or(1));
         let wanted = if header.fortran { header.length } else { kept };
-        // grown as data arrive: an archive's claims about sizes are not trusted
-        let mut items = Vec::with_capacity(wanted.min(1 << 20));
+        // grown as data arrive where the size is what an archive claims, which is not trusted
+        let mut items = Vec::with_capacity(if self.sized { wanted } else { wanted.min(1 << 20) });
         let mut buffer = vec![0; (1 << 16) / header.size * header.size];
         while items.len() < wanted {
             let bytes = ((wanted - items.len()) * header.size).min(buffer.len());
