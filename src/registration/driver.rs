@@ -2,30 +2,31 @@
 //! unless the schedule says otherwise), again.
 
 mod second_start;
+mod setup;
 
-use std::borrow::Cow;
 use std::ops::ControlFlow;
 
-use super::facing::{self, Faced};
-use super::input::{check_geometry, check_input};
+pub use setup::find_start;
+use setup::{Placed, build_terms, first_parameters, landmark_samples, model_input, warm_pose};
+
+use super::input::check_input;
 use super::rest::Rest;
-use super::start::{self, Start, StartInput};
+use super::start::{self, Start};
 use super::untangle::untangle;
 use super::{
     KernelScale, Level, NamedWeight, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, ScanFacing, Schedule, SolverOptions, StartSearch, StepAlgorithm, StepRecord, WarmStart,
+    RegistrationStop, ScanFacing, Schedule, SolverOptions, StepAlgorithm, StepRecord, WarmStart,
 };
-use crate::correspondence::{Correspondences, ScanFlip, ScanOptions, ScanSurface};
+use crate::correspondence::{Correspondences, ScanSurface};
 use crate::energy::{Deformation, DeformationModel as _, Options, OptionsError, Samples};
-use crate::landmark::{Landmark, TemplatePoint};
-use crate::mesh::{Pose, PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
-use crate::model::{ModelFactory, ModelInput, RegistrationModel};
+use crate::mesh::{PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
+use crate::model::{ModelFactory, RegistrationModel};
 use crate::nlls::{
     self, Algorithm, Dogleg, GaussNewton, IterationRecord, Kernel, LevenbergMarquardt, Minimizer, NormalEquations,
     Problem as _, StopReason, Workspace,
 };
 use crate::rig::{Regions, ShapeBasis};
-use crate::term::{RegistrationTerm, Step, TERMS, TermFactory, TermInput, TermLevel};
+use crate::term::{RegistrationTerm, Step, TERMS, TermFactory, TermLevel};
 
 /// Registers the template with the given model and the terms that come with the crate.
 ///
@@ -132,14 +133,7 @@ impl Run {
         // Neither needs the other, but that a warm start is where the model is.
         let ((mut problem, x), placed) = match input.warm_start {
             None => {
-                let of_scan = || -> Result<_, RegistrationError> {
-                    let (faced, turned) = agreeing(input);
-                    let start = || start_of(input, &faced, &template, schedule, cancel);
-                    let (start, scan) = rayon::join(start, || surface(&faced, &schedule.scan));
-                    let start = start?;
-                    cancel.check()?;
-                    Ok(Placed::new(scan?, turned, start, schedule.scan.flip))
-                };
+                let of_scan = || Placed::by_search(input, &template, schedule, cancel);
                 let (of_model, of_scan) = rayon::join(of_model, of_scan);
                 (of_model?, of_scan?)
             }
@@ -147,8 +141,7 @@ impl Run {
                 let (mut problem, x) = of_model()?;
                 let start = warm_pose(warm, input.landmarks, problem.vertices(&x), template.centre);
                 cancel.check()?;
-                let (faced, turned) = agreeing(input);
-                ((problem, x), Placed::new(surface(&faced, &schedule.scan)?, turned, start, schedule.scan.flip))
+                ((problem, x), Placed::at(start, input, schedule)?)
             }
         };
         let vertices = problem.vertices(&x).to_vec();
@@ -403,113 +396,6 @@ impl Run {
     }
 }
 
-/// A sample for every landmark: the vertex' own, or a new one inside a face.
-fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec<usize>, RegistrationError> {
-    let sample = |landmark: &Landmark| match landmark.template {
-        TemplatePoint::Vertex(vertex) => Ok(vertex as usize),
-        TemplatePoint::Face { corners, weights } => {
-            Ok(samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?)
-        }
-    };
-    landmarks.iter().map(sample).collect()
-}
-
-fn model_input<'a>(
-    template: &'a Rest,
-    shapes: &'a ShapeBasis,
-    regions: Option<&'a Regions>,
-    schedule: &'a Schedule,
-) -> ModelInput<'a> {
-    let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
-    ModelInput { rest: &template.mesh, shapes, regions, options, reference_vertices, unit: template.unit }
-}
-
-/// The parameters to start with: of rest, or of a warm start, within bounds.
-fn first_parameters(
-    problem: &mut RegistrationProblem,
-    model: &str,
-    warm_start: Option<&WarmStart>,
-) -> Result<Vec<f64>, RegistrationError> {
-    let mut x = problem.model.rest_parameters();
-    if let Some(warm) = warm_start {
-        warm.check(model, x.len())?;
-        if !warm.parameters.is_empty() {
-            x.copy_from_slice(&warm.parameters);
-        }
-    }
-    if let Some(bounds) = problem.border_bounds() {
-        bounds.validate(problem.structure().border(), x.len())?;
-        bounds.project(&mut x);
-    }
-    Ok(x)
-}
-
-/// The pose of a warm start, moved as its landmarks have.
-fn warm_pose(warm: &WarmStart, landmarks: &[Landmark], vertices: &[Vec3], centre: Vec3) -> Start {
-    let at = |l: &Landmark| (l.template.position(vertices) + centre, l.target, l.weight(1.0));
-    let pose = warm.pose_by(&landmarks.iter().map(at).collect::<Vec<_>>());
-    Start { pose, search: None, by_landmarks: None }
-}
-
-/// A scan, and the start that puts it over the template.
-struct Placed {
-    start: Start,
-    scan: ScanSurface,
-    facing: ScanFacing,
-}
-
-impl Placed {
-    /// The scan, of which so many triangles were turned, turned over where the schedule or the search of the start says so.
-    fn new(scan: ScanSurface, turned: usize, start: Start, flip: ScanFlip) -> Self {
-        let flipped = match flip {
-            ScanFlip::Yes => true,
-            ScanFlip::No => false,
-            ScanFlip::Auto => start.search.as_ref().is_some_and(|search| search.flipped),
-        };
-        let scan = if flipped { scan.turned_over() } else { scan };
-        Self { start, scan, facing: ScanFacing { turned, flipped } }
-    }
-
-    /// Turned over besides where nothing has said yet which side is its front, and the template at those vertices sees the inside.
-    fn facing_outwards(mut self, template: &Rest, vertices: &[Vec3], flip: ScanFlip) -> Self {
-        let unsaid = flip == ScanFlip::Auto && self.start.search.is_none();
-        if unsaid && template.sees_the_inside(&self.scan.seen_from(&self.start.frame(template.centre)), vertices) {
-            self.facing.flipped = true;
-            self.scan = self.scan.turned_over();
-        }
-        self
-    }
-}
-
-fn surface((scan, normals): &Faced<'_>, options: &ScanOptions) -> Result<ScanSurface, RegistrationError> {
-    Ok(ScanSurface::new(scan.clone().into_owned(), normals.as_deref(), options)?)
-}
-
-/// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.
-fn build_terms(
-    terms: &[&dyn TermFactory],
-    landmarks: &[Landmark],
-    on_template: &[usize],
-    start: &Start,
-    template: &Rest,
-    schedule: &Schedule,
-) -> Result<Vec<Box<dyn RegistrationTerm>>, RegistrationError> {
-    let frame = start.frame(template.centre);
-    let sigma = schedule.sigma.landmark * template.unit * frame.scale;
-    let suspects = start.by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
-    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
-    let placed = |l: &Landmark| frame.apply_inverse(l.target);
-    let landmarks: Vec<(usize, Vec3, f64)> =
-        landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();
-    let none = Options::new();
-    let build = |term: &&dyn TermFactory| {
-        let options = schedule.terms.get(term.name()).unwrap_or(&none);
-        let (rest, unit) = (&template.mesh, template.unit);
-        Ok(term.build(&TermInput { options, landmarks: &landmarks, rest, unit, frame })?)
-    };
-    terms.iter().map(build).collect()
-}
-
 /// Moves predictions, as a model wrote them, into the rigid pose that fits `positions` best where correspondences have weight.
 fn pose_predictions(predictions: &mut [Vec3], positions: &[Vec3], weights: &[f64]) {
     let pairs = predictions.iter().zip(positions).zip(weights).map(|((&p, &v), &w)| (p, v, w));
@@ -560,72 +446,12 @@ fn weights(problem: &mut RegistrationProblem, x: &[f64], workspace: &mut Workspa
     named.into_iter().enumerate().map(weight).collect()
 }
 
-/// Where [`register`] starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
-///
-/// # Errors
-/// Those of [`register`] before its first step.
-pub fn find_start(
-    input: &RegistrationInput<'_>,
-    schedule: &Schedule,
-) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
-    schedule.validate()?;
-    check_geometry(input)?;
-    let template = Rest::new(input, schedule);
-    let start = start_of(input, &agreeing(input).0, &template, schedule, start::Cancel(None))?;
-    Ok((start.pose, start.search))
-}
-
-/// The scan, its triangles facing as their neighbours do unless it has normals of its own, or the template's do not either;
-/// and how many were turned.
-fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, usize) {
-    match input.scan_normals {
-        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), 0),
-        None => {
-            let (scan, turned) = match facing::agreeing(&input.template.triangulate()) {
-                (_, 0) => facing::agreeing(input.scan),
-                _ => (Cow::Borrowed(input.scan), 0),
-            };
-            ((scan, None), turned)
-        }
-    }
-}
-
-fn start_of(
-    input: &RegistrationInput<'_>,
-    (scan, scan_normals): &Faced<'_>,
-    rest: &Rest,
-    schedule: &Schedule,
-    cancel: start::Cancel<'_>,
-) -> Result<Start, RegistrationError> {
-    let (scan, scan_normals): (&TriangleMesh, Option<&[Vec3]>) = (scan, scan_normals.as_deref());
-    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
-    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
-    let discs = scan.triangles.is_empty().then(|| start::discs(scan, scan_normals.unwrap_or_default()));
-    let (scan, scan_normals) = match &discs {
-        Some((mesh, normals)) => (mesh, Some(&normals[..])),
-        None => (scan, scan_normals),
-    };
-    let search = StartInput {
-        template: &rest.mesh,
-        ignored: &rest.masks.unseen(),
-        centre: rest.centre,
-        unit: rest.unit,
-        shapes: input.shapes,
-        scan,
-        scan_normals,
-        landmarks: &landmarks,
-        sigma: schedule.sigma.landmark * rest.unit,
-        flip: schedule.scan.flip,
-        cancel,
-    };
-    start::find_start(&search, schedule.start, &schedule.search)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::mesh::Pose;
     use nalgebra::Rotation3;
 
     use crate::mesh::testing::noise;

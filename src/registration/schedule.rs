@@ -1,19 +1,25 @@
 //! The schedule of a registration: levels from stiff to soft. Schedules are data, TOML files; each model brings its
 //! default.
 
+mod error;
+mod level;
+mod options;
+
 use std::collections::BTreeMap;
 
+pub use error::ScheduleError;
+use error::{check, syntax_error};
+pub use level::{KernelScale, Level};
+pub use options::{BoundsOptions, SigmaOptions, SolverOptions, StepAlgorithm, StopOptions, WarmStartOptions};
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use super::StartOptions;
-use crate::correspondence::{Acceptance, ScanOptions};
-use crate::energy::{Options, OptionsError, nearest_key};
+use crate::correspondence::ScanOptions;
+use crate::energy::Options;
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::model::{ModelFactory, ModelKind};
-use crate::nlls::{Kernel, LinearSolverKind};
-use crate::rig::{Family, Shape, ShapeBasis};
+use crate::rig::{Family, ShapeBasis};
 use crate::term::TermFactory;
 use crate::text;
 
@@ -119,375 +125,8 @@ pub struct StageModel {
     pub options: Options,
 }
 
-/// How a registration runs that goes on from another one's end ([`WarmStart`](super::WarmStart)).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WarmStartOptions {
-    /// Steps of a level at most, in the first stage. All levels stay: on generated sequences (15 frames a second, the hybrid), two
-    /// steps of each level give 0.71 mm where a cold start's five give 0.79, in little more than half the time; leaving out
-    /// the four stiffest levels instead gives 0.97, since the graph then takes what belongs to the blendshapes.
-    pub steps: usize,
-}
-
-impl Default for WarmStartOptions {
-    fn default() -> Self {
-        Self { steps: 2 }
-    }
-}
-
-/// How the energy of each set of correspondences is minimised: by one step, which never raises it. Steps that would are
-/// shortened and tried again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SolverOptions {
-    /// `gauss_newton` (default), `levenberg_marquardt` or `dogleg`.
-    pub algorithm: StepAlgorithm,
-    /// What solves the normal equations: `auto` (default, [by size](crate::nlls::linear::choose)), `dense`, `bordered` or
-    /// `block_jacobi`.
-    pub linear_solver: LinearSolverKind,
-}
-
-/// Which step is taken, with the settings of [`nlls`](crate::nlls::Options).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StepAlgorithm {
-    /// A full step, halved until the energy falls.
-    #[default]
-    GaussNewton,
-    /// A damped step. The damping is relative to the curvature; it carries on from step to step of a level, as what it knows of the
-    /// energy's shape outlives the correspondences, and starts anew with each level, whose weights make another energy.
-    LevenbergMarquardt,
-    /// A step within a trust region, whose radius carries on and starts anew as the damping does.
-    Dogleg,
-}
-
-/// When a level ends early: after a step that does no more than this.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct StopOptions {
-    /// Relative fall of the energy in a step, at its correspondences.
-    pub energy: f64,
-    /// Motion of any vertex in a step, millimetres.
-    pub motion: f64,
-}
-
-impl Default for StopOptions {
-    fn default() -> Self {
-        Self { energy: 0.01, motion: 0.25 }
-    }
-}
-
-/// Standard deviations of what is known beforehand: `sigma_k` of (5) by family of shapes, and where landmarks are.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SigmaOptions {
-    /// Expression blendshapes, whose weights lie between 0 and 1.
-    pub expression: f64,
-    /// Identity modes, scaled to standard deviation one by the rig.
-    pub identity: f64,
-    /// How far beyond 0 and 1 the weight of an expression lies that is meant to lie between: one with a name of ARKit's
-    /// ([`Shape::from_zero_to_one`](crate::rig::Shape::from_zero_to_one)). Nothing unless stated.
-    ///
-    /// Without it, expressions of both signs explain how a person differs from the rig.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub beyond: Option<f64>,
-    /// `sigma_0` of a landmark that states none, millimetres. One that states `sigma` counts `(sigma_0 / sigma)^2` times the
-    /// [level's weight](crate::term::LandmarkLevel) and, next to the others, as much in the start.
-    ///
-    /// A constant and not, say, the median of what a file states, so that landmarks that are all vague hold the template less
-    /// against the scan, and one more landmark does not change what the others count.
-    pub landmark: f64,
-}
-
-impl Default for SigmaOptions {
-    fn default() -> Self {
-        Self { expression: 1.0, identity: 1.0, beyond: None, landmark: 1.0 }
-    }
-}
-
-impl SigmaOptions {
-    /// `sigma_k` of a shape of the given family; shapes of unknown family count as expressions.
-    #[must_use]
-    pub fn of(&self, family: Family) -> f64 {
-        match family {
-            Family::Identity => self.identity,
-            Family::Expression | Family::Other => self.expression,
-        }
-    }
-
-    /// `sigma_beyond` of a shape, infinite for none.
-    #[must_use]
-    pub fn beyond(&self, shape: &Shape) -> f64 {
-        self.beyond.filter(|_| shape.from_zero_to_one()).unwrap_or(f64::INFINITY)
-    }
-}
-
-/// Bounds `[l, u]` of the weights by family of shapes, held exactly; free without.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BoundsOptions {
-    /// Expression blendshapes; `[0, 1]` for weights as an animator sets them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub expression: Option<[f64; 2]>,
-    /// Identity modes, in standard deviations.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub identity: Option<[f64; 2]>,
-}
-
-impl BoundsOptions {
-    /// Bounds of a shape of the given family; shapes of unknown family count as expressions.
-    #[must_use]
-    pub fn of(&self, family: Family) -> [f64; 2] {
-        let bounds = match family {
-            Family::Identity => self.identity,
-            Family::Expression | Family::Other => self.expression,
-        };
-        bounds.unwrap_or([f64::NEG_INFINITY, f64::INFINITY])
-    }
-
-    /// Checks one pair.
-    fn validate(field: &str, bounds: Option<[f64; 2]>) -> Result<(), ScheduleError> {
-        let Some([lower, upper]) = bounds else { return Ok(()) };
-        // Written so that NaN fails.
-        if lower <= upper && lower < f64::INFINITY && upper > f64::NEG_INFINITY {
-            return Ok(());
-        }
-        Err(ScheduleError::Bounds { field: field.to_owned(), lower, upper })
-    }
-}
-
-/// One level: a stiffness, a kernel scale, and what counts as a correspondence.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Level {
-    /// Steps of the solver at most, each with new correspondences.
-    pub steps: usize,
-    /// Longest correspondence, millimetres.
-    pub distance_cap: f64,
-    /// Largest angle between the normals of a correspondence, degrees.
-    pub normal_angle: f64,
-    /// Whether the template's rim (`scan.template_rim`) stays out of the correspondences; true by default. Levels that begin near the
-    /// scan gain by it.
-    #[serde(default = "yes")]
-    pub reject_rim: bool,
-    /// Whether only about every fourth vertex takes a correspondence, no two of them neighbours, each for itself and for neighbours that
-    /// take none: faster, and enough where the model is stiff.
-    #[serde(default)]
-    pub thinned: bool,
-    /// Vertices closer together than what the scanner resolves say one thing several times: where a vertex stands for less surface than
-    /// so many samples of the scan, it counts the root of the ratio. 0 (default): all count alike.
-    #[serde(default)]
-    pub sampling: f64,
-    /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
-    pub kernel: Kernel,
-    /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
-    #[serde(default)]
-    pub scale: KernelScale,
-    /// How stiff the model is, as its own documentation has it: `HybridLevel` and the like of [`model`](crate::model).
-    #[serde(default)]
-    pub model: Options,
-    /// Weights of data terms by name ([`term`](crate::term)): `terms.landmarks = { weight = 0.5 }`. Without any,
-    /// `point_to_plane` has weight 1 and the others 0.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub terms: BTreeMap<String, Options>,
-}
-
-fn yes() -> bool {
-    true
-}
-
-/// One step of point-to-plane without a kernel, up to 5 mm and 60 degrees, and no regulariser.
-impl Default for Level {
-    fn default() -> Self {
-        Self {
-            steps: 1,
-            distance_cap: 5.0,
-            normal_angle: 60.0,
-            reject_rim: true,
-            thinned: false,
-            sampling: 0.0,
-            kernel: Kernel::None,
-            scale: KernelScale::Fixed,
-            model: Options::new(),
-            terms: BTreeMap::new(),
-        }
-    }
-}
-
-impl Level {
-    /// The level with an option of the model set.
-    #[must_use]
-    pub fn with_model(mut self, key: &str, value: f64) -> Self {
-        self.model.set(key, value);
-        self
-    }
-
-    /// The level with the weight of a term set.
-    #[must_use]
-    pub fn with_term(mut self, term: &str, weight: f64) -> Self {
-        self.set_term(term, weight);
-        self
-    }
-
-    /// The weight of a term, where it is stated.
-    #[must_use]
-    pub fn term(&self, term: &str) -> Option<f64> {
-        self.terms.get(term)?.number("weight")
-    }
-
-    /// Sets the weight of a term.
-    pub fn set_term(&mut self, term: &str, weight: f64) {
-        self.terms.entry(term.to_owned()).or_default().set("weight", weight);
-    }
-
-    /// What a pair must keep to be accepted, for a model whose length of a millimetre is `unit`.
-    #[must_use]
-    pub fn acceptance(&self, unit: f64) -> Acceptance {
-        Acceptance { distance: self.distance_cap * unit, angle: self.normal_angle }
-    }
-}
-
-/// What the scale of a level's kernel counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum KernelScale {
-    /// Millimetres.
-    #[default]
-    Fixed,
-    /// Robust standard deviations of the residuals ([`mad_scale`](crate::nlls::mad_scale)), found anew at each step from the distances of
-    /// the accepted vertices to their planes: `{ tukey = { delta = 4.685 } }` keeps 95 % of the efficiency of plain least squares
-    /// on Gaussian noise of any size. The kernel of [landmarks](crate::term::LandmarkLevel) stays in millimetres.
-    Mad,
-}
-
-/// Keys that schedules had, and what stands for them.
-const FORMER_KEYS: [(&str, &str); 19] = [
-    ("point_kernel", "`kernel` is that of every data term; leave this key out"),
-    (
-        "test_vertices",
-        "`point_to_point` goes to the closest point of the surface, which needs no test; leave this key out",
-    ),
-    ("lambda_graph", "options of the model stand together: model = { lambda_graph = 1.0 }"),
-    ("lambda_blend", "options of the model stand together: model = { lambda_blend = 1.0 }"),
-    ("lambda_smooth", "options of the model stand together: model = { lambda_smooth = 1.0 }"),
-    ("lambda_rotation", "options of the model stand together: model = { lambda_rotation = 1.0 }"),
-    ("point_to_plane", "data terms have tables of their own: terms.point_to_plane = { weight = 1.0 }"),
-    ("point_to_point", "data terms have tables of their own: terms.point_to_point = { weight = 1.0 }"),
-    ("symmetric", "data terms have tables of their own: terms.symmetric = { weight = 1.0 }"),
-    ("scan_to_template", "data terms have tables of their own: terms.scan_to_template = { weight = 1.0 }"),
-    ("landmarks", "data terms have tables of their own: terms.landmarks = { weight = 1.0 }"),
-    (
-        "landmark_kernel",
-        "it belongs to the landmarks: terms.landmarks = { weight = 1.0, kernel = { huber = { delta = 3.0 } } }",
-    ),
-    ("prediction", "data terms have tables of their own: terms.prediction = { weight = 1.0 }"),
-    ("seam", "data terms have tables of their own: [terms.seam], and in a level terms.seam = { weight = 0.3 }"),
-    ("graph", "options of the model stand in [model], in later stages in [then.model]"),
-    ("smooth", "options of the model stand in [model], in later stages in [then.model]"),
-    ("arap", "options of the model stand in [model], in later stages in [then.model]"),
-    ("affine", "options of the model stand in [model], in later stages in [then.model]"),
-    ("linearisation", "it is an option of the model now: [model] linearisation = \"reference\""),
-];
-
-/// What is wrong with a text, and what to write instead of an unknown key.
-fn syntax_error(error: &toml::de::Error) -> ScheduleError {
-    let mut message = error.to_string().trim_end().to_owned();
-    let unknown = error.message().strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
-    if let Some((_, advice)) = FORMER_KEYS.iter().find(|(former, _)| Some(*former) == unknown) {
-        message += &format!("\n{advice}");
-    } else if error.message().contains("expected struct StageModel") {
-        message += "\na later stage's model is a table: [then.model] name = \"graph\", and its options beside";
-    } else if let Some(key) = nearest_key(error.message()) {
-        message += &format!("\ndid you mean `{key}`?");
-    }
-    ScheduleError::Syntax(message)
-}
-
 /// Greatest count that a schedule may ask for.
 const MOST: usize = 1_000_000;
-
-/// Why a schedule cannot be used.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum ScheduleError {
-    /// Not TOML, or an unknown key, or a wrong type.
-    #[error("{0}")]
-    Syntax(String),
-    /// A number out of bounds.
-    #[error("{field} = {value}, but it must be {bound}")]
-    OutOfBounds {
-        /// Where, as in the file.
-        field: String,
-        /// What was given.
-        value: f64,
-        /// What would do.
-        bound: &'static str,
-    },
-    /// Bounds that leave no value.
-    #[error("{field} = [{lower}, {upper}], but no weight lies between the two")]
-    Bounds {
-        /// Where, as in the file.
-        field: String,
-        /// The lower bound.
-        lower: f64,
-        /// The upper bound.
-        upper: f64,
-    },
-    /// A table of options that its model or term does not take.
-    #[error("{}", in_table(place, error))]
-    Options {
-        /// Which table: `model`, `level 2: terms.landmarks`, `then.level 1: model`.
-        place: String,
-        /// What is wrong with it.
-        error: OptionsError,
-    },
-    /// A kernel's scale out of bounds.
-    #[error("{level}: {reason}")]
-    Kernel {
-        /// Where, as in the file: `level 1`, `then.level 2`.
-        level: String,
-        /// Field, value and bound.
-        reason: String,
-    },
-    /// Options of a term that there is not.
-    #[error("{place}.{name}: there is no such data term; known: {known}")]
-    UnknownTerm {
-        /// Where, as in the file.
-        place: String,
-        /// The name.
-        name: String,
-        /// Names that there are, and the nearest.
-        known: String,
-    },
-    /// No levels.
-    #[error("the schedule has no [[{0}]]")]
-    NoLevels(String),
-    /// A later stage cannot have blendshapes.
-    #[error(
-        "{field} = \"{model}\", but a later stage deforms the shape that the one before has found and has no blendshapes; \
-         name a model without, such as \"graph\""
-    )]
-    StageModel {
-        /// Where, as in the file.
-        field: String,
-        /// What was given.
-        model: ModelKind,
-    },
-    /// A sequence of one.
-    #[error(
-        "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
-    )]
-    NoSecondStage,
-    /// In [`Schedule::closed`].
-    #[error("closed: {0}")]
-    Closed(Box<ScheduleError>),
-}
-
-fn in_table(place: &str, error: &OptionsError) -> String {
-    match error {
-        OptionsError::OutOfBounds { .. } | OptionsError::Conflict { .. } => format!("{place}.{error}"),
-        _ => format!("{place}: {error}"),
-    }
-}
 
 impl Schedule {
     /// The default schedule of a model.
@@ -706,14 +345,11 @@ fn known_terms(
     Err(ScheduleError::UnknownTerm { place: place.to_owned(), name: name.clone(), known })
 }
 
-fn check(field: String, value: f64, holds: bool, bound: &'static str) -> Result<(), ScheduleError> {
-    if holds && value.is_finite() { Ok(()) } else { Err(ScheduleError::OutOfBounds { field, value, bound }) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::mesh::{TriangleMesh, Vec3};
+    use crate::rig::Shape;
     use crate::term::TERMS;
 
     #[test]

@@ -104,9 +104,9 @@ fn sentence(lines: &[&str]) -> String {
 const CHOICES: [(&str, &str); 14] = [
     ("PoseKind", "mesh/pose.rs"),
     ("ScanFlip", "correspondence/mod.rs"),
-    ("StepAlgorithm", "registration/schedule.rs"),
+    ("StepAlgorithm", "registration/schedule/options.rs"),
     ("LinearSolverKind", "nlls/linear/mod.rs"),
-    ("KernelScale", "registration/schedule.rs"),
+    ("KernelScale", "registration/schedule/level.rs"),
     ("GraphDistance", "model/node_options.rs"),
     ("NodeKind", "model/node_options.rs"),
     ("RotationKind", "model/node_options.rs"),
@@ -210,6 +210,7 @@ fn tables_of(model: ModelKind) -> [Option<(&'static str, &'static str)>; 2] {
 #[test]
 fn the_reference_of_schedules_is_that_of_the_code() {
     let schedule = "registration/schedule.rs";
+    let [level_file, options] = ["registration/schedule/level.rs", "registration/schedule/options.rs"];
     let mut page = format!(
         "{NOTE}# Keys of a schedule\n\n\
          A schedule is a TOML file, given by `--config`. It replaces the [default schedule](default_schedules.md) of the model as a \
@@ -231,11 +232,11 @@ fn the_reference_of_schedules_is_that_of_the_code() {
     let of = |name: &str| match name {
         "search" => ("registration/start.rs", "StartOptions", Options::of(&StartOptions::default())),
         "scan" => ("correspondence/mod.rs", "ScanOptions", Options::of(&ScanOptions::default())),
-        "solver" => (schedule, "SolverOptions", Options::of(&SolverOptions::default())),
-        "stop" => (schedule, "StopOptions", Options::of(&StopOptions::default())),
-        "warm_start" => (schedule, "WarmStartOptions", Options::of(&WarmStartOptions::default())),
-        "sigma" => (schedule, "SigmaOptions", Options::of(&SigmaOptions::default())),
-        "bounds" => (schedule, "BoundsOptions", Options::of(&BoundsOptions::default())),
+        "solver" => (options, "SolverOptions", Options::of(&SolverOptions::default())),
+        "stop" => (options, "StopOptions", Options::of(&StopOptions::default())),
+        "warm_start" => (options, "WarmStartOptions", Options::of(&WarmStartOptions::default())),
+        "sigma" => (options, "SigmaOptions", Options::of(&SigmaOptions::default())),
+        "bounds" => (options, "BoundsOptions", Options::of(&BoundsOptions::default())),
         other => panic!("the reference does not know [{other}]"),
     };
     for name in tables {
@@ -243,7 +244,7 @@ fn the_reference_of_schedules_is_that_of_the_code() {
         let about = cell(&entries(file, type_name).0);
         write!(page, "\n## \\[{name}\\] {{#{name}}}\n\n{about}\n\n{}", table_of(file, type_name, &defaults)).unwrap();
     }
-    let mut fields = entries(schedule, "Level").1;
+    let mut fields = entries(level_file, "Level").1;
     fields.iter_mut().for_each(|f| match f.name.as_str() {
         "model" => f.doc = "How stiff the model is. See [Models](#models).".into(),
         "kernel" => f.doc += " See [below](#kernels).",
@@ -251,7 +252,7 @@ fn the_reference_of_schedules_is_that_of_the_code() {
         _ => {}
     });
     let level = table(&fields, None);
-    write!(page, "\n## \\[\\[level\\]\\] {{#level}}\n\n{}\n\n{level}", entries(schedule, "Level").0).unwrap();
+    write!(page, "\n## \\[\\[level\\]\\] {{#level}}\n\n{}\n\n{level}", entries(level_file, "Level").0).unwrap();
     page += "\n### Robust kernels {#kernels}\n\n`kernel = \"none\"` or `kernel = { huber = { delta = 1.0 } }`. `delta`, or `eps`, is the \
              scale: beyond it a residual counts less.\n\n| kernel | keys | what |\n|---|---|---|\n";
     let kernels = entries("nlls/kernel.rs", "Kernel").1;

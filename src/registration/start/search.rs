@@ -144,6 +144,60 @@ fn without_far(scan: &TriangleMesh) -> Cow<'_, TriangleMesh> {
     Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles })
 }
 
+/// Both surfaces as surfels, in the scan's frame.
+struct Surfels {
+    frame: Frame,
+    template: Vec<Surfel>,
+    scan: ScanSurfels,
+    /// As [`Problem`] has them.
+    landmarks: Vec<(Vec3, Vec3, f64)>,
+}
+
+impl Surfels {
+    /// Of the scan divided by `factor`.
+    fn of(input: &StartInput<'_>, factor: f64, flipped: bool) -> Result<Self, RegistrationError> {
+        let frame = Frame::principal(input.scan, input.unit * factor);
+        let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
+        let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
+        let of_scan = |size: f64| {
+            let mut surfels = surfels(input.scan, input.scan_normals, &[], frame, size);
+            if flipped {
+                surfels.iter_mut().for_each(|s| s.normal = -s.normal);
+            }
+            surfels
+        };
+        let coarse = of_scan(COARSE_SURFEL);
+        input.cancel.check()?;
+        let fine = of_scan(FINE_SURFEL);
+        input.cancel.check()?;
+        if even.is_empty() {
+            return Err(RegistrationError::Template(NO_NORMALS.into()));
+        }
+        if coarse.is_empty() || fine.is_empty() {
+            return Err(RegistrationError::Scan(NO_NORMALS.into()));
+        }
+        let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
+        let local = |(p, l): &(Vec3, &Landmark)| {
+            let vagueness = l.sigma.unwrap_or(0.0) / (frame.unit * LOOK_REACH);
+            let most = LANDMARK_WEIGHT.min(MOST_LANDMARKS / input.landmarks.len() as f64);
+            let weight = most / (1.0 + vagueness * vagueness);
+            // Vaguer than the reach of the look, a landmark says nothing about where to look.
+            (vagueness <= 1.0).then(|| ((p - input.centre) / input.unit, frame.to_local(l.target), weight))
+        };
+        Ok(Self {
+            frame,
+            template: farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect(),
+            scan: ScanSurfels {
+                lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
+                coarse,
+                tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
+                fine,
+            },
+            landmarks: input.landmarks.iter().filter_map(local).collect(),
+        })
+    }
+}
+
 /// The search on the scan divided by `factor`.
 fn search_at(
     input: &StartInput<'_>,
@@ -155,42 +209,7 @@ fn search_at(
 ) -> Result<(Pose, StartSearch), RegistrationError> {
     let cancel = input.cancel;
     cancel.check()?;
-    let frame = Frame::principal(input.scan, input.unit * factor);
-    let own = Frame { origin: Vec3::zeros(), axes: Matrix3::identity(), unit: input.unit };
-    let even = surfels(input.template, None, input.ignored, own, FINE_SURFEL);
-    let of_scan = |size: f64| {
-        let mut surfels = surfels(input.scan, input.scan_normals, &[], frame, size);
-        if flipped {
-            surfels.iter_mut().for_each(|s| s.normal = -s.normal);
-        }
-        surfels
-    };
-    let coarse = of_scan(COARSE_SURFEL);
-    cancel.check()?;
-    let fine = of_scan(FINE_SURFEL);
-    cancel.check()?;
-    if even.is_empty() {
-        return Err(RegistrationError::Template(NO_NORMALS.into()));
-    }
-    if coarse.is_empty() || fine.is_empty() {
-        return Err(RegistrationError::Scan(NO_NORMALS.into()));
-    }
-    let template: Vec<Surfel> = farthest_points(&even, medoid(&even), FINE, 0.0).iter().map(|&i| even[i]).collect();
-    let points: Vec<Vec3> = fine.iter().map(|s| s.point).collect();
-    let local = |(p, l): &(Vec3, &Landmark)| {
-        let vagueness = l.sigma.unwrap_or(0.0) / (frame.unit * LOOK_REACH);
-        let most = LANDMARK_WEIGHT.min(MOST_LANDMARKS / input.landmarks.len() as f64);
-        let weight = most / (1.0 + vagueness * vagueness);
-        // Vaguer than the reach of the look, a landmark says nothing about where to look.
-        (vagueness <= 1.0).then(|| ((p - input.centre) / input.unit, frame.to_local(l.target), weight))
-    };
-    let landmarks: Vec<_> = input.landmarks.iter().filter_map(local).collect();
-    let scan = ScanSurfels {
-        lattice: Lattice::new(&coarse, COARSE_SURFEL, LOOK_REACH),
-        coarse,
-        tree: ClosestVertices::new(&points).map_err(|e| RegistrationError::Scan(e.to_string()))?,
-        fine,
-    };
+    let Surfels { frame, template, scan, landmarks } = Surfels::of(input, factor, flipped)?;
     let scales = kind == PoseKind::Similarity || options.scale_sigma > 0.0;
     let freest = if scales { PoseKind::Similarity } else { PoseKind::Rigid };
     let scale_sigma = if options.scale_sigma > 0.0 { options.scale_sigma } else { SCALE_SIGMA };
@@ -203,45 +222,12 @@ fn search_at(
     };
     let (tried, poses) = look(&problem, &given, options);
     cancel.check()?;
-    let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
-    let refined: Vec<Candidate> = poses
-        .into_par_iter()
-        .map(|mut pose| {
-            problem.descend(&mut pose, coarse, 12, 0.5);
-            Candidate { pose, fit: problem.fit(&pose, coarse), given: false }
-        })
-        .collect();
-    let mut chosen = distinct(&problem, refined, options.fine, options.greatest_rival);
-    if factor == 1.0 {
-        chosen.push(Candidate { pose: given, fit: problem.fit(&given, coarse), given: true });
-    }
-    let fine = |reach: f64| Matching { count: FINE, reach, exact: true };
-    let ends: Vec<Candidate> = chosen
-        .into_par_iter()
-        .map(|mut c| {
-            for share in [2.5, 1.75, 1.25, 1.0] {
-                problem.descend(&mut c.pose, fine(share * options.reach), 8, 0.05);
-            }
-            Candidate { fit: problem.fit(&c.pose, fine(options.reach)), ..c }
-        })
-        .collect();
+    let ends = refined(&problem, poses, (factor == 1.0).then_some(given), options);
     cancel.check()?;
     let refined = ends.len();
     let mut ends = distinct(&problem, ends, usize::MAX, options.greatest_rival);
     if kind == PoseKind::Rigid && (ends[0].pose.scale * factor).ln().abs() <= OTHER_SIZE {
-        // Rivals too: of any size, they fit a part of the scan that is as small as they like.
-        problem.kind = kind;
-        let of_own_size = |c: &Candidate| {
-            let mut pose = Pose { scale: 1.0 / factor, ..c.pose };
-            problem.descend(&mut pose, fine(options.reach), 8, 0.05);
-            Candidate { pose, fit: problem.fit(&pose, fine(options.reach)), given: c.given }
-        };
-        let own = distinct(&problem, ends.par_iter().map(of_own_size).collect(), usize::MAX, options.greatest_rival);
-        if own[0].fit.gain() >= OWN_SIZE * ends[0].fit.gain() {
-            ends = own;
-        } else {
-            problem.kind = freest;
-        }
+        ends = of_own_size(&mut problem, ends, 1.0 / factor, options);
     }
     let Candidate { mut pose, given, .. } = ends[0];
     problem.descend(&mut pose, fine(options.reach), 100, 1e-7);
@@ -255,6 +241,47 @@ fn search_at(
     let found = Pose { translation: found.apply(-input.centre), ..found };
     let runner_up = ends.get(1).map(|e| e.fit);
     Ok((found, StartSearch { tried, refined, given, fit, runner_up, expression, flipped }))
+}
+
+/// How surfels find each other in the end.
+fn fine(reach: f64) -> Matching {
+    Matching { count: FINE, reach, exact: true }
+}
+
+/// Where the best of the poses, and the given one, go by themselves.
+fn refined(problem: &Problem<'_>, poses: Vec<Pose>, given: Option<Pose>, options: &StartOptions) -> Vec<Candidate> {
+    let coarse = Matching { count: COARSE, reach: LOOK_REACH, exact: false };
+    let coarsely = |mut pose: Pose| {
+        problem.descend(&mut pose, coarse, 12, 0.5);
+        Candidate { pose, fit: problem.fit(&pose, coarse), given: false }
+    };
+    let ends = poses.into_par_iter().map(coarsely).collect();
+    let mut chosen = distinct(problem, ends, options.fine, options.greatest_rival);
+    chosen.extend(given.map(|pose| Candidate { pose, fit: problem.fit(&pose, coarse), given: true }));
+    let finely = |mut c: Candidate| {
+        for share in [2.5, 1.75, 1.25, 1.0] {
+            problem.descend(&mut c.pose, fine(share * options.reach), 8, 0.05);
+        }
+        Candidate { fit: problem.fit(&c.pose, fine(options.reach)), ..c }
+    };
+    chosen.into_par_iter().map(finely).collect()
+}
+
+/// The ends of poses held at the template's own size, `scale` here, if the best of them fits nearly as well. The others are held to it
+/// too: of any size, they fit a part of the scan that is as small as they like.
+fn of_own_size(problem: &mut Problem<'_>, ends: Vec<Candidate>, scale: f64, options: &StartOptions) -> Vec<Candidate> {
+    let freest = std::mem::replace(&mut problem.kind, PoseKind::Rigid);
+    let held = |c: &Candidate| {
+        let mut pose = Pose { scale, ..c.pose };
+        problem.descend(&mut pose, fine(options.reach), 8, 0.05);
+        Candidate { pose, fit: problem.fit(&pose, fine(options.reach)), given: c.given }
+    };
+    let own = distinct(problem, ends.par_iter().map(held).collect(), usize::MAX, options.greatest_rival);
+    if own[0].fit.gain() >= OWN_SIZE * ends[0].fit.gain() {
+        return own;
+    }
+    problem.kind = freest;
+    ends
 }
 
 const NO_NORMALS: &str = "its surface is folded everywhere, so that it faces nowhere";

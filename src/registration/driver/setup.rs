@@ -1,0 +1,207 @@
+//! Before the first step: what a registration is made of, and where it starts.
+
+use std::borrow::Cow;
+
+use super::RegistrationProblem;
+use crate::correspondence::{ScanFlip, ScanOptions, ScanSurface};
+use crate::energy::{DeformationModel as _, Options, Samples};
+use crate::landmark::{Landmark, TemplatePoint};
+use crate::mesh::{Pose, TriangleMesh, Vec3};
+use crate::model::ModelInput;
+use crate::nlls::Problem as _;
+use crate::registration::facing::{self, Faced};
+use crate::registration::input::check_geometry;
+use crate::registration::rest::Rest;
+use crate::registration::start::{self, Start, StartInput};
+use crate::registration::{RegistrationError, RegistrationInput, ScanFacing, Schedule, StartSearch, WarmStart};
+use crate::rig::{Regions, ShapeBasis};
+use crate::term::{RegistrationTerm, TermFactory, TermInput};
+
+/// Where [`register`](super::register) starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
+///
+/// # Errors
+/// Those of [`register`](super::register) before its first step.
+pub fn find_start(
+    input: &RegistrationInput<'_>,
+    schedule: &Schedule,
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    schedule.validate()?;
+    check_geometry(input)?;
+    let template = Rest::new(input, schedule);
+    let start = start_of(input, &agreeing(input).0, &template, schedule, start::Cancel(None))?;
+    Ok((start.pose, start.search))
+}
+
+/// The scan, its triangles facing as their neighbours do unless it has normals of its own, or the template's do not either;
+/// and how many were turned.
+fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, usize) {
+    match input.scan_normals {
+        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), 0),
+        None => {
+            let (scan, turned) = match facing::agreeing(&input.template.triangulate()) {
+                (_, 0) => facing::agreeing(input.scan),
+                _ => (Cow::Borrowed(input.scan), 0),
+            };
+            ((scan, None), turned)
+        }
+    }
+}
+
+fn start_of(
+    input: &RegistrationInput<'_>,
+    (scan, scan_normals): &Faced<'_>,
+    rest: &Rest,
+    schedule: &Schedule,
+    cancel: start::Cancel<'_>,
+) -> Result<Start, RegistrationError> {
+    let (scan, scan_normals): (&TriangleMesh, Option<&[Vec3]>) = (scan, scan_normals.as_deref());
+    let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
+    let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
+    let discs = scan.triangles.is_empty().then(|| start::discs(scan, scan_normals.unwrap_or_default()));
+    let (scan, scan_normals) = match &discs {
+        Some((mesh, normals)) => (mesh, Some(&normals[..])),
+        None => (scan, scan_normals),
+    };
+    let search = StartInput {
+        template: &rest.mesh,
+        ignored: &rest.masks.unseen(),
+        centre: rest.centre,
+        unit: rest.unit,
+        shapes: input.shapes,
+        scan,
+        scan_normals,
+        landmarks: &landmarks,
+        sigma: schedule.sigma.landmark * rest.unit,
+        flip: schedule.scan.flip,
+        cancel,
+    };
+    start::find_start(&search, schedule.start, &schedule.search)
+}
+
+/// A sample for every landmark: the vertex' own, or a new one inside a face.
+pub(super) fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) -> Result<Vec<usize>, RegistrationError> {
+    let sample = |landmark: &Landmark| match landmark.template {
+        TemplatePoint::Vertex(vertex) => Ok(vertex as usize),
+        TemplatePoint::Face { corners, weights } => {
+            Ok(samples.push(&std::array::from_fn::<_, 3, _>(|c| (corners[c], weights[c])))?)
+        }
+    };
+    landmarks.iter().map(sample).collect()
+}
+
+pub(super) fn model_input<'a>(
+    template: &'a Rest,
+    shapes: &'a ShapeBasis,
+    regions: Option<&'a Regions>,
+    schedule: &'a Schedule,
+) -> ModelInput<'a> {
+    let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
+    ModelInput { rest: &template.mesh, shapes, regions, options, reference_vertices, unit: template.unit }
+}
+
+/// The parameters to start with: of rest, or of a warm start, within bounds.
+pub(super) fn first_parameters(
+    problem: &mut RegistrationProblem,
+    model: &str,
+    warm_start: Option<&WarmStart>,
+) -> Result<Vec<f64>, RegistrationError> {
+    let mut x = problem.model.rest_parameters();
+    if let Some(warm) = warm_start {
+        warm.check(model, x.len())?;
+        if !warm.parameters.is_empty() {
+            x.copy_from_slice(&warm.parameters);
+        }
+    }
+    if let Some(bounds) = problem.border_bounds() {
+        bounds.validate(problem.structure().border(), x.len())?;
+        bounds.project(&mut x);
+    }
+    Ok(x)
+}
+
+/// The pose of a warm start, moved as its landmarks have.
+pub(super) fn warm_pose(warm: &WarmStart, landmarks: &[Landmark], vertices: &[Vec3], centre: Vec3) -> Start {
+    let at = |l: &Landmark| (l.template.position(vertices) + centre, l.target, l.weight(1.0));
+    let pose = warm.pose_by(&landmarks.iter().map(at).collect::<Vec<_>>());
+    Start { pose, search: None, by_landmarks: None }
+}
+
+/// A scan, and the start that puts it over the template.
+pub(super) struct Placed {
+    pub start: Start,
+    pub scan: ScanSurface,
+    pub facing: ScanFacing,
+}
+
+impl Placed {
+    /// By landmarks or a search.
+    pub fn by_search(
+        input: &RegistrationInput<'_>,
+        template: &Rest,
+        schedule: &Schedule,
+        cancel: start::Cancel<'_>,
+    ) -> Result<Self, RegistrationError> {
+        let (faced, turned) = agreeing(input);
+        let start = || start_of(input, &faced, template, schedule, cancel);
+        let (start, scan) = rayon::join(start, || surface(&faced, &schedule.scan));
+        let start = start?;
+        cancel.check()?;
+        Ok(Self::new(scan?, turned, start, schedule.scan.flip))
+    }
+
+    /// By a start that is known.
+    pub fn at(start: Start, input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, RegistrationError> {
+        let (faced, turned) = agreeing(input);
+        Ok(Self::new(surface(&faced, &schedule.scan)?, turned, start, schedule.scan.flip))
+    }
+
+    /// The scan, of which so many triangles were turned, turned over where the schedule or the search of the start says so.
+    fn new(scan: ScanSurface, turned: usize, start: Start, flip: ScanFlip) -> Self {
+        let flipped = match flip {
+            ScanFlip::Yes => true,
+            ScanFlip::No => false,
+            ScanFlip::Auto => start.search.as_ref().is_some_and(|search| search.flipped),
+        };
+        let scan = if flipped { scan.turned_over() } else { scan };
+        Self { start, scan, facing: ScanFacing { turned, flipped } }
+    }
+
+    /// Turned over besides where nothing has said yet which side is its front, and the template at those vertices sees the inside.
+    pub fn facing_outwards(mut self, template: &Rest, vertices: &[Vec3], flip: ScanFlip) -> Self {
+        let unsaid = flip == ScanFlip::Auto && self.start.search.is_none();
+        if unsaid && template.sees_the_inside(&self.scan.seen_from(&self.start.frame(template.centre)), vertices) {
+            self.facing.flipped = true;
+            self.scan = self.scan.turned_over();
+        }
+        self
+    }
+}
+
+fn surface((scan, normals): &Faced<'_>, options: &ScanOptions) -> Result<ScanSurface, RegistrationError> {
+    Ok(ScanSurface::new(scan.clone().into_owned(), normals.as_deref(), options)?)
+}
+
+/// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.
+pub(super) fn build_terms(
+    terms: &[&dyn TermFactory],
+    landmarks: &[Landmark],
+    on_template: &[usize],
+    start: &Start,
+    template: &Rest,
+    schedule: &Schedule,
+) -> Result<Vec<Box<dyn RegistrationTerm>>, RegistrationError> {
+    let frame = start.frame(template.centre);
+    let sigma = schedule.sigma.landmark * template.unit * frame.scale;
+    let suspects = start.by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
+    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
+    let placed = |l: &Landmark| frame.apply_inverse(l.target);
+    let landmarks: Vec<(usize, Vec3, f64)> =
+        landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();
+    let none = Options::new();
+    let build = |term: &&dyn TermFactory| {
+        let options = schedule.terms.get(term.name()).unwrap_or(&none);
+        let (rest, unit) = (&template.mesh, template.unit);
+        Ok(term.build(&TermInput { options, landmarks: &landmarks, rest, unit, frame })?)
+    };
+    terms.iter().map(build).collect()
+}
