@@ -66,7 +66,7 @@ pub enum Doubt {
     },
     /// Blendshape weights are far from what they stand for.
     ExtremeWeights {
-        /// Mean square weight, in prior variances; about 1 for a person of the rig.
+        /// Mean square weight, in prior variances; usually less than 0.4, as shapes that the scan says nothing of stay at 0.
         energy: f64,
         /// The most extreme one.
         worst: String,
@@ -249,7 +249,7 @@ impl std::fmt::Display for Doubt {
             ),
             Self::ExtremeWeights { energy, worst, deviations } => write!(
                 f,
-                "the weights are {energy:.1} times as large as the rig's own people have them, {worst:?} {deviations:.1} deviations; \
+                "the shapes' weights are larger than usual, their mean square {energy:.2}, {worst:?} {deviations:.1} deviations; \
                  check the start, the neutral and that the rig has the shapes that the scan shows"
             ),
             Self::LooseWeights { shift } => {

@@ -65,7 +65,7 @@ impl Reliability {
         let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence), f64::max);
         let mut signs: Vec<Risk> = known.map(|k| k.1).collect();
         if probability > CALIBRATION.threshold {
-            signs.extend(CALIBRATION.signs(&evidence));
+            signs.extend(CALIBRATION.signs(|risk| risk.of(&evidence)));
         }
         let mut doubts: Vec<Doubt> = Vec::new();
         for doubt in signs.into_iter().map(|risk| Doubt::new(risk, &evidence, input, result, quality)) {
@@ -235,7 +235,7 @@ pub struct Calibration {
 pub struct RiskCurve {
     /// Which number of the evidence.
     pub risk: Risk,
-    /// Ascending.
+    /// Ascending: quantiles of the results that it was fitted to, the last three `0.8`, `0.9` and `0.97`.
     pub knots: Vec<f64>,
     /// One less than knots, none negative.
     pub weights: Vec<f64>,
@@ -246,6 +246,11 @@ impl RiskCurve {
     #[must_use]
     pub fn ramp(&self, j: usize, x: f64) -> f64 {
         ((x - self.knots[j]) / (self.knots[j + 1] - self.knots[j])).clamp(0.0, 1.0)
+    }
+
+    /// Whether four of five of the results that it was fitted to have less.
+    fn is_unusual(&self, x: f64) -> bool {
+        x > self.knots[self.knots.len().saturating_sub(3)]
     }
 
     /// The curve at `x`.
@@ -268,13 +273,15 @@ impl Calibration {
         self.intercept + self.risks.iter().map(|curve| curve.at(curve.risk.of(evidence))).sum::<f64>()
     }
 
-    /// The risks that add most, one at least: those that add half as much as the greatest.
-    fn signs(&self, evidence: &Evidence) -> impl Iterator<Item = Risk> + use<> {
-        let mut added: Vec<(f64, Risk)> =
-            self.risks.iter().map(|curve| (curve.at(curve.risk.of(evidence)), curve.risk)).collect();
+    /// The risks that add most, one at least: those that add half as much as the greatest, of what is greater than usual if anything is.
+    fn signs(&self, of: impl Fn(Risk) -> f64) -> Vec<Risk> {
+        let unusual = |curve: &RiskCurve| curve.is_unusual(of(curve.risk));
+        let any = self.risks.iter().any(unusual);
+        let among = self.risks.iter().filter(|curve| !any || unusual(curve));
+        let mut added: Vec<(f64, Risk)> = among.map(|curve| (curve.at(of(curve.risk)), curve.risk)).collect();
         added.sort_by(|a, b| b.0.total_cmp(&a.0));
         let greatest = added.first().map_or(0.0, |a| a.0);
-        added.into_iter().take_while(move |a| a.0 >= 0.5 * greatest).map(|a| a.1)
+        added.into_iter().take_while(|a| a.0 >= 0.5 * greatest).map(|a| a.1).collect()
     }
 }
 
@@ -295,6 +302,23 @@ mod tests {
             assert!(values.is_sorted() && values[0] == 0.0, "{curve:?}");
             assert!((values[4] - curve.weights.iter().sum::<f64>()).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn what_is_usual_is_no_sign_beside_what_is_not() {
+        let curve = |risk, first| RiskCurve { risk, knots: vec![0.0, 1.0, 2.0, 3.0], weights: vec![first, 0.5, 0.5] };
+        let risks = vec![curve(Risk::Turn, 5.0), curve(Risk::Unseen, 0.0), curve(Risk::Stretch, 0.0)];
+        let calibration = Calibration { threshold: 0.1, intercept: 0.0, risks };
+        let signs = |turn: f64, unseen: f64, stretch: f64| {
+            calibration.signs(|risk| match risk {
+                Risk::Turn => turn,
+                Risk::Unseen => unseen,
+                _ => stretch,
+            })
+        };
+        assert_eq!(signs(1.0, 2.0, 0.0), [Risk::Unseen]);
+        assert_eq!(signs(1.0, 2.0, 3.0), [Risk::Stretch, Risk::Unseen]);
+        assert_eq!(signs(1.0, 0.5, 1.0), [Risk::Turn]);
     }
 
     #[test]
