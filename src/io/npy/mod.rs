@@ -21,7 +21,7 @@ pub struct NpyArray<'a> {
     path: PathBuf,
     header: Header,
     reader: Box<dyn Read + 'a>,
-    /// Whether the data are known to be as long as the header says.
+    /// Whether the data are known to be as long as the header says: those of a file on disk, not what an archive claims.
     sized: bool,
 }
 
@@ -45,7 +45,8 @@ impl NpyArray<'static> {
             return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
         }
         let size = if metadata.is_file() { Some(metadata.len()) } else { None };
-        NpyArray::from_reader(Box::new(BufReader::new(file)), size, path)
+        let array = NpyArray::from_reader(Box::new(BufReader::new(file)), size, path)?;
+        Ok(Self { sized: size.is_some(), ..array })
     }
 }
 
@@ -102,7 +103,7 @@ impl<'a> NpyArray<'a> {
         if needed.is_none() {
             return Err(error(data_start, "a shape that fits in memory", shape_text(&header.shape)));
         }
-        Ok(Self { path: path.to_owned(), header, reader, sized: size.is_some() })
+        Ok(Self { path: path.to_owned(), header, reader, sized: false })
     }
 
     /// Length of each axis.
@@ -228,7 +229,7 @@ impl<'a> NpyArray<'a> {
         let row: usize = header.shape.iter().skip(1).product();
         let kept = row * rows.min(header.shape.first().copied().unwrap_or(1));
         let wanted = if header.fortran { header.length } else { kept };
-        // grown as data arrive where the size is what an archive claims, which is not trusted
+        // else grown as data arrive
         let mut items = Vec::with_capacity(if self.sized { wanted } else { wanted.min(1 << 20) });
         let mut buffer = vec![0; (1 << 16) / header.size * header.size];
         while items.len() < wanted {
