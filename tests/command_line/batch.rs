@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::support::{Bench, files_in, landmarks_json};
+use crate::support::{Bench, endless_schedule, files_in, landmarks_json};
 use data_gen::{Motion, ScanOptions, Subject, simulate_scan, write_case};
 use nonrigid::io::{PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
@@ -480,18 +480,16 @@ fn children(pid: u32) -> Vec<String> {
 fn a_folder_has_one_batch_and_survives_its_end() {
     let bench = bench();
     list(&bench, &["f0/scan.ply,f0/landmarks.json,,f0_scan,"]);
-    let head = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[model]\nnodes = 60\n";
-    let level = "[[level]]\nsteps = 1000000\nmodel = { lambda_graph = 1.0 }\nterms.landmarks = { weight = 1.0 }\nkernel = \"none\"\n\
-                 distance_cap = 25.0\nnormal_angle = 60.0\n";
-    // A level may end where nothing moves any more; a hundred do not while this test runs.
-    bench.write("endless.toml", &(head.to_owned() + &level.repeat(100)));
+    bench.write("endless.toml", endless_schedule());
     let start = || {
         let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
         command.args(format!("batch scans.csv --out out {OPTIONS} --config endless.toml").split_whitespace());
-        command.current_dir(bench.path("")).stdout(Stdio::null()).stderr(Stdio::null());
+        let said = fs::File::create(bench.path("said.txt")).unwrap();
+        command.current_dir(bench.path("")).stdout(Stdio::null()).stderr(said);
         let mut child = command.spawn().unwrap();
         while children(child.id()).is_empty() {
-            assert!(child.try_wait().unwrap().is_none(), "it ended before it began");
+            let ended = child.try_wait().unwrap();
+            assert!(ended.is_none(), "{ended:?} before it began: {}", String::from_utf8_lossy(&bench.read("said.txt")));
             std::thread::sleep(Duration::from_millis(2));
         }
         child

@@ -9,20 +9,12 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::skip::skipped;
-use crate::support::{Bench, files_in};
+use crate::support::{Bench, endless_schedule, files_in};
 use nonrigid::io::{read_obj, sha256, write_atomically};
 use serde_json::Value;
 
 const FIT: &str = "register --template rig/template.obj --neutral case/neutral.npy --rig rig --target case/scan.ply \
                    --landmarks case/landmarks.json";
-
-/// A schedule that does not end by itself for a long time.
-fn endless(bench: &Bench) {
-    let steps = "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[model]\nnodes = 60\n\
-                 [[level]]\nsteps = 1000000\nmodel = { lambda_graph = 1.0 }\nterms.landmarks = { weight = 1.0 }\nkernel = \"none\"\n\
-                 distance_cap = 25.0\nnormal_angle = 60.0\n";
-    bench.write("endless.toml", steps);
-}
 
 fn start(bench: &Bench, arguments: &str) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
@@ -51,7 +43,7 @@ fn ended(mut child: Child) -> Output {
 #[test]
 fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     let bench = Bench::new();
-    endless(&bench);
+    bench.write("endless.toml", endless_schedule());
     let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json --picture r.png"));
     std::thread::sleep(Duration::from_millis(1500));
     signal(&child, "-INT");
@@ -75,7 +67,7 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
 
 /// A registration that does not end by itself and has read everything: its landmarks, which come last, are a pipe.
 fn start_endless(bench: &Bench, outputs: &str) -> Child {
-    endless(bench);
+    bench.write("endless.toml", endless_schedule());
     let (path, landmarks) = (bench.path("case/landmarks.json"), bench.read("case/landmarks.json"));
     fs::remove_file(&path).unwrap();
     assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
@@ -242,7 +234,7 @@ fn a_rig_is_whole_or_none_on_a_full_disk_and_after_a_kill() {
 #[test]
 fn a_second_ctrl_c_ends_it_there_and_then() {
     let bench = Bench::new();
-    endless(&bench);
+    bench.write("endless.toml", endless_schedule());
     bench.write("r.obj", "from last week");
     // Stopped, it cannot take the step that the first one waits for.
     let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj"));

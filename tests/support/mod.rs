@@ -71,6 +71,21 @@ impl Bench {
     }
 }
 
+/// A schedule that does not end while a test runs.
+pub fn endless_schedule() -> String {
+    let level = |lambda: f64| {
+        format!(
+            "[[level]]\nsteps = 1000000\nmodel = {{ lambda_graph = {lambda:.1} }}\nterms.landmarks = {{ weight = 1.0 }}\n\
+             kernel = \"none\"\ndistance_cap = 25.0\nnormal_angle = 60.0\n"
+        )
+    };
+    // A level may end where no bit moves any more; one that pulls another way moves again.
+    let levels = (level(1.0) + &level(1000.0)).repeat(2500);
+    "reference_size = 67.0\nreference_vertices = 6706\nstop = { energy = 0.0, motion = 0.0 }\n[model]\nnodes = 60\n"
+        .to_owned()
+        + &levels
+}
+
 /// Landmarks as (template vertex, point), in the form of a case's `landmarks.json`.
 pub fn landmarks_json(landmarks: &[(u32, Vec3)]) -> String {
     let entries: Vec<String> =
