@@ -34,8 +34,7 @@ pub struct SurfaceLattice {
 type Cell = [u32; 3];
 
 /// Number of a control point within the 3 x 3 x 3 of a cell.
-#[must_use]
-pub fn place([i, j, k]: [usize; 3]) -> usize {
+fn place([i, j, k]: [usize; 3]) -> usize {
     (i * ACROSS + j) * ACROSS + k
 }
 
@@ -170,10 +169,33 @@ impl SurfaceLattice {
         self.count
     }
 
-    /// Control points of every cell with a connected part of the surface, [`place`] by place.
+    /// Control points of every cell with a connected part of the surface, in the order of [`places`].
     #[must_use]
     pub fn patches(&self) -> &[[u32; POINTS]] {
         &self.patches
+    }
+
+    /// The second differences `d_far - d_p - d_q + d_near` of all neighbouring control points, each once, and whether they are along
+    /// one axis (`p = q`).
+    #[must_use]
+    pub fn second_differences(&self) -> Vec<([u32; 4], bool)> {
+        let step = |k: [usize; 3], axes: &[usize]| {
+            let mut k = k;
+            axes.iter().for_each(|&a| k[a] += 1);
+            k.iter().all(|&i| i < ACROSS).then(|| place(k))
+        };
+        let mut found: Vec<([u32; 4], bool)> = Vec::new();
+        for patch in &self.patches {
+            let points = |at: [usize; 4]| at.map(|n| patch[n]);
+            for (k, a, b) in places().flat_map(|k| (0..9).map(move |ab| (k, ab / 3, ab % 3))).filter(|c| c.1 <= c.2) {
+                if let (Some(far), Some(p), Some(q)) = (step(k, &[a, b]), step(k, &[a]), step(k, &[b])) {
+                    found.push((points([far, p, q, place(k)]), a == b));
+                }
+            }
+        }
+        found.sort_unstable();
+        found.dedup();
+        found
     }
 
     /// The control points that move a vertex, and their weights, which sum to 1.

@@ -25,11 +25,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::linear_samples::LinearSamples;
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
-use crate::nlls::{Assembly, BlockStructure, NormalEquations};
+use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Entries of one `X_i`: rows x, y, z of four.
 const SIZE: usize = 12;
@@ -54,9 +55,7 @@ pub struct Affine {
     edge_weights: Vec<f64>,
     /// Per block: the other end of each of its edges, and the edge's weight.
     neighbours: Vec<Vec<(u32, f64)>>,
-    /// The blocks that move each sample, each once, ascending.
-    samples: Vec<Vec<Corner>>,
-    assembly: Assembly,
+    samples: LinearSamples<4>,
 }
 
 /// `X_block h`, a term of a position.
@@ -113,8 +112,7 @@ impl Affine {
             edge_weights: vec![1.0; edges.len()],
             edges,
             neighbours: Vec::new(),
-            samples: Vec::new(),
-            assembly: Assembly::default(),
+            samples: LinearSamples::new(),
         };
         model.join();
         Ok(model)
@@ -191,28 +189,12 @@ impl DeformationModel for Affine {
 
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.vertices.len(), "samples were made for another template");
-        let sample = |s: usize| {
-            let mut corners: Vec<Corner> = Vec::new();
-            for &(v, weight) in samples.corners(s) {
-                let Corner { block, h } = self.vertices[v as usize];
-                let h = h.map(|h| weight * h);
-                match corners.iter_mut().find(|c| c.block == block) {
-                    Some(corner) => corner.h.iter_mut().zip(h).for_each(|(sum, h)| *sum += h),
-                    None => corners.push(Corner { block, h }),
-                }
-            }
-            corners.sort_unstable_by_key(|c| c.block);
-            corners
+        let moved_by = |v: u32| {
+            let Corner { block, h } = self.vertices[v as usize];
+            std::iter::once((block, h))
         };
-        self.samples = (0..samples.len()).map(sample).collect();
-        let items: Vec<Vec<u32>> = self.samples.iter().map(|s| s.iter().map(|c| c.block).collect()).collect();
-        let items = || items.iter().map(Vec::as_slice);
         let edges = self.edges.iter().map(|e| (e[0] as usize, e[1] as usize));
-        let pairs = edges.chain(Assembly::pairs(items()));
-        let structure = BlockStructure::new(&vec![SIZE; self.block_count], pairs, 0)
-            .expect("proven: all pairs are blocks of the model");
-        self.assembly = Assembly::new(items(), &structure, |_| 3);
-        structure
+        self.samples.analyse(samples, self.block_count, moved_by, edges)
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
@@ -222,18 +204,7 @@ impl DeformationModel for Affine {
     }
 
     fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        let (quadrics, samples) = (field.quadrics(), &self.samples);
-        let count = |s: usize| quadrics[s].rows().len();
-        self.assembly.linearize(0, count, |s, rows| {
-            for (slot, corner) in samples[s].iter().enumerate() {
-                for (r, row) in quadrics[s].rows().iter().enumerate() {
-                    let by_axis = rows.of_block(slot, r).chunks_exact_mut(4).zip(row);
-                    by_axis.for_each(|(y, a)| y.iter_mut().zip(corner.h).for_each(|(y, h)| *y = a * h));
-                }
-            }
-            rows.set_residuals(quadrics[s].residuals());
-        });
-        self.assembly.add_to(equations);
+        self.samples.pull_back(field, equations);
     }
 
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {

@@ -15,18 +15,17 @@
 //! Only cells that the surface goes through have control points, and a place of the lattice has one for each connected part of the
 //! surface near it: upper and lower lip touch without being joined.
 
-use std::collections::BTreeMap;
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::linear_samples::LinearSamples;
 use super::on_patch::{PatchFactory, PatchInput};
 use super::smooth_rows::SmoothRows;
 use super::vertex_assembly::{CHUNK, VertexAssembly, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::normals::face_areas;
-use crate::mesh::surface_lattice::{ACROSS, SurfaceLattice, place, places};
+use crate::mesh::surface_lattice::{ACROSS, SurfaceLattice};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{Assembly, BlockStructure, NormalEquations};
 
@@ -50,9 +49,6 @@ impl OptionTable for LatticeOptions {
     }
 }
 
-/// Samples of an item.
-const ITEM: usize = 16;
-
 /// A lattice round a surface.
 pub struct Ffd {
     /// `lambda` of the regulariser.
@@ -62,38 +58,13 @@ pub struct Ffd {
     /// Block of each control point among the parameters; none of those that are held at rest.
     blocks: Vec<Option<u32>>,
     rows: SmoothRows,
-    items: Vec<Item>,
-    assembly: Assembly,
+    samples: LinearSamples<1>,
 }
 
-/// Samples that the same control points move.
-#[derive(Default)]
-struct Item {
-    samples: Vec<u32>,
-    /// Weights of the item's control points in each of them, one sample after the other.
-    weights: Vec<f64>,
-}
-
-/// The second differences of a lattice, each once, times `scale`.
+/// The second differences of a lattice, times `scale`; a mixed one counts twice in `E_smooth`.
 fn second_differences(lattice: &SurfaceLattice, scale: f64) -> SmoothRows {
-    let mut along: Vec<([u32; 4], bool)> = Vec::new();
-    let step = |k: [usize; 3], axes: &[usize]| {
-        let mut k = k;
-        axes.iter().for_each(|&a| k[a] += 1);
-        k.iter().all(|&i| i < ACROSS).then(|| place(k))
-    };
-    for patch in lattice.patches() {
-        let points = |at: [usize; 4]| at.map(|n| patch[n]);
-        for (k, a, b) in places().flat_map(|k| (0..9).map(move |ab| (k, ab / 3, ab % 3))).filter(|c| c.1 <= c.2) {
-            if let (Some(far), Some(p), Some(q)) = (step(k, &[a, b]), step(k, &[a]), step(k, &[b])) {
-                along.push((points([far, p, q, place(k)]), a == b));
-            }
-        }
-    }
-    along.sort_unstable();
-    along.dedup();
     let mut rows = SmoothRows::default();
-    for ([far, p, q, near], straight) in along {
+    for ([far, p, q, near], straight) in lattice.second_differences() {
         if straight {
             rows.push([(far, scale), (p, -2.0 * scale), (near, scale)]);
         } else {
@@ -129,8 +100,8 @@ impl Ffd {
         let scale = (area / reference_vertices / ACROSS as f64).sqrt() / options.spacing;
         let rows = second_differences(&lattice, scale);
         let blocks = (0..lattice.control_points() as u32).map(Some).collect();
-        let (rest, items, assembly) = (mesh.positions.clone(), Vec::new(), Assembly::default());
-        Ok(Self { lambda_smooth, rest, lattice, blocks, rows, items, assembly })
+        let rest = mesh.positions.clone();
+        Ok(Self { lambda_smooth, rest, lattice, blocks, rows, samples: LinearSamples::new() })
     }
 
     /// Holds the marked vertices at rest: the control points that move one are not parameters. Vertices near them move less than they
@@ -148,12 +119,6 @@ impl Ffd {
         let mut free = 0..;
         self.blocks = at_rest.iter().map(|at_rest| if *at_rest { None } else { free.next() }).collect();
         self
-    }
-
-    /// Number of control points.
-    #[must_use]
-    pub fn control_points(&self) -> usize {
-        self.lattice.control_points()
     }
 
     /// Number of control points that are parameters.
@@ -192,73 +157,25 @@ impl DeformationModel for Ffd {
     fn analyse(&mut self, samples: &Samples) -> BlockStructure {
         assert_eq!(samples.vertex_count(), self.rest.len(), "samples were made for another template");
         let block = |k: u32| self.blocks[k as usize];
-        let mut alike: BTreeMap<Vec<u32>, Item> = BTreeMap::new();
-        for s in 0..samples.len() {
-            let mut moved_by: BTreeMap<u32, f64> = BTreeMap::new();
-            for &(v, share) in samples.corners(s) {
-                let free = self.lattice.of(v).filter_map(|(k, w)| Some((block(k)?, w)));
-                free.for_each(|(k, w)| *moved_by.entry(k).or_default() += share * w);
-            }
-            if moved_by.is_empty() {
-                continue;
-            }
-            let item = alike.entry(moved_by.keys().copied().collect()).or_default();
-            item.samples.push(s as u32);
-            item.weights.extend(moved_by.values());
-        }
-        let mut blocks: Vec<Vec<u32>> = Vec::new();
-        self.items.clear();
-        for (points, Item { samples, weights }) in alike {
-            for (samples, weights) in samples.chunks(ITEM).zip(weights.chunks(ITEM * points.len())) {
-                blocks.push(points.clone());
-                self.items.push(Item { samples: samples.to_vec(), weights: weights.to_vec() });
-            }
-        }
         let rows: Vec<Vec<u32>> =
             self.rows.cliques().map(|row| row.iter().filter_map(|k| block(*k)).collect()).collect();
-        let cliques = rows.iter().chain(&blocks).map(Vec::as_slice);
-        let structure = BlockStructure::new(&vec![3; self.free_points()], Assembly::pairs(cliques), 0)
-            .expect("proven: all pairs are control points");
+        let moved_by = |v: u32| self.lattice.of(v).filter_map(|(k, w)| Some((block(k)?, [w])));
+        let rows = Assembly::pairs(rows.iter().map(Vec::as_slice));
+        let structure = self.samples.analyse(samples, self.free_points(), moved_by, rows);
         self.rows.analyse(&structure, |k| block(k).map(|block| block as usize));
-        self.assembly =
-            Assembly::new(blocks.iter().map(Vec::as_slice), &structure, |item| 3 * self.items[item].samples.len());
         structure
     }
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
         out.resize(self.rest.len(), Vec3::zeros());
         let (rest, lattice, blocks) = (&self.rest, &self.lattice, &self.blocks);
-        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, p) in chunk.iter_mut().enumerate() {
-                let v = c * CHUNK + k;
-                *p = rest[v] + lattice.of(v as u32).map(|(k, w)| displacement(blocks, x, k) * w).sum::<Vec3>();
-            }
+        out.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(v, p)| {
+            *p = rest[v] + lattice.of(v as u32).map(|(k, w)| displacement(blocks, x, k) * w).sum::<Vec3>();
         });
     }
 
     fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {
-        let (items, quadrics) = (&self.items, field.quadrics());
-        self.assembly.linearize(
-            0,
-            |item| items[item].samples.iter().map(|&s| quadrics[s as usize].rows().len()).sum(),
-            |item, out| {
-                let Item { samples, weights } = &items[item];
-                let points = weights.len() / samples.len();
-                let (mut residuals, mut r) = ([0.0; 3 * ITEM], 0);
-                for (&s, weights) in samples.iter().zip(weights.chunks_exact(points)) {
-                    let quadric = &quadrics[s as usize];
-                    for (row, e) in quadric.rows().iter().zip(quadric.residuals()) {
-                        for (slot, w) in weights.iter().enumerate() {
-                            out.of_block(slot, r).iter_mut().zip(row).for_each(|(y, a)| *y = w * a);
-                        }
-                        residuals[r] = *e;
-                        r += 1;
-                    }
-                }
-                out.set_residuals(&residuals);
-            },
-        );
-        self.assembly.add_to(equations);
+        self.samples.pull_back(field, equations);
     }
 
     fn regulariser_energy(&mut self, x: &[f64], out: &mut Vec<NamedEnergy>) {

@@ -19,6 +19,7 @@ mod graph;
 mod hybrid;
 mod klimov2020;
 mod laplacian;
+mod linear_samples;
 mod mass_spring;
 mod node_graph;
 mod node_options;

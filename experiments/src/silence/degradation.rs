@@ -56,7 +56,7 @@ const fn hopeless(kind: Kind) -> Kind {
 }
 
 /// Every kind. The kinds of a pair that resemble each other are split between design and test.
-pub const KINDS: [Kind; 56] = [
+pub const KINDS: [Kind; 58] = [
     design("none", |_| Ok(())),
     design("noise", |t| t.noise(0.3..1.5)),
     test("wavy noise", |t| t.waves(1.0..3.0, 10.0..25.0)),
@@ -119,6 +119,11 @@ pub const KINDS: [Kind; 56] = [
     hopeless(design("ball", |t| t.not_a_face(|_, _| 1.0))),
     hopeless(test("potato", |t| t.not_a_face(|a, b| 1.0 + 0.15 * (3.0 * a).sin() * (2.0 * b).cos()))),
     test("stairs", |t| t.stairs(1.0..3.0)),
+    design("unlike the rig", |t| t.waves(1.0..3.0, 55.0..90.0)),
+    design("unlike the rig, no landmarks", |t| {
+        t.waves(1.0..3.0, 55.0..90.0)?;
+        t.some_landmarks(0)
+    }),
 ];
 
 impl Trial<'_> {
