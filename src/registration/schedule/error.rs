@@ -76,7 +76,7 @@ pub enum ScheduleError {
         "model 'sequential' needs a second stage, [then] with a model and [[then.level]]; for one stage choose 'blendshape'"
     )]
     NoSecondStage,
-    /// In [`Schedule::closed`].
+    /// In [`Schedule::closed`](super::Schedule::closed).
     #[error("closed: {0}")]
     Closed(Box<ScheduleError>),
 }

@@ -6,7 +6,7 @@ use super::ScheduleError;
 use crate::nlls::LinearSolverKind;
 use crate::rig::{Family, Shape};
 
-/// How a registration runs that goes on from another one's end ([`WarmStart`](super::WarmStart)).
+/// How a registration runs that goes on from another one's end ([`WarmStart`](crate::registration::WarmStart)).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WarmStartOptions {
