@@ -112,7 +112,7 @@ impl Affine {
             edge_weights: vec![1.0; edges.len()],
             edges,
             neighbours: Vec::new(),
-            samples: LinearSamples::new(),
+            samples: LinearSamples::default(),
         };
         model.join();
         Ok(model)

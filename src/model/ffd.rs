@@ -101,7 +101,7 @@ impl Ffd {
         let rows = second_differences(&lattice, scale);
         let blocks = (0..lattice.control_points() as u32).map(Some).collect();
         let rest = mesh.positions.clone();
-        Ok(Self { lambda_smooth, rest, lattice, blocks, rows, samples: LinearSamples::new() })
+        Ok(Self { lambda_smooth, rest, lattice, blocks, rows, samples: LinearSamples::default() })
     }
 
     /// Holds the marked vertices at rest: the control points that move one are not parameters. Vertices near them move less than they

@@ -13,14 +13,14 @@ use crate::nlls::{Assembly, BlockStructure, NormalEquations};
 const ITEM: usize = 16;
 
 /// What moves each sample, and how it enters the equations.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct LinearSamples<const H: usize> {
     items: Vec<Item<H>>,
     assembly: Assembly,
 }
 
 /// Samples that the same blocks move.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Item<const H: usize> {
     samples: Vec<u32>,
     /// `h_k` of the item's blocks in each of them, one sample after the other.
@@ -28,10 +28,6 @@ struct Item<const H: usize> {
 }
 
 impl<const H: usize> LinearSamples<H> {
-    pub fn new() -> Self {
-        Self { items: Vec::new(), assembly: Assembly::default() }
-    }
-
     /// The structure of `blocks` blocks; `moved_by` names the blocks that move a vertex, with their `h_k`, and `also` pairs of blocks that
     /// meet elsewhere. A sample that nothing moves is left out.
     pub fn analyse<I: Iterator<Item = (u32, [f64; H])>>(
@@ -51,8 +47,7 @@ impl<const H: usize> LinearSamples<H> {
                 }
             }
             if !factors.is_empty() {
-                let new = || Item { samples: Vec::new(), factors: Vec::new() };
-                let item = alike.entry(factors.keys().copied().collect()).or_insert_with(new);
+                let item = alike.entry(factors.keys().copied().collect()).or_default();
                 item.samples.push(s as u32);
                 item.factors.extend(factors.values());
             }
