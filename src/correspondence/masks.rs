@@ -55,6 +55,13 @@ impl VertexMasks {
         self
     }
 
+    /// The same, but the scan has no say in `hidden` vertices.
+    #[must_use]
+    pub fn without(mut self, hidden: &[bool]) -> Self {
+        self.data.iter_mut().zip(hidden).filter(|(_, h)| **h).for_each(|(data, _)| *data = 0.0);
+        self
+    }
+
     /// Has vertices that crowd about one sample of the scan share what it says: one whose `areas` is less than a sample's area counts
     /// the root of their ratio. Not the ratio, as neighbours do see different places of one triangle. The rest of its say is unseen.
     pub fn share_samples(&mut self, areas: &[f64], sample: f64) {

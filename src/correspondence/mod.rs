@@ -26,11 +26,20 @@ pub struct ScanOptions {
     /// beyond. Rings of a template of `reference_vertices`; a finer
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
     pub template_rim: f64,
+    /// Vertices that the template hides from every scanner ([`hidden_vertices`](crate::mesh::hidden_vertices) at rest, such as inner
+    /// sides of nostrils and lips) take no correspondence: a scan closes such places, or has something else there.
+    pub reject_hidden: bool,
 }
 
 impl Default for ScanOptions {
     fn default() -> Self {
-        Self { normal_smoothing: 2, flip: ScanFlip::Auto, reject_boundary: true, template_rim: 0.0 }
+        Self {
+            normal_smoothing: 2,
+            flip: ScanFlip::Auto,
+            reject_boundary: true,
+            template_rim: 0.0,
+            reject_hidden: false,
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 pub mod adjacency;
+mod ambient_occlusion;
 pub mod closest_point;
 mod error;
 pub mod geodesic;
@@ -20,6 +21,7 @@ pub mod surface_lattice;
 pub(crate) mod testing;
 mod triangle_mesh;
 
+pub use ambient_occlusion::hidden_vertices;
 pub use error::MeshError;
 pub use inner_layer::{InnerLayer, determinant};
 pub use mirror_plane::MirrorPlane;

@@ -118,7 +118,7 @@ impl Run {
         schedule: &Schedule,
         cancel: start::Cancel<'_>,
     ) -> Result<Self, RegistrationError> {
-        let mut template = Rest::new(input, schedule);
+        let mut template = Rest::new(input, schedule)?;
         let shapes = input.shapes.clone().with_sigmas(|shape| schedule.sigma.of(shape.family));
         let shapes = shapes.with_beyond(|shape| schedule.sigma.beyond(shape));
         let shapes = shapes.with_bounds(|shape| schedule.bounds.of(shape.family));
@@ -388,6 +388,7 @@ impl Run {
             untangled,
             weights,
             accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),
+            hidden: self.template.hidden,
             unobserved_directions: unobserved.unwrap_or_else(|| self.workspace.summary().unobserved_directions()),
             history: self.history,
             stop: self.stop,

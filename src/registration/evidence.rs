@@ -114,13 +114,19 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    /// Compares a result with the scan, both ways.
-    pub fn new(input: &RegistrationInput<'_>, scan: &ScanSurface, positions: &[Vec3]) -> Result<Self, QualityError> {
+    /// Compares a result with the scan, both ways; vertices that the template hides are not asked.
+    pub fn new(
+        input: &RegistrationInput<'_>,
+        hidden: &[bool],
+        scan: &ScanSurface,
+        positions: &[Vec3],
+    ) -> Result<Self, QualityError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(positions);
         let size = size(&surface_points(positions, input.template.corners.iter().copied()));
         let used = referenced(positions.len(), input.template.corners.iter().copied());
-        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]).of_surface(&used);
+        let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
+        let masks = masks.of_surface(&used).without(hidden);
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
         let hits: Vec<_> = (0..positions.len())
             .into_par_iter()

@@ -14,7 +14,7 @@ use super::{
 use crate::correspondence::ScanSurface;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::io::{Input, KnownUnit, sha256_of_file};
-use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose};
+use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose, hidden_vertices};
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -75,12 +75,17 @@ impl Quality {
         scan: &ScanSurface,
         positions: &[Vec3],
     ) -> Result<Self, QualityError> {
-        Self::counted(input, scan, positions, None)
+        let mut rest = input.template.triangulate();
+        if input.rest_positions().len() == rest.positions.len() {
+            rest.positions.copy_from_slice(input.rest_positions());
+        }
+        Self::counted(input, &hidden_vertices(&rest)?, scan, positions, None)
     }
 
-    /// The same; self-intersections are those of `untangled`, where they were counted.
+    /// The same; the template hides `hidden` from scanners, and self-intersections are those of `untangled`, where they were counted.
     pub(super) fn counted(
         input: &RegistrationInput<'_>,
+        hidden: &[bool],
         scan: &ScanSurface,
         positions: &[Vec3],
         untangled: Option<Untangled>,
@@ -94,7 +99,7 @@ impl Quality {
         let mut template = input.template.clone();
         template.positions = input.rest_positions().to_vec();
         let (seen, mesh) = rayon::join(
-            || Seen::new(input, scan, positions),
+            || Seen::new(input, hidden, scan, positions),
             || match untangled {
                 Some(known) => MeshQuality::with_counts(&template, positions, known.after, known.at_rest),
                 None => MeshQuality::new(&template, positions),

@@ -1,18 +1,20 @@
 //! The template as a registration uses it.
 
-use super::RegistrationInput;
 use super::facing;
 use super::{Level, Schedule};
+use super::{RegistrationError, RegistrationInput};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use crate::mesh::{TriangleMesh, Vec3, referenced, surface_points};
+use crate::mesh::{TriangleMesh, Vec3, hidden_vertices, referenced, surface_points};
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 pub(super) struct Rest {
     pub mesh: TriangleMesh,
     /// Vertices that a triangle uses.
     pub used: Vec<bool>,
+    /// Vertices that the template hides from scanners.
+    pub hidden: Vec<bool>,
     pub masks: VertexMasks,
     /// Vertices that take no correspondence at levels that reject the rim.
     rim: Vec<bool>,
@@ -29,7 +31,7 @@ pub(super) struct Rest {
 }
 
 impl Rest {
-    pub fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Self {
+    pub fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, RegistrationError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(input.rest_positions());
         let corners = || mesh.triangles.as_flattened().iter().copied();
@@ -43,10 +45,13 @@ impl Rest {
         let finer = (count / schedule.reference_vertices).sqrt();
         let edges = EdgeGraph::of(&mesh);
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
+        let hidden = hidden_vertices(&mesh).map_err(|e| RegistrationError::Template(e.to_string()))?;
         let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).of_surface(&used);
+        let shown = masks.clone().without(&hidden);
+        let masks = if schedule.scan.reject_hidden && shown.counted() > 0 { shown } else { masks };
         let density = schedule.reference_vertices / count;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-        Self { mesh, used, masks, rim, edges, areas, sample_area: 0.0, centre, unit, density }
+        Ok(Self { mesh, used, hidden, masks, rim, edges, areas, sample_area: 0.0, centre, unit, density })
     }
 
     /// Hears of the scan, where it lies over the template.

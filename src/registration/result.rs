@@ -129,6 +129,8 @@ pub struct RegistrationResult {
     pub weights: Vec<NamedWeight>,
     /// Which vertices had an accepted correspondence at the end.
     pub accepted: Vec<bool>,
+    /// Which vertices the template hides from scanners, [at rest](crate::mesh::hidden_vertices).
+    pub hidden: Vec<bool>,
     /// Directions that nothing observed and damping held still, in the last step. Models of single vertices count the shifts of
     /// whole parts.
     pub unobserved_directions: usize,

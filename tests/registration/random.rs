@@ -138,6 +138,7 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 normal_smoothing,
                 reject_boundary: reject_boundary == 0,
                 template_rim: n.1,
+                reject_hidden: kind == 0,
                 flip: [ScanFlip::Auto, ScanFlip::No][weights],
             },
             solver: SolverOptions {

@@ -166,7 +166,7 @@ impl Run {
     ) -> Result<Trial, RegistrationError> {
         self.start_from(start);
         self.run_levels(tried_levels(schedule), "", schedule, cancel)?;
-        let seen = Seen::new(input, &self.scan, &self.positions());
+        let seen = Seen::new(input, &self.template.hidden, &self.scan, &self.positions());
         let covers = seen.map(|seen| (seen.coverage.contradicted, seen.coverage.scan_missed));
         let (contradicted, scan_missed) = covers.unwrap_or((f64::INFINITY, f64::INFINITY));
         let (start, x, history) = (self.first_x.clone(), self.x.clone(), self.history.clone());

@@ -27,7 +27,7 @@ pub fn find_start(
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     schedule.validate()?;
     check_geometry(input)?;
-    let template = Rest::new(input, schedule);
+    let template = Rest::new(input, schedule)?;
     let start = start_of(input, &agreeing(input).0, &template, schedule, start::Cancel(None))?;
     Ok((start.pose, start.search))
 }
