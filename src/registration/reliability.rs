@@ -46,7 +46,7 @@ pub fn assess(
     input: &RegistrationInput<'_>,
     result: &RegistrationResult,
 ) -> Result<(Quality, Reliability), QualityError> {
-    let quality = Quality::counted(input, &result.scan, &result.positions, result.untangled)?;
+    let quality = Quality::counted(input, &result.hidden, &result.scan, &result.positions, result.untangled)?;
     let reliability = Reliability::of(input, result, &quality);
     Ok((quality, reliability))
 }
@@ -212,7 +212,7 @@ impl Risk {
             Self::CurvatureLost => 1.0 - e.curvature_kept,
             Self::Scale => e.scale.max(f64::MIN_POSITIVE).ln().abs(),
             Self::LastMotion => e.last_motion,
-            Self::Mirrored => e.handedness.against(),
+            Self::Mirrored => e.handedness.against().max(0.0),
         }
     }
 }
