@@ -8,30 +8,26 @@
 //! ```
 //!
 //! one coordinate at a time; every result says something about that, not the few bad ones alone. A logistic curve makes a probability
-//! of the prediction. It, the ridge, the threshold, and which risks have a say at all, are fitted to predictions with whole kinds left
-//! out, since what a user has will be of a kind that nobody thought of: a risk goes if no more good results of kinds left out are
-//! doubted without it.
+//! of the prediction. It, the ridge and the threshold are fitted to predictions with whole kinds left out, since what a user has
+//! will be of a kind that nobody thought of.
 
 use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use nalgebra::{DMatrix, DVector};
 use nonrigid::console::Failure;
 use nonrigid::io::write_atomically;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
-use rayon::prelude::*;
 
 use super::{BAD, SilenceRow, Verdict};
 
 /// Quantiles between which curves are linear.
 const KNOTS: [f64; 6] = [0.2, 0.4, 0.6, 0.8, 0.9, 0.97];
-/// Errors beyond these are as good, or as bad, as these, millimetres: what tells 0.4 from 0.8 mm says little of 3 mm.
-const ERRORS: [f64; 2] = [1.2, 8.0];
+/// Errors beyond these are as good, or as bad, as these, millimetres.
+const ERRORS: [f64; 2] = [0.4, 20.0];
 /// Ridges tried.
 const RIDGES: [f64; 4] = [0.3, 1.0, 3.0, 10.0];
-/// Shares of bad results that may be silent, and of good ones that may be doubted: of the thresholds that miss the farther of them by the
-/// least factor, the lowest.
+/// Shares of bad results that may be silent, and of good ones that may be doubted: the threshold misses both by the same factor.
 const SILENT: f64 = 0.02;
 const DOUBTED: f64 = 0.08;
 /// Sweeps over all coordinates.
@@ -72,59 +68,35 @@ fn calibrate(examples: &[Example<'_>]) -> Calibration {
     kinds.sort_unstable();
     kinds.dedup();
     // Predictions for each example from a fit without its kind.
-    let apart = |risks: &[Risk], ridge: f64| -> Vec<(f64, f64)> {
+    let apart = |ridge: f64| -> Vec<(f64, f64)> {
         let of_kind = |kind: &&str| {
             let (out, rest): (Vec<&Example<'_>>, Vec<&Example<'_>>) = all.iter().partition(|e| e.kind == *kind);
-            let fitted = fit(&rest, risks, ridge);
+            let fitted = fit(&rest, ridge);
             out.into_iter().map(|e| (fitted.log_odds(e.evidence), e.error)).collect::<Vec<_>>()
         };
         kinds.iter().flat_map(of_kind).collect()
     };
-    let misfit =
-        |ridge: f64| -> f64 { apart(&Risk::ALL, ridge).iter().map(|(p, e)| (p - log_error(*e)).powi(2)).sum() };
-    let ridges = RIDGES.map(|ridge| (ridge, misfit(ridge)));
-    let ridge = ridges.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(RIDGES[0], |best| best.0);
-    let mut risks = Risk::ALL.to_vec();
-    let mut least = doubted(&apart(&risks, ridge));
-    loop {
-        let without = |k: usize| -> Vec<Risk> {
-            risks.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, risk)| *risk).collect()
-        };
-        let trials: Vec<f64> = (0..risks.len()).into_par_iter().map(|k| doubted(&apart(&without(k), ridge))).collect();
-        match trials.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)) {
-            Some((k, trial)) if *trial <= least => (risks, least) = (without(k), *trial),
-            _ => break,
-        }
-    }
-    let apart = apart(&risks, ridge);
-    let [offset, slope] = logistic(&apart);
+    let misfit = |of: &[(f64, f64)]| -> f64 { of.iter().map(|(p, e)| (p - log_error(*e)).powi(2)).sum() };
+    let trials = RIDGES.map(|ridge| (ridge, apart(ridge)));
+    let best = trials.iter().min_by(|a, b| misfit(&a.1).total_cmp(&misfit(&b.1))).unwrap_or(&trials[0]);
+    let [offset, slope] = logistic(&best.1);
     let probability = |prediction: f64| 1.0 / (1.0 + (-(offset + slope * prediction)).exp());
-    let mut fitted = fit(&all, &risks, ridge);
+    let mut fitted = fit(&all, best.0);
     fitted.intercept = short(offset + slope * fitted.intercept);
     for weight in fitted.risks.iter_mut().flat_map(|curve| &mut curve.weights) {
         *weight = short(slope * *weight);
     }
     fitted.risks.retain(|curve| curve.weights.iter().any(|w| *w > 0.0));
-    let judged: Vec<(f64, bool)> = apart.iter().map(|(p, e)| (probability(*p), *e > BAD)).collect();
+    let judged: Vec<(f64, bool)> = best.1.iter().map(|(p, e)| (probability(*p), *e > BAD)).collect();
     let share = |bad: bool, above: bool, threshold: f64| {
         let of = judged.iter().filter(|j| j.1 == bad);
         let (count, some) = of.fold((0, 0), |(n, k), j| (n + 1, k + usize::from((j.0 > threshold) == above)));
         some as f64 / f64::from(count.max(1))
     };
     let missed = |t: f64| (share(true, false, t) / SILENT).max(share(false, true, t) / DOUBTED);
-    let thresholds = (1..=80).map(|k| 0.0025 * f64::from(k));
+    let thresholds = (1..=50).map(|k| 0.01 * f64::from(k));
     let threshold = thresholds.min_by(|a, b| missed(*a).total_cmp(&missed(*b))).unwrap_or(0.5);
     Calibration { threshold: short(threshold), ..fitted }
-}
-
-/// Share of the good results that are doubted, in the mean over thresholds that leave none, one, ... a seventh of the bad ones silent.
-fn doubted(judged: &[(f64, f64)]) -> f64 {
-    let mut bad: Vec<f64> = judged.iter().filter(|j| j.1 > BAD).map(|j| j.0).collect();
-    bad.sort_unstable_by(f64::total_cmp);
-    let silent = bad.len() / 7 + 1;
-    let good = judged.len() - bad.len();
-    let above = |threshold: &f64| judged.iter().filter(|j| j.1 <= BAD && j.0 >= *threshold).count();
-    bad.iter().take(silent).map(above).sum::<usize>() as f64 / (silent * good.max(1)) as f64
 }
 
 fn log_error(error: f64) -> f64 {
@@ -135,9 +107,8 @@ fn short(x: f64) -> f64 {
     (x * 1e4).round() / 1e4
 }
 
-/// The curves of those risks with the least misfit of the logarithm of the error, which is what the result's "log-odds" are until they
-/// are scaled.
-fn fit(examples: &[&Example<'_>], risks: &[Risk], ridge: f64) -> Calibration {
+/// The curves with the least misfit of the logarithm of the error, which is what the result's "log-odds" are until they are scaled.
+fn fit(examples: &[&Example<'_>], ridge: f64) -> Calibration {
     let curve = |risk: &Risk| {
         let mut values: Vec<f64> = examples.iter().map(|e| risk.of(e.evidence)).collect();
         values.sort_unstable_by(f64::total_cmp);
@@ -146,29 +117,31 @@ fn fit(examples: &[&Example<'_>], risks: &[Risk], ridge: f64) -> Calibration {
         let weights = vec![0.0; knots.len() - 1];
         RiskCurve { risk: *risk, knots, weights }
     };
-    let mut risks: Vec<RiskCurve> = risks.iter().map(curve).collect();
+    let mut risks: Vec<RiskCurve> = Risk::ALL.iter().map(curve).collect();
     // Column by column: the ramps of all curves.
-    let columns: Vec<(usize, usize)> =
-        risks.iter().enumerate().flat_map(|(r, curve)| (0..curve.weights.len()).map(move |j| (r, j))).collect();
-    let mut ramps = DMatrix::from_fn(examples.len(), columns.len(), |i, c| {
-        let curve = &risks[columns[c].0];
-        curve.ramp(columns[c].1, curve.risk.of(examples[i].evidence))
-    });
-    let mut errors = DVector::from_fn(examples.len(), |i, _| log_error(examples[i].error));
-    let (means, mean) = (ramps.row_mean(), errors.mean());
-    ramps.row_iter_mut().for_each(|mut row| row -= &means);
-    errors.add_scalar_mut(-mean);
-    let normal = ramps.tr_mul(&ramps) + DMatrix::from_diagonal_element(columns.len(), columns.len(), ridge);
-    let right = ramps.tr_mul(&errors);
-    let mut weights = DVector::zeros(columns.len());
-    for _ in 0..SWEEPS {
-        for c in 0..columns.len() {
-            let slope: f64 = right[c] - normal.column(c).dot(&weights);
-            weights[c] = (weights[c] + slope / normal[(c, c)]).max(0.0);
+    let mut columns: Vec<(usize, usize, Vec<f64>)> = Vec::new();
+    for (r, curve) in risks.iter().enumerate() {
+        for j in 0..curve.weights.len() {
+            columns.push((r, j, examples.iter().map(|e| curve.ramp(j, curve.risk.of(e.evidence))).collect()));
         }
     }
-    let intercept = mean - means.transpose().dot(&weights);
-    columns.iter().zip(&weights).for_each(|((r, j), weight)| risks[*r].weights[*j] = *weight);
+    let mut left: Vec<f64> = examples.iter().map(|e| log_error(e.error)).collect();
+    let mut intercept = 0.0;
+    for _ in 0..SWEEPS {
+        let mean = left.iter().sum::<f64>() / left.len() as f64;
+        intercept += mean;
+        left.iter_mut().for_each(|l| *l -= mean);
+        for (r, j, x) in &columns {
+            let weight = &mut risks[*r].weights[*j];
+            let slope: f64 = x.iter().zip(&left).map(|(x, l)| x * l).sum::<f64>() - ridge * *weight;
+            let curvature = x.iter().map(|x| x * x).sum::<f64>() + ridge;
+            let step = (*weight + slope / curvature).max(0.0) - *weight;
+            if step != 0.0 {
+                *weight += step;
+                left.iter_mut().zip(x).for_each(|(l, x)| *l -= step * x);
+            }
+        }
+    }
     Calibration { threshold: 0.5, intercept, risks }
 }
 
