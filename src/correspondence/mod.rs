@@ -38,7 +38,7 @@ impl Default for ScanOptions {
             flip: ScanFlip::Auto,
             reject_boundary: true,
             template_rim: 0.0,
-            reject_hidden: false,
+            reject_hidden: true,
         }
     }
 }
