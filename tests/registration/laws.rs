@@ -584,24 +584,23 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     };
     let landmarks: Vec<Landmark> = (0..8).map(|k| landmark(48 * 24 + 6 * k)).collect();
     let polygons = PolygonMesh::from(template.clone());
-    let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&polygons, &scan) };
     let pouch: Vec<bool> = (0..truth.len()).map(|v| v < 48 * 17).collect();
-    for model in [ModelKind::Hybrid, ModelKind::Sumner] {
-        let fit = |schedule: &Schedule| {
-            let result = register(&input, &model, schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
-            let errors = TruthErrors::new(&result.positions, &truth, &pouch, &template.triangles).unwrap().0;
-            (result, errors)
-        };
-        let mut schedule = model.schedule().unwrap();
-        let (result, errors) = fit(&schedule);
-        let hidden = || result.hidden.iter().enumerate().filter(|(_, hidden)| **hidden).map(|(v, _)| v);
-        assert!(hidden().count() > 48 * 12, "{}", hidden().count());
-        assert!(hidden().all(|v| v < 48 * 19 && !result.accepted[v]));
-        schedule.scan.reject_hidden = false;
-        let (_, pulled) = fit(&schedule);
-        println!("{model}: the pouch is off by {:.2} mm, {:.2} where it feels the scan", errors.rmse, pulled.rmse);
-        assert!(errors.rmse < 0.6 * pulled.rmse, "{model}: {errors:?} {pulled:?}");
-    }
+    let fit = |schedule: &Schedule| {
+        let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&polygons, &scan) };
+        let observer = &mut |_: &StepRecord| ControlFlow::Continue(());
+        let result = register(&input, &ModelKind::Hybrid, schedule, observer).unwrap();
+        let errors = TruthErrors::new(&result.positions, &truth, &pouch, &template.triangles).unwrap().0;
+        (result, errors)
+    };
+    let mut schedule = ModelKind::Hybrid.schedule().unwrap();
+    let (result, errors) = fit(&schedule);
+    let hidden = || result.hidden.iter().enumerate().filter(|(_, hidden)| **hidden).map(|(v, _)| v);
+    assert!(hidden().count() > 48 * 12, "{}", hidden().count());
+    assert!(hidden().all(|v| v < 48 * 19 && !result.accepted[v]));
+    schedule.scan.reject_hidden = false;
+    let (_, pulled) = fit(&schedule);
+    println!("the pouch is off by {:.2} mm, {:.2} where it feels the scan", errors.rmse, pulled.rmse);
+    assert!(errors.rmse < 0.5 && pulled.rmse > 2.0, "{errors:?} {pulled:?}");
 }
 
 /// The sequential method's schedule, its second stage replaced.
