@@ -482,8 +482,9 @@ fn named_energies_sum_to_the_energy_and_history_counts_on() {
             assert!((sum - record.energy).abs() <= 1e-10 * record.energy, "{model}: {sum} {}", record.energy);
             assert!((0.0..=1.0).contains(&record.inliers) && record.motion.is_finite());
         }
-        let accepted = result.accepted.iter().filter(|a| **a).count() as f64 / result.accepted.len() as f64;
-        assert_eq!(accepted, result.history.last().unwrap().inliers);
+        let [accepted, shown] = [&result.accepted, &result.hidden.iter().map(|h| !h).collect()]
+            .map(|of: &Vec<bool>| of.iter().filter(|a| **a).count() as f64);
+        assert_eq!(accepted / shown, result.history.last().unwrap().inliers);
     }
 }
 
