@@ -15,7 +15,7 @@ use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
 use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::closest_point::ClosestVertices;
 use nonrigid::mesh::normals::face_cross;
-use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose};
+use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose, rms_size};
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TERMS, TermFactory};
 use serde::Serialize;
 
@@ -227,7 +227,7 @@ fn seen_as(case: &BenchCase, view: View) -> Result<BenchCase> {
     let pairs: Vec<_> = rest.iter().copied().zip(case.truth.iter().copied()).collect();
     let pose = closest_pose(&pairs, PoseKind::Rigid)?;
     let middle = rest.iter().sum::<Vec3>() / rest.len() as f64;
-    let size = (rest.iter().map(|p| (p - middle).norm_squared()).sum::<f64>() / rest.len() as f64).sqrt();
+    let size = rms_size(rest);
     // In the template's frame, where the subject looks along +Z.
     let local = |p: Vec3| (pose.apply_inverse(p) - middle) / size;
     let scan = &case.scan.mesh;

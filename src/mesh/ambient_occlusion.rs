@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::closest_point::ClosestPoint;
 use super::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use super::{MeshError, TriangleMesh, Vec3, referenced};
+use super::{MeshError, TriangleMesh, Vec3, rms_size, surface_points};
 
 /// Directions over a vertex, and how many must be free for a scanner to see it.
 const DIRECTIONS: usize = 16;
@@ -26,11 +26,9 @@ const NEAR: f64 = 5e-4;
 /// When a triangle indexes past the vertices, or a vertex of one is not finite.
 pub fn hidden_vertices(mesh: &TriangleMesh) -> Result<Vec<bool>, MeshError> {
     let surface = ClosestPoint::new(mesh)?;
-    let used = referenced(mesh.positions.len(), mesh.triangles.as_flattened().iter().copied());
-    let count = used.iter().filter(|u| **u).count().max(1) as f64;
-    let on_surface = || mesh.positions.iter().zip(&used).filter_map(|(p, used)| used.then_some(p));
-    let centre = on_surface().sum::<Vec3>() / count;
-    let size = (on_surface().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt();
+    let size = rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+    // the whole of the way is what lies so near to its middle
+    let (middle, reach) = (0.5 * (NEAR + FAR) * size, 0.5 * (FAR - NEAR) * size);
     let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
     let neighbours = neighbours(mesh);
     let directions = directions();
@@ -44,8 +42,7 @@ pub fn hidden_vertices(mesh: &TriangleMesh) -> Result<Vec<bool>, MeshError> {
         let (x, y) = (side.into_inner(), normal.cross(&side));
         let is_free = |d: &&Vec3| {
             let direction = x * d.x + y * d.y + normal * d.z;
-            // the whole of the way is what lies so near to its middle; fronts face against it
-            let (middle, reach) = (0.5 * (NEAR + FAR) * size, 0.5 * (FAR - NEAR) * size);
+            // fronts face against it
             surface.along(&(mesh.positions[v] + direction * middle), &-direction, reach, u32::MAX).is_none()
         };
         directions.iter().filter(is_free).take(FREE).count() < FREE

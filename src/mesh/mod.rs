@@ -58,6 +58,14 @@ pub fn surface_points(points: &[Vec3], corners: impl IntoIterator<Item = u32>) -
     Cow::Owned(points.iter().zip(referenced).filter_map(|(p, r)| r.then_some(*p)).collect())
 }
 
+/// Root mean square distance of `points` from their centroid, 0 without points.
+#[must_use]
+pub fn rms_size(points: &[Vec3]) -> f64 {
+    let count = points.len().max(1) as f64;
+    let centre = points.iter().sum::<Vec3>() / count;
+    (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt()
+}
+
 /// Lowest and highest corner of the axis-parallel box round `points`; `None` without points.
 #[must_use]
 pub fn bounding_box(points: &[Vec3]) -> Option<(Vec3, Vec3)> {

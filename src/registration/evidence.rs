@@ -12,7 +12,7 @@ use crate::landmark::Landmark;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
-use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, referenced, surface_points};
+use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, referenced, rms_size, surface_points};
 
 /// Signs of right and wrong. Lengths are shares of the result's size (root mean square distance from its centroid), so that they
 /// mean the same for any subject; zero where something does not apply.
@@ -75,7 +75,7 @@ pub struct Evidence {
 /// How template and scan cover each other in a result.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Coverage {
-    /// Share of the vertices that lie on the scan and face as it does, of those that masks leave in.
+    /// Share of the vertices that lie on the scan and face as it does, of those that masks leave in and the template does not hide.
     pub on_scan: f64,
     /// Share for which the scan ends before it reaches them: nothing is seen there.
     pub unseen: f64,
@@ -99,13 +99,6 @@ const SPACING: f64 = 0.06;
 /// Cosine of the widest angle between normals of what is on the scan.
 const FACING: f64 = 0.5;
 
-/// Root mean square distance from the centroid.
-pub(super) fn size(points: &[Vec3]) -> f64 {
-    let count = points.len().max(1) as f64;
-    let centre = points.iter().sum::<Vec3>() / count;
-    (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt()
-}
-
 /// What the scan says of each vertex of a result.
 pub(super) struct Seen {
     /// Distance to the scan, NaN for vertices that masks take out and for a scan without a surface.
@@ -123,7 +116,7 @@ impl Seen {
     ) -> Result<Self, QualityError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(positions);
-        let size = size(&surface_points(positions, input.template.corners.iter().copied()));
+        let size = rms_size(&surface_points(positions, input.template.corners.iter().copied()));
         let used = referenced(positions.len(), input.template.corners.iter().copied());
         let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
         let masks = masks.of_surface(&used).without(hidden);
@@ -181,7 +174,7 @@ impl Evidence {
     #[must_use]
     pub fn new(input: &RegistrationInput<'_>, result: &RegistrationResult, quality: &Quality) -> Self {
         let corners = || input.template.corners.iter().copied();
-        let size = size(&surface_points(&result.positions, corners())).max(f64::MIN_POSITIVE);
+        let size = rms_size(&surface_points(&result.positions, corners())).max(f64::MIN_POSITIVE);
         let triangles = input.template.triangulate().triangles;
         let of_triangles = |count: usize| count as f64 / triangles.len().max(1) as f64;
         let search = result.start_search.as_ref();

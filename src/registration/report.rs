@@ -14,7 +14,7 @@ use super::{
 use crate::correspondence::ScanSurface;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
 use crate::io::{Input, KnownUnit, sha256_of_file};
-use crate::mesh::{MeshError, Pose, PoseKind, Vec3, closest_pose, hidden_vertices};
+use crate::mesh::{MeshError, Pose, PoseKind, TriangleMesh, Vec3, closest_pose, hidden_vertices};
 
 /// A file that was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -47,8 +47,8 @@ impl From<Input> for InputFile {
 /// How well the result fits, without any ground truth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quality {
-    /// Distances to the scan's surface of the result's vertices, without those that masks take out; `share_within` counts
-    /// those within 3 mm.
+    /// Distances to the scan's surface of the result's vertices, without those that masks take out or the template hides;
+    /// `share_within` counts those within 3 mm.
     pub to_scan: DistanceSummary,
     /// Median distance of the vertices within 3 mm.
     pub median_within: f64,
@@ -75,10 +75,7 @@ impl Quality {
         scan: &ScanSurface,
         positions: &[Vec3],
     ) -> Result<Self, QualityError> {
-        let mut rest = input.template.triangulate();
-        if input.rest_positions().len() == rest.positions.len() {
-            rest.positions.copy_from_slice(input.rest_positions());
-        }
+        let rest = TriangleMesh { positions: input.rest_positions().to_vec(), ..input.template.triangulate() };
         Self::counted(input, &hidden_vertices(&rest)?, scan, positions, None)
     }
 

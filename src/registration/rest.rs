@@ -6,7 +6,7 @@ use super::{RegistrationError, RegistrationInput};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use crate::mesh::{TriangleMesh, Vec3, hidden_vertices, referenced, surface_points};
+use crate::mesh::{TriangleMesh, Vec3, hidden_vertices, referenced, rms_size, surface_points};
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 pub(super) struct Rest {
@@ -39,9 +39,8 @@ impl Rest {
         let points = surface_points(&mesh.positions, corners());
         let count = points.len() as f64;
         let centre = points.iter().sum::<Vec3>() / count;
-        let size = (points.iter().map(|p| (p - centre).norm_squared()).sum::<f64>() / count).sqrt();
+        let unit = rms_size(&points) / schedule.reference_size;
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
-        let unit = size / schedule.reference_size;
         let finer = (count / schedule.reference_vertices).sqrt();
         let edges = EdgeGraph::of(&mesh);
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 use super::{OTHER_SIZE, StartInput, StartOptions};
 use crate::landmark::Landmark;
 use crate::mesh::adjacency::EdgeGraph;
-use crate::mesh::{Pose, PoseKind, Vec3, weighted_closest_pose};
+use crate::mesh::{Pose, PoseKind, Vec3, rms_size, weighted_closest_pose};
 use crate::registration::RegistrationError;
 use crate::rig::Family;
 
@@ -37,7 +37,8 @@ pub(super) fn landmark_pose(
     // What is closed, such as a body, may bend at joints.
     let bends = EdgeGraph::of(input.template).is_closed();
     let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
-        let (similar, spread) = (fit(kept, PoseKind::Similarity, input.sigma)?, spread(kept.iter().map(|&i| all[i].0)));
+        let similar = fit(kept, PoseKind::Similarity, input.sigma)?;
+        let spread = rms_size(&kept.iter().map(|&i| all[i].0).collect::<Vec<_>>());
         let square = |&i: &usize| (similar.apply(all[i].0) - all[i].1.target).norm_squared();
         let rms = (kept.iter().map(square).sum::<f64>() / kept.len() as f64).sqrt();
         let bent = (bends && rms > BENT * spread * similar.scale).then(|| size_by_lengths(input, kept)).flatten();
@@ -179,13 +180,6 @@ fn expressive_similarity(input: &StartInput<'_>, kept: &[usize]) -> Result<Pose,
         }
     }
     Ok(pose)
-}
-
-/// Root mean square distance of points from their middle.
-fn spread(points: impl Iterator<Item = Vec3> + Clone) -> f64 {
-    let count = points.clone().count().max(1) as f64;
-    let middle = points.clone().sum::<Vec3>() / count;
-    (points.map(|p| (p - middle).norm_squared()).sum::<f64>() / count).sqrt()
 }
 
 /// The landmark that differs most from its nearest ones, of those that differ too much. A jaw that opens moves all that is near.
