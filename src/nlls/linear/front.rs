@@ -118,8 +118,22 @@ impl<const N: usize> Tile for PanelTile<'_, N> {
     }
 }
 
-/// `out = -B B'`, its lower triangle, for the `below` rows of a front under its `width` columns; columns of `out` are padded.
-/// `columns` has [`PAD`] numbers after its end.
+/// Where an update of `below` rows has row 0 of its column `c`. Of the rows above the diagonal it has those in the [`PAD`] of the
+/// diagonal alone.
+pub(super) fn update_column(below: usize, c: usize) -> usize {
+    let (before, within) = (c / PAD * PAD, c % PAD);
+    // columns of `padded(below)`, `padded(below) - PAD` and so on numbers, PAD of each
+    let start = before * (2 * padded(below) + PAD - before) / 2;
+    start + within * (padded(below) - before) - before
+}
+
+/// Numbers of an update of `below` rows.
+pub(super) fn update_len(below: usize) -> usize {
+    padded(below) * (padded(below) + PAD) / 2
+}
+
+/// `out = -B B'`, its lower triangle, for the `below` rows of a front under its `width` columns: see [`update_column`]. `columns` has
+/// [`PAD`] numbers after its end.
 #[inline(always)]
 pub(super) fn negative_square<S: Simd>(
     simd: S,
@@ -130,7 +144,7 @@ pub(super) fn negative_square<S: Simd>(
     out: &mut [f64],
 ) {
     for j in (0..below).step_by(PAD) {
-        let out = &mut out[j * padded(below)..];
+        let out = &mut out[update_column(below, j) + j..];
         sweep::<S, PAD>(simd, padded(below) - j, &mut SquareTile { columns, stride, width, below, j, out });
     }
 }
@@ -152,7 +166,7 @@ impl Tile for SquareTile<'_> {
         let sum = sum_of_products::<S, _, PAD, V>(simd, columns.map(|column| (&column[left..], &column[right..])));
         for c in 0..PAD {
             if self.j + c < self.below {
-                let start = c * padded(self.below) + self.j + first;
+                let start = c * (padded(self.below) - self.j) + first;
                 let out = &mut S::as_mut_simd_f64s(&mut self.out[start..]).0[..V];
                 for v in 0..V {
                     out[v] = simd.neg_f64s(sum[c][v]);
@@ -265,7 +279,7 @@ mod tests {
                     columns[c * stride + r] = h[(r, c)];
                 }
             }
-            let mut update = vec![f64::NAN; padded(below) * below];
+            let mut update = vec![f64::NAN; update_len(below)];
             let pitch = 32;
             let rows = width + 2 * below;
             let rhs = DMatrix::from_fn(rows, pitch, |r, c| (r as f64 - 0.3 * c as f64).cos());
@@ -282,7 +296,8 @@ mod tests {
             let square = b * b.transpose();
             for c in 0..below {
                 for r in c..below {
-                    approx::assert_relative_eq!(update[c * padded(below) + r], -square[(r, c)], epsilon = 1e-12);
+                    let found = update[update_column(below, c) + r];
+                    approx::assert_relative_eq!(found, -square[(r, c)], epsilon = 1e-12);
                 }
             }
             let solved = l.view((0, 0), (width, width)).solve_lower_triangular(&rhs.rows(0, width)).unwrap();

@@ -23,9 +23,9 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::front::{factor_columns, negative_square};
+use super::front::{factor_columns, negative_square, update_column, update_len};
 use super::layout::Layout;
-use crate::nlls::dense_kernels::{dispatch, padded};
+use crate::nlls::dense_kernels::dispatch;
 
 /// The tree of fronts with all memory that a factorisation needs.
 #[derive(Debug)]
@@ -71,7 +71,7 @@ struct Run {
 impl Front {
     /// Entries of its update.
     fn update(&self) -> usize {
-        padded(self.below) * self.below
+        update_len(self.below)
     }
 }
 
@@ -91,7 +91,15 @@ impl Multifrontal {
         let parent = |k: usize| layout.pattern(k).first().map(|&row| layout.owner[row]);
         let mut children = vec![Vec::new(); count];
         let mut stack = Vec::new();
-        for k in (0..count).rev() {
+        // Children come before parents. Of a front's, the one whose subtree needs most beyond what it leaves is the first, so the last here
+        // (J. Liu, "On the storage requirement in the out-of-core multifrontal method", 1986): least waits at a time.
+        let mut needs = vec![0; count];
+        for k in 0..count {
+            let update = |k: usize| update_len(layout.pattern(k).len());
+            children[k].sort_by_key(|&c| needs[c] - update(c));
+            let (need, left) =
+                children[k].iter().rev().fold((0, 0), |(need, left), &c| (need.max(left + needs[c]), left + update(c)));
+            needs[k] = need.max(left + update(k));
             match parent(k) {
                 Some(p) => children[p].push(k),
                 None => stack.push((k, 0, false)),
@@ -193,7 +201,7 @@ impl WithSimd for Factorize<'_> {
             for (child, start) in children(fronts, k, top) {
                 let runs = &runs[child.runs.clone()];
                 let below_columns = &runs[runs.partition_point(|run| (run.to as usize) < width)..];
-                let column = |to: u32| (to as usize - width) * padded(below);
+                let column = |to: u32| update_column(below, to as usize - width);
                 let runs = (below_columns, below_columns);
                 add_columns(&others[start..], child.below, runs, column, width, update);
             }
@@ -217,7 +225,7 @@ fn add_columns(
 ) {
     for (r, run) in columns.iter().enumerate() {
         for c in 0..run.length {
-            let from = &update[(run.from + c) as usize * padded(below)..][..below];
+            let from = &update[update_column(below, (run.from + c) as usize)..][..below];
             let out = &mut out[column(run.to + c)..];
             for (i, rows) in rows[r..].iter().enumerate() {
                 // In the diagonal's own run, rows above it hold nothing.
