@@ -44,7 +44,7 @@ use change::Changes;
 use definitions::evaluate;
 use landmarks::Placed;
 
-use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, check_finite};
 
 /// What is to be measured.
 #[derive(Debug, Clone, Copy)]
@@ -164,11 +164,7 @@ impl<'a> Subject<'a> {
             });
         }
         for (what, positions) in [("the mesh", Some(&self.mesh.positions[..])), ("the mesh after", self.after)] {
-            let odd = positions.unwrap_or(&[]).iter().enumerate().find(|(_, p)| !p.iter().all(|c| c.is_finite()));
-            if let Some((vertex, position)) = odd {
-                let source = MeshError::NotFinite { vertex, position: (*position).into() };
-                return Err(MeasurementError::Mesh { what, source });
-            }
+            check_finite(positions.unwrap_or(&[])).map_err(|source| MeasurementError::Mesh { what, source })?;
         }
         for region in self.regions {
             if let Some(&vertex) = region.vertices.iter().find(|v| **v as usize >= vertices) {

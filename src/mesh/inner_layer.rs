@@ -51,11 +51,8 @@ impl InnerLayer {
     /// If `thickness` is not positive.
     pub fn new(mesh: &TriangleMesh, thickness: f64) -> Result<Self, MeshError> {
         assert!(thickness > 0.0, "the thickness must be positive");
-        mesh.check_indices()?;
+        mesh.check()?;
         let count = mesh.positions.len();
-        if let Some(vertex) = mesh.positions.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
-            return Err(MeshError::NotFinite { vertex, position: mesh.positions[vertex].into() });
-        }
         let triangles = bases(mesh);
         let directions = directions(mesh, &triangles);
         let mut depth = vec![thickness; count];

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
+
 pub mod adjacency;
 mod ambient_occlusion;
 pub mod closest_point;
@@ -34,6 +36,17 @@ pub use triangle_mesh::TriangleMesh;
 
 /// A point or vector in space, millimetres.
 pub type Vec3 = nalgebra::Vector3<f64>;
+
+/// An error unless every position is finite.
+///
+/// # Errors
+/// [`MeshError::NotFinite`], of the first that is not.
+pub fn check_finite(positions: &[Vec3]) -> Result<(), MeshError> {
+    match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {
+        Some(vertex) => Err(MeshError::NotFinite { vertex, position: positions[vertex].into() }),
+        None => Ok(()),
+    }
+}
 
 /// Which of `count` vertices are corners of something; all of them where nothing has corners, as in a cloud.
 #[must_use]

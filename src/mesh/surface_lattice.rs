@@ -67,11 +67,8 @@ impl SurfaceLattice {
     /// If the spacing is not positive.
     pub fn new(mesh: &TriangleMesh, spacing: f64) -> Result<Self, MeshError> {
         assert!(spacing > 0.0, "the spacing must be positive");
-        mesh.check_indices()?;
+        mesh.check()?;
         let p = &mesh.positions;
-        if let Some(vertex) = p.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
-            return Err(MeshError::NotFinite { vertex, position: p[vertex].into() });
-        }
         if mesh.triangles.is_empty() {
             return Err(MeshError::NoArea);
         }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{MeshError, Vec3};
+use super::{MeshError, Vec3, check_finite};
 
 /// An indexed triangle mesh; without triangles, a point cloud.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -26,5 +26,14 @@ impl TriangleMesh {
             Some((triangle, index)) => Err(MeshError::IndexOutOfRange { triangle, index, count }),
             None => Ok(()),
         }
+    }
+
+    /// An error unless every triangle's vertices exist and every position is finite.
+    ///
+    /// # Errors
+    /// [`MeshError::IndexOutOfRange`] or [`MeshError::NotFinite`], of the first one.
+    pub fn check(&self) -> Result<(), MeshError> {
+        self.check_indices()?;
+        check_finite(&self.positions)
     }
 }

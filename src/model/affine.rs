@@ -85,10 +85,7 @@ impl Affine {
     pub fn new(rest: &TriangleMesh, lambda: f64, gamma: f64) -> Result<Self, MeshError> {
         assert!(gamma > 0.0 && gamma.is_finite(), "gamma is {gamma}, but must be positive and finite");
         let count = rest.positions.len();
-        rest.check_indices()?;
-        if let Some(vertex) = rest.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(MeshError::NotFinite { vertex, position: rest.positions[vertex].into() });
-        }
+        rest.check()?;
         let centre = super::centroid(&rest.positions);
         let spread: f64 = rest.positions.iter().map(|p| (p - centre).norm_squared()).sum();
         let size = if spread > 0.0 { (spread / count as f64).sqrt() } else { 1.0 };

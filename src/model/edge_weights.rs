@@ -59,7 +59,7 @@ impl WeightedEdges {
     /// at most that of an edge of mean length, so that it turns its anchor no more than another neighbour does.
     pub fn new(mesh: &TriangleMesh, kind: EdgeWeights, clamp: bool) -> Result<Self, MeshError> {
         let count = mesh.positions.len();
-        mesh.check_indices()?;
+        mesh.check()?;
         let uniform = 1.0 / 3f64.sqrt();
         let graph = EdgeGraph::of(mesh);
         let mut edges = graph.edges().to_vec();
@@ -94,9 +94,6 @@ impl WeightedEdges {
         let nearest = ClosestVertices::new(&anchors)?;
         let mean = graph.lengths(&mesh.positions).iter().map(|l| l * l).sum::<f64>() / of_mesh.max(1) as f64;
         for (v, p) in mesh.positions.iter().enumerate().filter(|(v, _)| graph.neighbours(*v).is_empty()) {
-            if p.iter().any(|x| !x.is_finite()) {
-                return Err(MeshError::NotFinite { vertex: v, position: (*p).into() });
-            }
             if let Some(anchor) = nearest.query(p) {
                 edges.push([v as u32, referenced[anchor.vertex as usize]]);
                 weights

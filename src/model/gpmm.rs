@@ -97,11 +97,8 @@ impl GpmmOptions {
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.
     pub fn basis(&self, mesh: &TriangleMesh, unit: f64) -> Result<ShapeBasis, MeshError> {
-        mesh.check_indices()?;
+        mesh.check()?;
         let n = &mesh.positions;
-        if let Some(vertex) = n.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(MeshError::NotFinite { vertex, position: n[vertex].into() });
-        }
         let mut areas = vertex_areas(n, &mesh.triangles);
         if areas.iter().sum::<f64>() <= 0.0 {
             areas.fill(1.0);

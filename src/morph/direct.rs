@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 
-use super::{MorphError, Weights, check_positions};
-use crate::mesh::{MirrorPlane, TriangleMesh, Vec3};
+use super::{MorphError, Weights};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, check_finite};
 
 /// The grey value above which a vertex moves: one step of an 8-bit texture. The paper does not print its own.
 pub const DEFAULT_THRESHOLD: f64 = 1.0 / 255.0;
@@ -88,7 +88,7 @@ impl MorphStep {
             }
             moved.iter().fold(true, |finite, p| finite & p.iter().all(|c| c.is_finite()))
         });
-        if finite.reduce(|| true, |a, b| a && b) { Ok(()) } else { Ok(check_positions(moved)?) }
+        if finite.reduce(|| true, |a, b| a && b) { Ok(()) } else { Ok(check_finite(moved)?) }
     }
 
     /// Which of `vertices` vertices the step moves: those that some mask lifts above the threshold. The others are what an energy

@@ -1,8 +1,6 @@
 //! What makes a mask or a morph impossible.
 
-use rayon::prelude::*;
-
-use crate::mesh::{MeshError, Vec3};
+use crate::mesh::MeshError;
 use crate::model::ModelError;
 use crate::render::CameraError;
 
@@ -266,13 +264,5 @@ impl MorphError {
         let known = known.collect::<Vec<_>>().join(", ");
         let known = if known.is_empty() { NO_LANDMARKS.to_owned() } else { known };
         Self::UnknownLandmark { name: name.to_owned(), known }
-    }
-}
-
-/// An error unless every position is finite.
-pub(super) fn check_positions(positions: &[Vec3]) -> Result<(), MeshError> {
-    match positions.par_iter().with_min_len(4096).position_first(|p| !p.iter().all(|c| c.is_finite())) {
-        Some(vertex) => Err(MeshError::NotFinite { vertex, position: positions[vertex].into() }),
-        None => Ok(()),
     }
 }

@@ -56,5 +56,3 @@ pub use region::{Coordinates, DEFAULT_SUB_ROWS, Region, Shape};
 pub use replay::{DrawnMask, LiveStep, ReplayOptions, StepOutcome, StepReport, Subject, replay};
 pub use texture::{GreyWeights, MAX_TEXTURE_PIXELS, MAX_TEXTURE_SIDE, Sampling, Texture};
 pub use weights::Weights;
-
-use error::check_positions;

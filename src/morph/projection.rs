@@ -19,8 +19,8 @@ use nalgebra::{Matrix4, Vector4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{MorphError, Sampling, Texture, Weights, check_positions};
-use crate::mesh::{MirrorPlane, PolygonMesh, TriangleMesh, Vec3};
+use super::{MorphError, Sampling, Texture, Weights};
+use crate::mesh::{MirrorPlane, PolygonMesh, TriangleMesh, Vec3, check_finite};
 use crate::render::{self, CameraError};
 
 /// A map from space to texture coordinates and depth: `M` of equation (1) with the divide.
@@ -165,7 +165,7 @@ impl Projector {
         visibility: Visibility,
     ) -> Result<Weights, MorphError> {
         let positions = &mesh.positions;
-        check_positions(positions)?;
+        check_finite(positions)?;
         let mut weights = vec![0.0; positions.len()];
         weights.par_iter_mut().zip(positions).with_min_len(GRAIN).for_each(|(weight, p)| {
             *weight = self.uv(*p).map_or(0.0, |uv| texture.sample(uv, sampling));
@@ -184,7 +184,7 @@ impl Projector {
     /// # Errors
     /// As [`Self::weights`].
     pub fn visible(&self, mesh: &TriangleMesh, tolerance: f64) -> Result<Vec<bool>, MorphError> {
-        check_positions(&mesh.positions)?;
+        check_finite(&mesh.positions)?;
         let mut visible: Vec<bool> = mesh.positions.iter().map(|p| self.uv(*p).is_some()).collect();
         let asked: Vec<f64> = visible.iter().map(|v| f64::from(u8::from(*v))).collect();
         for vertex in (Hidden { projector: self, mesh, tolerance }).of(&asked)? {

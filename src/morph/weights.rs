@@ -4,10 +4,10 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::{MorphError, check_positions};
+use super::MorphError;
 use crate::io::{Place, ReadError, WriteError, read_npy_vector, write_npy};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::{MirrorPlane, TriangleMesh};
+use crate::mesh::{MirrorPlane, TriangleMesh, check_finite};
 
 /// A weight from 0 to 1 for each vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -81,7 +81,7 @@ impl Weights {
         if self.0.len() != mesh.positions.len() {
             return Err(MorphError::WeightCount { found: self.0.len(), vertices: mesh.positions.len() });
         }
-        check_positions(&mesh.positions)?;
+        check_finite(&mesh.positions)?;
         let surface = ClosestPoint::new(mesh)?;
         let weight = |position| {
             let closest = surface.query(&plane.reflect(position)).ok_or(MorphError::NoSurface)?;

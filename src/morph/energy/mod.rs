@@ -24,10 +24,10 @@ use serde::{Deserialize, Serialize};
 
 use self::patch::Patch;
 use self::pins::PinTerm;
-use super::{MorphError, MorphStep, Weights, check_positions};
+use super::{MorphError, MorphStep, Weights};
 use crate::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use crate::landmark::TemplatePoint;
-use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{TriangleMesh, Vec3, bounding_box_diagonal, check_finite};
 use crate::model::{ModelFactory, ModelKind, PatchInput, Smoothness};
 use crate::nlls::{Kernel, Minimizer, Options, Silent, StopReason, Workspace};
 use crate::rig::ShapeBasis;
@@ -229,8 +229,7 @@ impl MorphEnergy {
     ) -> Result<Self, MorphError> {
         let count = mesh.positions.len();
         options.validate()?;
-        check_positions(&mesh.positions)?;
-        mesh.check_indices()?;
+        mesh.check()?;
         let mut moves = step.moves(count)?;
         for weights in &constraints.free {
             let found = weights.values().len();
@@ -371,7 +370,7 @@ impl MorphEnergy {
     /// # Panics
     /// If there is no such goal.
     pub fn set_goal(&mut self, goal: usize, target: Vec3) -> Result<(), MorphError> {
-        check_positions(&[target])?;
+        check_finite(&[target])?;
         self.problem.terms[GOALS].residuals.targets[goal] = target;
         Ok(())
     }
@@ -422,7 +421,7 @@ impl MorphEnergy {
         for (v, target) in &self.pinned {
             positions[*v as usize] = *target;
         }
-        check_positions(&positions)?;
+        check_finite(&positions)?;
         let first_weight = self.x.len() - self.shapes.len();
         let names = self.shapes.shapes().iter().map(|shape| shape.name.clone());
         let report = EnergyReport {
