@@ -237,11 +237,7 @@ fn case_for_others(case: &BenchCase) -> Result<NpzContents> {
     let marks: Vec<u32> = case.landmarks.iter().map(nearest).collect();
     let points: Vec<Vec3> = case.landmarks.iter().map(|l| l.target).collect();
     let shapes = &case.shapes;
-    let delta = |k: usize, v: usize| {
-        let of_vertex = shapes.vertex(v);
-        let d = [0, 1, 2].map(|axis| f64::from(of_vertex[axis * shapes.len() + k]));
-        (pose.rotation * Vec3::from(d)).data.0[0]
-    };
+    let delta = |k: usize, v: usize| (pose.rotation * shapes.displacement(v, k)).data.0[0];
     let deltas: Vec<f64> = (0..shapes.len()).flat_map(|k| (0..rest.len()).flat_map(move |v| delta(k, v))).collect();
     Ok(NpzContents::new()
         .with("rest", &[rest.len(), 3], &numbers(&placed))

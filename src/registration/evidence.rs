@@ -3,6 +3,8 @@
 //! None of them needs the truth. [`Doubt`](super::Doubt) weighs them into one probability; `experiments silence` measures how
 //! far that probability can be believed.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -256,8 +258,12 @@ fn weight_uncertainty(input: &RegistrationInput<'_>, result: &RegistrationResult
     }
     let variances: Vec<f64> = result.weights.iter().map(|w| w.std_dev.unwrap_or(0.0).powi(2)).collect();
     let vertex = |i: usize| -> f64 {
-        let rows = input.shapes.vertex(i).chunks_exact(count);
-        rows.flat_map(|row| row.iter().zip(&variances).map(|(d, v)| f64::from(*d).powi(2) * v)).sum()
+        let of = |(shapes, slab): (Range<usize>, &[f32])| -> f64 {
+            let rows = slab.chunks_exact(shapes.len());
+            rows.flat_map(|row| row.iter().zip(&variances[shapes.clone()]).map(|(d, v)| f64::from(*d).powi(2) * v))
+                .sum()
+        };
+        input.shapes.vertex(i).map(of).sum()
     };
     let sums: Vec<f64> = (0..result.positions.len()).into_par_iter().map(vertex).collect();
     (sums.iter().sum::<f64>() / sums.len().max(1) as f64).sqrt()

@@ -102,10 +102,8 @@ fn log_odds(
     let count = input.shapes.len();
     let precision = INDEPENDENT / (pairs.len() as f64 * (MISFIT * size / result.start.scale).powi(2));
     let mut rows = DMatrix::<f64>::zeros(3 * pairs.len(), count);
-    for (r, (i, _)) in pairs.iter().enumerate().filter(|_| count > 0) {
-        for (a, row) in input.shapes.vertex(*i).chunks_exact(count).enumerate() {
-            rows.row_mut(3 * r + a).iter_mut().zip(row).for_each(|(to, from)| *to = f64::from(*from));
-        }
+    for (r, (i, _)) in pairs.iter().enumerate() {
+        (0..count).for_each(|k| rows.fixed_view_mut::<3, 1>(3 * r, k).copy_from(&input.shapes.displacement(*i, k)));
     }
     let mut normal = rows.tr_mul(&rows) * precision;
     for (k, shape) in input.shapes.shapes().iter().enumerate() {

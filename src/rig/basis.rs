@@ -1,14 +1,13 @@
-//! The shapes of a fit, as the solver reads them: one constant slab of displacements.
+//! The shapes of a fit, as the solver reads them: constant slabs of displacements.
 
+use std::ops::Range;
 use std::sync::Arc;
-
-use rayon::prelude::*;
 
 use super::{Family, Shape};
 use crate::mesh::Vec3;
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
-/// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the slab.
+/// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the displacements.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapeBasis {
     shapes: Vec<Shape>,
@@ -17,7 +16,16 @@ pub struct ShapeBasis {
     beyond: Vec<f64>,
     /// Of the weights, lower and upper; both empty for none.
     bounds: [Vec<f64>; 2],
-    slab: Arc<Vec<f32>>,
+    /// In the order of the shapes: [joined](Self::joined) ones keep their own.
+    slabs: Vec<Slab>,
+}
+
+/// Some shapes that follow each other.
+#[derive(Debug, Clone, PartialEq)]
+struct Slab {
+    shapes: usize,
+    /// `3 N` rows of one entry per shape.
+    values: Arc<Vec<f32>>,
 }
 
 impl ShapeBasis {
@@ -37,7 +45,14 @@ impl ShapeBasis {
     pub fn new(shapes: Vec<Shape>, slab: Vec<f32>) -> Self {
         assert_eq!(slab.len() % (3 * shapes.len()).max(1), 0, "the slab must be 3 N rows of {} shapes", shapes.len());
         let beyond = vec![f64::INFINITY; shapes.len()];
-        Self { sigmas: vec![1.0; shapes.len()], beyond, bounds: Default::default(), shapes, slab: Arc::new(slab) }
+        let slabs = (!shapes.is_empty()).then(|| Slab { shapes: shapes.len(), values: Arc::new(slab) });
+        Self {
+            sigmas: vec![1.0; shapes.len()],
+            beyond,
+            bounds: Default::default(),
+            shapes,
+            slabs: slabs.into_iter().collect(),
+        }
     }
 
     /// The width, height and depth of a template about its centre, each larger by `share` at weight one.
@@ -83,15 +98,18 @@ impl ShapeBasis {
     /// When there is no such vertex.
     #[must_use]
     pub fn masked(&self, vertices: &[u32], weight: impl Fn(u32) -> f64) -> Self {
-        let mut slab = Vec::with_capacity(3 * vertices.len() * self.len());
-        for &v in vertices {
-            let w = weight(v);
-            slab.extend(self.vertex(v as usize).iter().map(|d| (w * f64::from(*d)) as f32));
-        }
-        Self { slab: Arc::new(slab), ..self.clone() }
+        let masked = |slab: &Slab| {
+            let mut values = Vec::with_capacity(3 * slab.shapes * vertices.len());
+            for &v in vertices {
+                let w = weight(v);
+                values.extend(slab.vertex(v as usize).iter().map(|d| (w * f64::from(*d)) as f32));
+            }
+            Slab { shapes: slab.shapes, values: Arc::new(values) }
+        };
+        Self { slabs: self.slabs.iter().map(masked).collect(), ..self.clone() }
     }
 
-    /// These shapes and, after them, those of `other`, on the same vertices.
+    /// These shapes and, after them, those of `other`, on the same vertices. What they hold is shared, not copied.
     ///
     /// # Panics
     /// If both have shapes, but not of as many vertices.
@@ -101,16 +119,6 @@ impl ShapeBasis {
             return if self.is_empty() { other.clone() } else { self.clone() };
         }
         assert_eq!(self.vertex_count(), other.vertex_count(), "shapes of different templates");
-        let mut slab = vec![0.0; self.slab.len() + other.slab.len()];
-        let own = self.slab.par_chunks_exact(self.len());
-        let others = other.slab.par_chunks_exact(other.len());
-        slab.par_chunks_exact_mut(self.len() + other.len()).zip(own.zip(others)).with_min_len(1024).for_each(
-            |(row, (own, others))| {
-                let (first, second) = row.split_at_mut(own.len());
-                first.copy_from_slice(own);
-                second.copy_from_slice(others);
-            },
-        );
         let bounds =
             [(0, f64::NEG_INFINITY), (1, f64::INFINITY)].map(|(side, free)| match (self.bounds(), other.bounds()) {
                 (None, None) => Vec::new(),
@@ -127,7 +135,7 @@ impl ShapeBasis {
             sigmas: [&self.sigmas[..], &other.sigmas].concat(),
             beyond: [&self.beyond[..], &other.beyond].concat(),
             bounds,
-            slab: Arc::new(slab),
+            slabs: [&self.slabs[..], &other.slabs].concat(),
         }
     }
 
@@ -146,7 +154,7 @@ impl ShapeBasis {
     /// Number of vertices that the shapes move; zero without shapes.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
-        self.slab.len() / (3 * self.len()).max(1)
+        self.slabs.first().map_or(0, |slab| slab.values.len() / (3 * slab.shapes))
     }
 
     /// Name and family of each shape, in the order of the weights `w_k`.
@@ -195,29 +203,48 @@ impl ShapeBasis {
         (!lower.is_empty()).then_some((lower, upper))
     }
 
-    /// `B_i`, the three rows of vertex `i`: `3 x len`, row-major.
+    /// `B_i`, the three rows of vertex `i`, in pieces: which shapes, and their entries, `3 x` as many, row-major.
     ///
     /// # Panics
     /// When there is no vertex `i`.
     #[inline(always)]
+    pub fn vertex(&self, i: usize) -> impl Iterator<Item = (Range<usize>, &[f32])> {
+        self.slabs.iter().scan(0, move |first, slab| {
+            let shapes = *first..*first + slab.shapes;
+            *first = shapes.end;
+            Some((shapes, slab.vertex(i)))
+        })
+    }
+
+    /// Displacement of vertex `i` by shape `k` at weight one: column `k` of `B_i`.
+    ///
+    /// # Panics
+    /// When there is no such vertex or shape.
     #[must_use]
-    pub fn vertex(&self, i: usize) -> &[f32] {
-        let n = 3 * self.len();
-        &self.slab[i * n..(i + 1) * n]
+    pub fn displacement(&self, i: usize, k: usize) -> Vec3 {
+        let (shapes, rows) = self.vertex(i).find(|piece| piece.0.contains(&k)).expect("the shape is one of these");
+        Vec3::from_fn(|a, _| rows[a * shapes.len() + k - shapes.start].into())
     }
 
     /// `b_i(w)` for vertex `i` at rest in `rest`.
     #[inline(always)]
     #[must_use]
     pub fn blend(&self, i: usize, rest: Vec3, w: &[f64]) -> Vec3 {
-        if self.is_empty() {
-            return rest;
-        }
         let mut b = rest;
-        for (a, row) in self.vertex(i).chunks_exact(self.len()).enumerate() {
-            b[a] += dot(row, w);
+        for (shapes, rows) in self.vertex(i) {
+            for (a, row) in rows.chunks_exact(shapes.len()).enumerate() {
+                b[a] += dot(row, &w[shapes.clone()]);
+            }
         }
         b
+    }
+}
+
+impl Slab {
+    #[inline(always)]
+    fn vertex(&self, i: usize) -> &[f32] {
+        let n = 3 * self.shapes;
+        &self.values[i * n..(i + 1) * n]
     }
 }
 
@@ -264,8 +291,28 @@ mod tests {
     fn proportions_are_of_the_template_about_its_centre() {
         let basis = ShapeBasis::proportions(&[Vec3::new(3.0, 10.0, -1.0), Vec3::new(1.0, 20.0, -5.0)], 0.1);
         assert_eq!(basis.shapes().iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["width", "height", "depth"]);
-        assert_eq!(basis.vertex(0), [0.1, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.2]);
-        assert_eq!(basis.vertex(1), [-0.1, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, -0.2]);
+        let rows = |i: usize| basis.vertex(i).next().unwrap();
+        assert_eq!(rows(0), (0..3, &[0.1, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.2][..]));
+        assert_eq!(rows(1), (0..3, &[-0.1, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, -0.2][..]));
+    }
+
+    #[test]
+    fn joined_shapes_move_as_each_does_and_as_many_as_one_slab_would() {
+        let shapes = |count: usize| (0..count).map(|k| Shape { name: k.to_string(), family: Family::Other }).collect();
+        let number = |row: usize, k: usize| (row * 7 + k * k) as f32;
+        let slab = |ks: Range<usize>| (0..6).flat_map(|row| ks.clone().map(move |k| number(row, k))).collect();
+        let joined = ShapeBasis::new(shapes(9), slab(0..9)).joined(&ShapeBasis::new(shapes(3), slab(9..12)));
+        let (whole, w): (_, Vec<f64>) = (ShapeBasis::new(shapes(12), slab(0..12)), (0..12).map(f64::from).collect());
+        assert_eq!((joined.len(), joined.vertex_count()), (12, 2));
+        for i in 0..2 {
+            let rest = Vec3::new(1.0, 2.0, 3.0);
+            assert_eq!(joined.blend(i, rest, &w), whole.blend(i, rest, &w));
+            for k in 0..12 {
+                assert_eq!(joined.displacement(i, k), Vec3::from_fn(|a, _| number(3 * i + a, k).into()));
+            }
+        }
+        let masked = joined.masked(&[1], |_| 0.5);
+        assert_eq!(masked.displacement(0, 10), joined.displacement(1, 10) * 0.5);
     }
 
     /// The prior's derivatives are those of differences, and names decide who is held between 0 and 1.

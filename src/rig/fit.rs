@@ -154,11 +154,10 @@ impl Fit {
         let count = basis.len();
         let mut gram = vec![0.0; count * count];
         for i in 0..neutral.len() {
-            for row in basis.vertex(i).chunks_exact(count) {
-                for k in (0..count).filter(|&k| row[k] != 0.0) {
-                    for l in 0..=k {
-                        gram[k * count + l] += f64::from(row[k]) * f64::from(row[l]);
-                    }
+            let displacements: Vec<Vec3> = (0..count).map(|k| basis.displacement(i, k)).collect();
+            for (k, d) in displacements.iter().enumerate().filter(|(_, d)| **d != Vec3::zeros()) {
+                for (l, e) in displacements[..=k].iter().enumerate() {
+                    gram[k * count + l] += d.dot(e);
                 }
             }
         }
@@ -245,17 +244,23 @@ impl Problem for Fit {
                 [-s.z, 0.0, s.x, 0.0, 1.0, 0.0, s.y],
                 [s.y, -s.x, 0.0, 0.0, 0.0, 1.0, s.z],
             ];
-            for (a, shapes) in self.basis.vertex(i).chunks_exact(count).enumerate() {
-                let row = &rows[a][..size];
-                for (p, jp) in row.iter().enumerate() {
+            for (a, row) in rows.iter().enumerate() {
+                for (p, jp) in row[..size].iter().enumerate() {
                     of_pose[p] += jp * r[a];
-                    for (q, jq) in row.iter().enumerate() {
+                    for (q, jq) in row[..size].iter().enumerate() {
                         equations.blocks[p * size + q] += jp * jq;
                     }
-                    let cross = &mut equations.cross[p * count..(p + 1) * count];
-                    cross.iter_mut().zip(shapes).for_each(|(c, d)| *c += scale * jp * f64::from(*d));
                 }
-                of_weights.iter_mut().zip(shapes).for_each(|(g, d)| *g += scale * r[a] * f64::from(*d));
+            }
+            for (shapes, slab) in self.basis.vertex(i) {
+                for ((row, residual), displacements) in rows.iter().zip(r.iter()).zip(slab.chunks_exact(shapes.len())) {
+                    for (p, jp) in row[..size].iter().enumerate() {
+                        let cross = &mut equations.cross[p * count..][shapes.clone()];
+                        cross.iter_mut().zip(displacements).for_each(|(c, d)| *c += scale * jp * f64::from(*d));
+                    }
+                    let gradient = &mut of_weights[shapes.clone()];
+                    gradient.iter_mut().zip(displacements).for_each(|(g, d)| *g += scale * residual * f64::from(*d));
+                }
             }
         }
         for (h, g) in equations.border.iter_mut().zip(&self.gram) {

@@ -408,7 +408,8 @@ fn lengths_scale_with_the_model() {
     let mut scaled = task.moved(|p| p * unit);
     scaled.template.positions.iter_mut().for_each(|p| *p *= unit);
     let (shapes, vertices) = (task.shapes.shapes().to_vec(), task.shapes.vertex_count());
-    let slab = (0..vertices).flat_map(|v| task.shapes.vertex(v).iter().map(|d| d * unit as f32)).collect();
+    let slab =
+        (0..vertices).flat_map(|v| task.shapes.vertex(v).flat_map(|piece| piece.1).map(|d| d * unit as f32)).collect();
     scaled.shapes = ShapeBasis::new(shapes, slab);
     for model in ModelKind::ALL {
         let (large, small) = (task.fit(model), scaled.fit(model));

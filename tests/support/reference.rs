@@ -86,10 +86,9 @@ impl<T: NodeTransform<W>, const W: usize> Formula for Hybrid<T, W> {
         let w: Vec<D> = (0..shapes.len()).map(|k| step[free * W + k] + x[free * ambient + k]).collect();
         let place = |(i, n): (usize, &Vec3)| {
             let mut b: [D; 3] = std::array::from_fn(|a| D::from(n[a]));
-            for a in 0..3 {
-                for (w, delta) in w.iter().zip(&shapes.vertex(i)[a * w.len()..]) {
-                    b[a] += *w * f64::from(*delta);
-                }
+            for (k, w) in w.iter().enumerate() {
+                let displacement = shapes.displacement(i, k);
+                (0..3).for_each(|a| b[a] += *w * displacement[a]);
             }
             let mut v = [D::from(0.0); 3];
             for &(j, omega) in graph.influences(i) {

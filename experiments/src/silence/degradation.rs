@@ -486,9 +486,8 @@ impl Trial<'_> {
         let kept: Vec<usize> = (0..shapes.len())
             .filter(|&k| shapes.shapes()[k].family != family || self.rng.random_range(0.0..1.0) >= share)
             .collect();
-        let all = shapes.len();
-        let slab = (0..shapes.vertex_count())
-            .flat_map(|i| shapes.vertex(i).chunks_exact(all).flat_map(|row| kept.iter().map(|&k| row[k])))
+        let slab = (0..3 * shapes.vertex_count())
+            .flat_map(|row| kept.iter().map(move |&k| shapes.displacement(row / 3, k)[row % 3] as f32))
             .collect();
         self.case.shapes = match kept.is_empty() {
             true => ShapeBasis::none(),

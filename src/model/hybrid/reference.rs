@@ -58,14 +58,12 @@ fn strided<T: NodeTransform<W>, const W: usize>(
         let mut v = [Dual::from_re(0.0); 3];
         for corner in samples.corners(item) {
             let i = corner.vertex as usize;
-            let slab = shapes.vertex(i);
             let mut b: [Dual; 3] = std::array::from_fn(|a| Dual::from_re(vertices[i][a]));
             // What this stride does not differentiate enters as numbers.
             for k in first.saturating_sub(of_nodes)..(first + STRIDE).saturating_sub(of_nodes).min(nb) {
                 let w_k = seed(of_nodes + k, w[k]) - w[k];
-                for a in 0..3 {
-                    b[a] += w_k * f64::from(slab[a * nb + k]);
-                }
+                let displacement = shapes.displacement(i, k);
+                (0..3).for_each(|a| b[a] += w_k * displacement[a]);
             }
             for (&(j, omega), &slot) in graph.influences(i).iter().zip(samples.slots(corner)) {
                 let own =

@@ -122,11 +122,12 @@ impl<const W: usize> FillRows for Structured<'_, W> {
     fn fill<S: Simd>(&self, simd: S, item: usize, (): &mut (), out: &mut ItemRows<'_>) {
         let Blended { graph, shapes, vertices } = self.blended;
         let quadric = self.samples.quadric(item, self.quadrics);
-        let (nb, rows) = (shapes.len(), quadric.rows());
+        let rows = quadric.rows();
         if item + SAMPLES_AHEAD < self.samples.order.len() {
             for corner in self.samples.corners(item + SAMPLES_AHEAD) {
-                let slab = shapes.vertex(corner.vertex as usize);
-                (0..slab.len()).step_by(16).for_each(|at| prefetch(slab, at));
+                for (_, slab) in shapes.vertex(corner.vertex as usize) {
+                    (0..slab.len()).step_by(16).for_each(|at| prefetch(slab, at));
+                }
             }
         }
         for (c, corner) in self.samples.corners(item).iter().enumerate() {
@@ -149,14 +150,14 @@ impl<const W: usize> FillRows for Structured<'_, W> {
                     self.maps.add_pulled_back(simd, j as usize, row.map(|e| weight * e), q, y);
                 }
             }
-            if nb > 0 {
-                let slab = shapes.vertex(i);
+            for (columns, slab) in shapes.vertex(i) {
                 for (r, row) in rows.iter().enumerate() {
                     let direction = times(row, &rbar);
+                    let out = &mut out.of_border(r)[columns.clone()];
                     if c == 0 {
-                        shape_row::<false>(out.of_border(r), direction, slab);
+                        shape_row::<false>(out, direction, slab);
                     } else {
-                        shape_row::<true>(out.of_border(r), direction, slab);
+                        shape_row::<true>(out, direction, slab);
                     }
                 }
             }

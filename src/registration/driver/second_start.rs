@@ -223,13 +223,8 @@ fn tried_levels(schedule: &Schedule) -> &[Level] {
 
 /// The name of the shape whose weight is meant to lie from 0 to 1 that moves the surface most.
 fn most_moving(shapes: &ShapeBasis) -> Option<String> {
-    let count = shapes.len();
-    let square = |k: usize| -> f64 {
-        (0..shapes.vertex_count())
-            .flat_map(|i| shapes.vertex(i)[k..].iter().step_by(count))
-            .map(|d| f64::from(*d).powi(2))
-            .sum()
-    };
+    let square =
+        |k: usize| -> f64 { (0..shapes.vertex_count()).map(|i| shapes.displacement(i, k).norm_squared()).sum() };
     let of = shapes.shapes().iter().enumerate().filter(|(_, shape)| shape.from_zero_to_one());
     let squares = of.map(|(k, shape)| (square(k), shape));
     squares.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, shape)| shape.name.clone())

@@ -146,11 +146,9 @@ fn expressive_similarity(input: &StartInput<'_>, kept: &[usize]) -> Result<Pose,
     let mut motion = DMatrix::<f64>::zeros(3 * kept.len(), expressions.len());
     for (row, &i) in kept.iter().enumerate() {
         for (v, share) in all[i].1.template.corners() {
-            let of_vertex = shapes.vertex(v as usize);
             for (column, &k) in expressions.iter().enumerate() {
-                for axis in 0..3 {
-                    motion[(3 * row + axis, column)] += share * f64::from(of_vertex[axis * shapes.len() + k]) / sigma;
-                }
+                let displacement = shapes.displacement(v as usize, k);
+                (0..3).for_each(|axis| motion[(3 * row + axis, column)] += share * displacement[axis] / sigma);
             }
         }
     }
