@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
+use super::inputs::{LANDMARKS, TEMPLATE_LANDMARKS, read_landmarks};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, meshes, say};
 use crate::correspondence::ScanError;
-use crate::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
-use crate::io;
-use crate::io::FilePlan;
+use crate::evaluation::{DistanceSummary, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use crate::io::{self, FilePlan, Inputs};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
@@ -21,7 +21,8 @@ use crate::render::{ColourScale, View, error_sheet, save_png};
     after_help = "Examples, on what `data-gen --seed 7 --out out/data` and the first example of `nonrigid register` make:\n  \
     nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --heatmap error.png \\\n      \
     --truth out/data/cases/same_open/truth.npy --observed out/data/cases/same_open/observed.npy\n  \
-    nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --target out/data/cases/same_open/scan.ply --json"
+    nonrigid eval --result wrapped.obj --template out/data/rig/template.obj --target out/data/cases/same_open/scan.ply \\\n      \
+    --landmarks out/data/cases/same_open/landmarks.json --json"
 )]
 pub struct Arguments {
     /// Result to measure: any mesh or .npy in the template's vertex order
@@ -31,7 +32,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
     /// True position of every template vertex (.npy N x 3, .obj or .ply)
-    #[arg(long, value_name = "FILE", conflicts_with = "target", required_unless_present = "target")]
+    #[arg(long, value_name = "FILE", conflicts_with = "target", required_unless_present_any = ["target", "landmarks"])]
     truth: Option<PathBuf>,
     /// Which vertices the scan shows (.npy, N booleans) [default: all]
     #[arg(long, value_name = "FILE", requires = "truth", conflicts_with = "target")]
@@ -39,6 +40,13 @@ pub struct Arguments {
     /// The scan, a mesh or a point cloud with normals, where there is no truth: surface distances both ways
     #[arg(long, value_name = "MESH")]
     target: Option<PathBuf>,
+    /// Landmarks of the scan, best such that had no part in the registration: how far the result's are from them. In any format that
+    /// 'nonrigid landmarks' reads
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
+    /// What the landmarks' names mean on the template, in any of those formats
+    #[arg(long, value_name = "FILE", requires = "landmarks")]
+    template_landmarks: Option<PathBuf>,
     #[command(flatten)]
     units: UnitArguments,
     /// Print JSON
@@ -49,13 +57,15 @@ pub struct Arguments {
     heatmap: Option<PathBuf>,
 }
 
-/// What is printed: distances to the truth or to the scan, then what the result is as a mesh.
+/// What is printed: distances to the truth, to the scan or to neither, those of landmarks, then what the result is as a mesh.
 #[derive(Serialize)]
-struct Measured<D> {
+struct Measured<'a, D> {
     #[serde(flatten)]
     distances: D,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    landmarks: Option<&'a LandmarkErrors>,
     #[serde(flatten)]
-    mesh: MeshQuality,
+    mesh: &'a MeshQuality,
 }
 
 /// Runs the command.
@@ -67,45 +77,95 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         ("truth", a.truth.as_ref()),
         ("observed", a.observed.as_ref()),
         ("target", a.target.as_ref()),
+        (LANDMARKS, a.landmarks.as_ref()),
+        (TEMPLATE_LANDMARKS, a.template_landmarks.as_ref()),
     ];
     let outputs = a.heatmap.iter().map(|path| ("--heatmap", path));
     check_plan(&FilePlan::new().reads_all(meshes(of_meshes)).writes_all(outputs))?;
-    let mut units = a.units.of(&["result", "template", "truth", "target"])?;
+    if a.heatmap.is_some() && a.truth.is_none() && a.target.is_none() {
+        return Err(Failure::new(
+            Stage::Arguments,
+            "--heatmap shows distances to --truth or --target: give one of them",
+        ));
+    }
+    let mut units = a.units.of(&["result", "template", "truth", "target", "landmarks", "template-landmarks"])?;
     let template = units.read_mesh("template", &a.template)?;
     let positions = units.read_positions("result", &a.result)?;
     same_count("the result", positions.len(), &template)?;
     let result = PolygonMesh { positions, ..template.clone() };
-    let (text, json, per_vertex, label) = match (&a.truth, &a.target) {
-        (Some(truth), _) => against_truth(a, &template, &result, &units.read_positions("truth", truth)?)?,
-        (None, Some(target)) => {
-            let scan = units.read_scan("target", target)?;
+    let truth = a.truth.as_ref().map(|path| units.read_positions("truth", path)).transpose()?;
+    let scan = a.target.as_ref().map(|path| units.read_scan("target", path)).transpose()?;
+    let landmarks = [&a.landmarks, &a.template_landmarks].map(Option::as_deref);
+    let of_points = if scan.is_some() { "target" } else { "result" };
+    let of_points = (of_points, scan.as_ref().map(|scan| &scan.mesh));
+    let landmarks = read_landmarks(landmarks, &Inputs::default(), &mut units, &template, of_points)?;
+    units.say();
+    let evaluated = Evaluated {
+        mesh: MeshQuality::new(&template, &result.positions).map_err(Failure::computation)?,
+        landmarks: a.landmarks.as_ref().map(|_| LandmarkErrors::new(&landmarks, &result.positions, WITHIN_MM)),
+        result,
+    };
+    match (truth, scan) {
+        (Some(truth), _) => evaluated.say(a, against_truth(a, &evaluated.result, &truth)?),
+        (None, Some(scan)) => {
             let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
             if scan.mesh.triangles.is_empty() && !directed {
-                return Err(Failure::loading(format!("{}: {}", target.display(), ScanError::Empty)));
+                let target = a.target.as_deref().unwrap_or(&a.result).display();
+                return Err(Failure::loading(format!("{target}: {}", ScanError::Empty)));
             }
-            against_scan(&template, &result, &scan.mesh, scan.normals.as_deref())?
+            evaluated.say(a, against_scan(&evaluated.result, &scan.mesh, scan.normals.as_deref())?)
         }
-        (None, None) => return Err(Failure::new(Stage::Arguments, "give --truth or --target")),
-    };
-    units.say();
-    if let Some(path) = &a.heatmap {
-        let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
-        let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sheet =
-            error_sheet(label, &[(&name, &result, &per_vertex)], &scale, &[View::Front, View::ThreeQuarter], 640);
-        save_png(&sheet, path).map_err(Failure::writing)?;
+        (None, None) => {
+            evaluated.say(a, Compared { text: String::new(), distances: Nothing {}, per_vertex: Vec::new(), label: "" })
+        }
     }
-    say(if a.json { json } else { text })
 }
 
-type Outcome = (String, String, Vec<f64>, &'static str);
+/// A result, and what needs neither truth nor scan.
+struct Evaluated {
+    result: PolygonMesh,
+    mesh: MeshQuality,
+    landmarks: Option<LandmarkErrors>,
+}
 
-fn against_truth(
-    a: &Arguments,
-    template: &PolygonMesh,
-    result: &PolygonMesh,
-    truth: &[Vec3],
-) -> Result<Outcome, Failure> {
+/// A result compared with a truth or a scan.
+struct Compared<D> {
+    /// Lines, each with its end.
+    text: String,
+    distances: D,
+    /// Distance of each vertex.
+    per_vertex: Vec<f64>,
+    label: &'static str,
+}
+
+#[derive(Serialize)]
+struct Nothing {}
+
+impl Evaluated {
+    /// Prints all, and draws the heatmap.
+    fn say(&self, a: &Arguments, compared: Compared<impl Serialize>) -> Result<(), Failure> {
+        let Compared { text, distances, per_vertex, label } = compared;
+        if let Some(path) = &a.heatmap {
+            let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
+            let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let shown = [(&*name, &self.result, &*per_vertex)];
+            let sheet = error_sheet(label, &shown, &scale, &[View::Front, View::ThreeQuarter], 640);
+            save_png(&sheet, path).map_err(Failure::writing)?;
+        }
+        if a.json {
+            let measured = Measured { distances, landmarks: self.landmarks.as_ref(), mesh: &self.mesh };
+            return say(serde_json::to_string_pretty(&measured).map_err(Failure::computation)?);
+        }
+        let landmarks = self.landmarks.as_ref().map(|errors| {
+            let DistanceSummary { count, rms, median, max, .. } = errors.summary;
+            let worst = errors.each.first().map_or_else(String::new, |worst| format!(" ({})", worst.name));
+            format!("{count} landmarks: rms {rms:.4} mm, median {median:.4}, max {max:.4}{worst}\n")
+        });
+        say(format!("{text}{}{}", landmarks.unwrap_or_default(), self.mesh))
+    }
+}
+
+fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<Compared<TruthErrors>, Failure> {
     same_count("the truth", truth.len(), result)?;
     let observed = match &a.observed {
         Some(path) => io::read_npy_mask(path, Some(truth.len())).map_err(Failure::loading)?,
@@ -114,9 +174,8 @@ fn against_truth(
     let triangles = result.triangulate().triangles;
     let (errors, vertices) =
         TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
-    let mesh = MeshQuality::new(template, &result.positions).map_err(Failure::computation)?;
     let text = format!(
-        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n{mesh}",
+        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n",
         errors.rmse,
         errors.normal,
         errors.tangential,
@@ -126,42 +185,32 @@ fn against_truth(
         errors.unobserved,
         errors.flipped
     );
-    Ok((
-        text,
-        to_json(&Measured { distances: errors, mesh })?,
-        vertices.observed_distance(&observed),
-        "distance to the truth",
-    ))
+    let per_vertex = vertices.observed_distance(&observed);
+    Ok(Compared { text, distances: errors, per_vertex, label: "distance to the truth" })
 }
 
 fn against_scan(
-    template: &PolygonMesh,
     result: &PolygonMesh,
     scan: &TriangleMesh,
     normals: Option<&[Vec3]>,
-) -> Result<Outcome, Failure> {
+) -> Result<Compared<SurfaceDistances>, Failure> {
     let on_scan = ScanDistance::new(scan, normals).map_err(Failure::computation)?;
     let on_result = ScanDistance::new(&result.triangulate(), None).map_err(Failure::computation)?;
     let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
-    let fit = Measured {
-        distances: SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM),
-        mesh: MeshQuality::new(template, &result.positions).map_err(Failure::computation)?,
-    };
-    let (forth, back) = (&fit.distances.result_to_scan, &fit.distances.scan_to_result);
+    let fit = SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM);
+    let (forth, back) = (&fit.result_to_scan, &fit.scan_to_result);
     let text = format!(
         "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\
-         scan to result: median {:.4} mm, p95 {:.4}, max {:.4}\n\
-         {}",
+         scan to result: median {:.4} mm, p95 {:.4}, max {:.4}\n",
         forth.median,
         forth.p95,
         forth.max,
         100.0 * forth.share_within,
         back.median,
         back.p95,
-        back.max,
-        fit.mesh
+        back.max
     );
-    Ok((text, to_json(&fit)?, to_scan, "distance to the scan"))
+    Ok(Compared { text, distances: fit, per_vertex: to_scan, label: "distance to the scan" })
 }
 
 fn distances(surface: &ScanDistance, points: &[Vec3]) -> Vec<f64> {
@@ -174,8 +223,4 @@ fn same_count(what: &str, found: usize, template: &PolygonMesh) -> Result<(), Fa
         return Ok(());
     }
     Err(Failure::loading(format!("{what} has {found} vertices, the template has {expected}; they must correspond")))
-}
-
-fn to_json(value: &impl Serialize) -> Result<String, Failure> {
-    serde_json::to_string_pretty(value).map_err(Failure::computation)
 }

@@ -7,9 +7,37 @@ use clap::Args;
 use super::units::Units;
 use super::{Failure, warn};
 use crate::io::{self, Inputs};
-use crate::mesh::{PolygonMesh, PoseKind};
+use crate::landmark::{self, Landmark};
+use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh};
 use crate::registration::ScanFlip;
 use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection};
+
+/// What errors and reports call landmarks, and the file that says what their names mean.
+pub const LANDMARKS: &str = "landmarks";
+pub const TEMPLATE_LANDMARKS: &str = "template landmarks";
+
+/// The pairs of `--landmarks` and `--template-landmarks`. Points without a unit have that of `mesh`, an input that is known; those on a
+/// scan's surface need the scan.
+pub fn read_landmarks(
+    [scan_landmarks, template_landmarks]: [Option<&Path>; 2],
+    inputs: &Inputs,
+    units: &mut Units<'_>,
+    template: &PolygonMesh,
+    (mesh, scan): (&str, Option<&TriangleMesh>),
+) -> Result<Vec<Landmark>, Failure> {
+    let Some(path) = scan_landmarks else { return Ok(Vec::new()) };
+    let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
+    units.bring_landmarks("landmarks", path, mesh, &mut set)?;
+    let mut names = None;
+    if let Some(path) = template_landmarks {
+        let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
+        let mut set = set.map_err(Failure::loading)?;
+        units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
+        names = Some((set, path));
+    }
+    let names = names.as_ref().map(|(set, path)| (set, *path));
+    landmark::pair_landmarks((set, path), names, template, scan).map_err(Failure::loading)
+}
 
 /// The rig and which of its shapes to use.
 #[derive(Debug, Args)]

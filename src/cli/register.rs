@@ -10,15 +10,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::bake::{self, BakeArguments};
-use super::inputs::{FlipArgument, MaskArguments, RigArguments, bounds, rig_files, texture_of};
+use super::inputs::{
+    FlipArgument, LANDMARKS, MaskArguments, RigArguments, TEMPLATE_LANDMARKS, bounds, read_landmarks, rig_files,
+    texture_of,
+};
 use super::interrupt::Interrupt;
-use super::units::{UnitArguments, Units};
+use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, warn_of_format, write_json};
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles};
-use crate::landmark;
-use crate::landmark::Landmark;
-use crate::mesh::{PolygonMesh, TriangleMesh};
 use crate::registration::{
     DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip,
@@ -163,8 +163,6 @@ impl Arguments {
 const TEMPLATE: &str = "template";
 const TARGET: &str = "target";
 const NEUTRAL: &str = "neutral";
-const LANDMARKS: &str = "landmarks";
-const TEMPLATE_LANDMARKS: &str = "template landmarks";
 const WARM_START: &str = "warm start";
 const MASK: &str = "mask";
 const FREE_MASK: &str = "free mask";
@@ -215,7 +213,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (shapes, regions) = a.rig.choose(rig?, &mut units, own_neutral)?;
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
     let [mask, free_mask] = a.masks.read(&inputs, &template, &regions)?;
-    let landmarks = read_landmarks(a, &inputs, &mut units, &template, &scan.mesh)?;
+    let landmarks = [&a.landmarks, &a.template_landmarks].map(Option::as_deref);
+    let landmarks = read_landmarks(landmarks, &inputs, &mut units, &template, ("target", Some(&scan.mesh)))?;
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
     units.say();
@@ -376,27 +375,6 @@ fn read_state(path: &Path) -> Result<WarmStart, Failure> {
     let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
     let text = io::read_text(path).map_err(Failure::loading)?;
     serde_json::from_str(&text).map_err(|e| failed(&e))
-}
-
-fn read_landmarks(
-    a: &Arguments,
-    inputs: &Inputs,
-    units: &mut Units<'_>,
-    template: &PolygonMesh,
-    scan: &TriangleMesh,
-) -> Result<Vec<Landmark>, Failure> {
-    let Some(path) = &a.landmarks else { return Ok(Vec::new()) };
-    let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
-    units.bring_landmarks("landmarks", path, "target", &mut set)?;
-    let mut names = None;
-    if let Some(path) = &a.template_landmarks {
-        let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
-        let mut set = set.map_err(Failure::loading)?;
-        units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
-        names = Some((set, path.as_path()));
-    }
-    let names = names.as_ref().map(|(set, path)| (set, *path));
-    landmark::pair_landmarks((set, path), names, template, Some(scan)).map_err(Failure::loading)
 }
 
 /// What differs from run to run.

@@ -1,12 +1,13 @@
 //! How good a registered mesh is: against a known truth, and against the scan alone.
 //!
-//! [`TruthErrors`] needs the true position of every vertex, [`SurfaceDistances`] only distances between the two surfaces,
-//! [`MeshQuality`] (self-intersections, edge stretch) and [`flipped_triangles`] only the mesh before and after; [`ApertureErrors`] says how
-//! far lids and lips are open against the truth. Surface
-//! distance alone misleads: a mesh can lie on the scan to 0.1 mm and slide along it by 10 mm.
+//! [`TruthErrors`] needs the true position of every vertex, [`LandmarkErrors`] that of a few points, [`SurfaceDistances`] only distances
+//! between the two surfaces, [`MeshQuality`] (self-intersections, edge stretch) and [`flipped_triangles`] only the mesh before and after;
+//! [`ApertureErrors`] says how far lids and lips are open against the truth. Surface distance alone misleads: a mesh can lie on the scan
+//! to 0.1 mm and slide along it by 10 mm.
 
 mod apertures;
 mod deformation;
+mod landmark_errors;
 mod percentile;
 mod scan_distance;
 mod self_intersections;
@@ -15,6 +16,7 @@ mod truth_errors;
 
 pub use apertures::ApertureErrors;
 pub use deformation::{EdgeStretch, MeshQuality, RestEdges, RestNormals, flipped_triangles};
+pub use landmark_errors::{LandmarkError, LandmarkErrors};
 pub use percentile::percentile;
 pub use scan_distance::ScanDistance;
 pub use self_intersections::self_intersections;

@@ -6,11 +6,12 @@ use std::process::{Command, Stdio};
 use crate::support::{Bench, farthest, landmarks_json};
 use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
-use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
+use nonrigid::evaluation::{LandmarkErrors, MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::io::{
     NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
     write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
+use nonrigid::landmark::read_landmarks;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
@@ -290,6 +291,28 @@ fn eval_without_truth_measures_both_ways_to_the_scan() {
     assert!(text.contains(&format!("result to scan: median {:.4}", distances.result_to_scan.median)), "{text}");
     assert!(text.contains(&format!("scan to result: median {:.4}", distances.scan_to_result.median)), "{text}");
     assert!(text.contains(&quality.to_string()), "{text}");
+}
+
+/// Alone, and beside what the scan says; of the landmarks of the case, whose truth is the template's vertices.
+#[test]
+fn eval_measures_landmarks_by_name() {
+    let bench = Bench::new();
+    bench.done(&format!("{FIT} {INPUTS} --out r.obj"));
+    let (template, result) =
+        (read_obj(&bench.path("rig/template.obj")).unwrap(), read_obj(&bench.path("r.obj")).unwrap());
+    let landmarks = read_landmarks(&bench.path("case/landmarks.json"), None, &template, None).unwrap();
+    let errors = LandmarkErrors::new(&landmarks, &result.positions, WITHIN_MM);
+    let command = format!("eval --result r.obj {TEMPLATE} --landmarks case/landmarks.json");
+    let alone = json(bench.done(&format!("{command} --json")));
+    assert_eq!(alone["landmarks"], json(serde_json::to_string(&errors).unwrap()));
+    assert!(alone["self_intersections"].is_u64() && alone["rmse"].is_null(), "{alone}");
+    let text = bench.done(&command);
+    let summary = errors.summary;
+    let expected = format!("{} landmarks: rms {:.4} mm, median {:.4}, ", summary.count, summary.rms, summary.median);
+    assert!(text.starts_with(&expected) && text.contains(&format!("({})", errors.each[0].name)), "{text}");
+    let beside = json(bench.done(&format!("{command} --target case/scan.ply --json")));
+    assert_eq!(beside["landmarks"], alone["landmarks"]);
+    assert!(beside["result_to_scan"]["median"].is_f64(), "{beside}");
 }
 
 /// The fields of both in one JSON object.

@@ -19,7 +19,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("energy", &["mesh", "nlls", "text"]),
     ("model", &["energy", "mesh", "nlls", "rig"]),
     ("term", &["correspondence", "energy", "mesh", "nlls"]),
-    ("evaluation", &["io", "mesh"]),
+    ("evaluation", &["io", "landmark", "mesh"]),
     ("render", &["io", "mesh"]),
     ("texture", &["io", "mesh"]),
     (
