@@ -244,7 +244,7 @@ impl std::fmt::Display for Doubt {
             ),
             Self::BeyondShapes { rms } => write!(
                 f,
-                "the result is {rms:.1} mm from anything that the shapes make; check the neutral, or give more identity modes or \
+                "the scan is {rms:.1} mm from anything that the shapes make; check the neutral, or give more identity modes or \
                  expressions"
             ),
             Self::ExtremeWeights { energy, worst, deviations } => write!(

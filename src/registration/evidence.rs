@@ -51,7 +51,8 @@ pub struct Evidence {
     pub weight_worst: f64,
     /// Root mean square shift of a vertex by the weights' standard deviations.
     pub weight_uncertainty: f64,
-    /// Root mean square distance of the result from what the shapes alone make of it, in the rigid pose nearest to it.
+    /// Root mean square distance of the result from what the shapes alone make of it, in the rigid pose nearest to it. Where a model
+    /// makes nothing else, what it leaves of the scan in their place: the 90th percentile of the distances to it.
     pub beyond_shapes: f64,
     /// 95th percentile of the same.
     pub beyond_shapes_p95: f64,
@@ -96,6 +97,8 @@ pub struct Coverage {
 /// What counts as on the scan, and as over the template, as a share of the size.
 const NEAR: f64 = 0.045;
 const OVER: f64 = 0.4;
+/// A result so near to what the shapes make is made by them alone, as a share of the size.
+const NOTHING: f64 = 1e-6;
 /// Distance between the points of the scan that are asked, as a share of the size.
 const SPACING: f64 = 0.06;
 /// Cosine of the widest angle between normals of what is on the scan.
@@ -183,7 +186,10 @@ impl Evidence {
         let sigma = result.schedule.sigma.landmark * size / result.schedule.reference_size;
         let prior = |k: usize| result.schedule.sigma.of(input.shapes.shapes()[k].family);
         let ratios: Vec<f64> = result.weights.iter().enumerate().map(|(k, w)| w.value.abs() / prior(k)).collect();
-        let beyond = beyond_shapes(input, result);
+        let beyond = match beyond_shapes(input, result).map(|distance| distance / size) {
+            [rms, _] if rms < NOTHING && !result.weights.is_empty() => [quality.coverage.distance_p90; 2],
+            beyond => beyond,
+        };
         let grown = intersections_grown(result, quality);
         let landmark =
             |l: &Landmark| (l.weight(sigma), (l.template.position(&result.positions) - l.target).norm() / size);
@@ -209,8 +215,8 @@ impl Evidence {
             weight_energy: ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len().max(1) as f64,
             weight_worst: ratios.iter().copied().fold(0.0, f64::max),
             weight_uncertainty: weight_uncertainty(input, result) / size,
-            beyond_shapes: beyond.0 / size,
-            beyond_shapes_p95: beyond.1 / size,
+            beyond_shapes: beyond[0],
+            beyond_shapes_p95: beyond[1],
             flipped: of_triangles(quality.flipped),
             intersections: of_triangles(grown),
             stretch: quality.mesh.stretch.p99.max(f64::MIN_POSITIVE).ln(),
@@ -231,7 +237,7 @@ pub(super) fn intersections_grown(result: &RegistrationResult, quality: &Quality
 
 /// Root mean square and 95th percentile of the distance between the result and what the shapes alone make, over the accepted
 /// vertices, to which it is posed rigidly.
-fn beyond_shapes(input: &RegistrationInput<'_>, result: &RegistrationResult) -> (f64, f64) {
+fn beyond_shapes(input: &RegistrationInput<'_>, result: &RegistrationResult) -> [f64; 2] {
     let weights: Vec<f64> = result.weights.iter().map(|w| w.value).collect();
     let blended = |i: usize| match weights.len() == input.shapes.len() {
         true => input.shapes.blend(i, input.rest_positions()[i], &weights),
@@ -243,11 +249,11 @@ fn beyond_shapes(input: &RegistrationInput<'_>, result: &RegistrationResult) -> 
         .collect();
     // A start that scales is part of the pose.
     let kind = if result.start.scale == 1.0 { PoseKind::Rigid } else { PoseKind::Similarity };
-    let Ok(pose) = closest_pose(&shown, kind) else { return (0.0, 0.0) };
+    let Ok(pose) = closest_pose(&shown, kind) else { return [0.0; 2] };
     let mut apart: Vec<f64> = shown.iter().map(|(a, b)| (pose.apply(*a) - b).norm()).collect();
     apart.sort_unstable_by(f64::total_cmp);
     let rms = (apart.iter().map(|d| d * d).sum::<f64>() / apart.len().max(1) as f64).sqrt();
-    (rms, apart[apart.len() * 95 / 100])
+    [rms, apart[apart.len() * 95 / 100]]
 }
 
 /// Root mean square over the vertices of `sqrt(sum_k dev_k^2 |B_ik|^2)`, as if the weights were independent.

@@ -9,6 +9,7 @@ mod skip;
 #[path = "../support/mod.rs"]
 mod support;
 
+mod doubts;
 mod laws;
 mod random;
 mod self_test;
