@@ -32,7 +32,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
     /// True position of every template vertex (.npy N x 3, .obj or .ply)
-    #[arg(long, value_name = "FILE", conflicts_with = "target", required_unless_present_any = ["target", "landmarks"])]
+    #[arg(long, value_name = "FILE", conflicts_with = "target")]
     truth: Option<PathBuf>,
     /// Which vertices the scan shows (.npy, N booleans) [default: all]
     #[arg(long, value_name = "FILE", requires = "truth", conflicts_with = "target")]
@@ -82,11 +82,12 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     ];
     let outputs = a.heatmap.iter().map(|path| ("--heatmap", path));
     check_plan(&FilePlan::new().reads_all(meshes(of_meshes)).writes_all(outputs))?;
-    if a.heatmap.is_some() && a.truth.is_none() && a.target.is_none() {
-        return Err(Failure::new(
-            Stage::Arguments,
-            "--heatmap shows distances to --truth or --target: give one of them",
-        ));
+    if a.truth.is_none() && a.target.is_none() && (a.landmarks.is_none() || a.heatmap.is_some()) {
+        let lacking = match a.landmarks {
+            None => "nothing to measure the result by: give --truth, --target or --landmarks",
+            Some(_) => "--heatmap shows distances to --truth or --target: give one of them",
+        };
+        return Err(Failure::new(Stage::Arguments, lacking));
     }
     let mut units = a.units.of(&["result", "template", "truth", "target", "landmarks", "template-landmarks"])?;
     let template = units.read_mesh("template", &a.template)?;
