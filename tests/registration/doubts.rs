@@ -2,25 +2,18 @@
 
 use std::ops::ControlFlow;
 
+use crate::start::{basis, expressions};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::landmark::Landmark;
-use nonrigid::mesh::Vec3;
 use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, StepRecord, assess, register};
-use nonrigid::rig::{Family, Shape, ShapeBasis};
-
-fn basis<'a>(family: Family, shapes: impl Iterator<Item = (String, &'a Vec<Vec3>)>) -> ShapeBasis {
-    let (names, deltas): (Vec<String>, Vec<&Vec<Vec3>>) = shapes.unzip();
-    let rows = 3 * deltas.first().map_or(0, |delta| delta.len());
-    let slab = (0..rows).flat_map(|row| deltas.iter().map(move |d| d[row / 3][row % 3] as f32)).collect();
-    ShapeBasis::new(names.into_iter().map(|name| Shape { name, family }).collect(), slab)
-}
+use nonrigid::rig::{Family, ShapeBasis};
 
 /// Models of shapes alone make nothing beyond them: what the shapes lack is what they leave of the scan.
 #[test]
 fn a_subject_that_the_shapes_do_not_know_is_doubted_whatever_the_model() {
     let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
     let identities = rig.identities.iter().enumerate().map(|(k, delta)| (format!("identity{k}"), delta));
-    let expressions = basis(Family::Expression, rig.expressions.iter().map(|(name, delta)| (name.clone(), delta)));
+    let expressions = expressions(&rig);
     let all = basis(Family::Identity, identities).joined(&expressions);
     let options = ScanOptions { triangles: 8000, identity: Some(vec![2.0, -2.0, 2.0, -1.5]), ..ScanOptions::default() };
     let case = simulate_scan(&rig, &options, 70).unwrap();

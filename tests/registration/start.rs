@@ -403,12 +403,15 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
     }
 }
 
-fn expressions(rig: &FaceRig) -> ShapeBasis {
-    let (names, deltas): (Vec<&str>, Vec<&Vec<Vec3>>) = rig.expressions.iter().map(|e| (&*e.0, &e.1)).unzip();
-    let shape = |name: &&str| Shape { name: (*name).to_owned(), family: Family::Expression };
+pub fn expressions(rig: &FaceRig) -> ShapeBasis {
+    basis(Family::Expression, rig.expressions.iter().map(|(name, deltas)| (name.clone(), deltas)))
+}
+
+pub fn basis<'a>(family: Family, shapes: impl Iterator<Item = (String, &'a Vec<Vec3>)>) -> ShapeBasis {
+    let (names, deltas): (Vec<String>, Vec<&Vec<Vec3>>) = shapes.unzip();
     let row = |i: usize| deltas.iter().map(move |d| d[i / 3][i % 3] as f32);
-    let slab = (0..3 * rig.neutral.len()).flat_map(row).collect();
-    ShapeBasis::new(names.iter().map(shape).collect(), slab)
+    let slab = (0..3 * deltas[0].len()).flat_map(row).collect();
+    ShapeBasis::new(names.into_iter().map(|name| Shape { name, family }).collect(), slab)
 }
 
 /// From a closed mouth the lower lip finds the scan's upper one.
