@@ -1,16 +1,16 @@
 //! `nonrigid eval`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
 
 use super::inputs::{LANDMARKS, TEMPLATE_LANDMARKS, read_landmarks};
-use super::units::UnitArguments;
+use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, say};
 use crate::correspondence::ScanError;
 use crate::evaluation::{DistanceSummary, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
-use crate::io::{self, FilePlan, Inputs};
+use crate::io::{self, FilePlan, Inputs, Scan};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
@@ -95,7 +95,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     same_count("the result", positions.len(), &template)?;
     let result = PolygonMesh { positions, ..template.clone() };
     let truth = a.truth.as_ref().map(|path| units.read_positions("truth", path)).transpose()?;
-    let scan = a.target.as_ref().map(|path| units.read_scan("target", path)).transpose()?;
+    let scan = a.target.as_ref().map(|path| read_target(&mut units, path)).transpose()?;
     let landmarks = [&a.landmarks, &a.template_landmarks].map(Option::as_deref);
     let of_points = if scan.is_some() { "target" } else { "result" };
     let of_points = (of_points, scan.as_ref().map(|scan| &scan.mesh));
@@ -108,18 +108,21 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     };
     match (truth, scan) {
         (Some(truth), _) => evaluated.say(a, against_truth(a, &evaluated.result, &truth)?),
-        (None, Some(scan)) => {
-            let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
-            if scan.mesh.triangles.is_empty() && !directed {
-                let target = a.target.as_deref().unwrap_or(&a.result).display();
-                return Err(Failure::loading(format!("{target}: {}", ScanError::Empty)));
-            }
-            evaluated.say(a, against_scan(&evaluated.result, &scan.mesh, scan.normals.as_deref())?)
-        }
+        (None, Some(scan)) => evaluated.say(a, against_scan(&evaluated.result, &scan.mesh, scan.normals.as_deref())?),
         (None, None) => {
             evaluated.say(a, Compared { text: String::new(), distances: Nothing {}, per_vertex: Vec::new(), label: "" })
         }
     }
+}
+
+/// The scan, which must have a surface to measure by.
+fn read_target(units: &mut Units<'_>, path: &Path) -> Result<Scan, Failure> {
+    let scan = units.read_scan("target", path)?;
+    let directed = scan.normals.iter().flatten().any(|n| n.norm_squared() > 0.0);
+    if scan.mesh.triangles.is_empty() && !directed {
+        return Err(Failure::loading(format!("{}: {}", path.display(), ScanError::Empty)));
+    }
+    Ok(scan)
 }
 
 /// A result, and what needs neither truth nor scan.
