@@ -50,6 +50,7 @@ impl<const N: usize> Elements<N> {
         self.assembly.linearize(
             0,
             |_| R,
+            #[inline(always)]
             |element, out| {
                 let (jacobian, residuals) = rows(element, nodes[element]);
                 for (r, by_node) in jacobian.iter().enumerate() {

@@ -71,22 +71,27 @@ impl<const H: usize> LinearSamples<H> {
     pub fn pull_back(&mut self, field: &QuadricField, equations: &mut NormalEquations) {
         let (items, quadrics) = (&self.items, field.quadrics());
         let count = |item: usize| items[item].samples.iter().map(|&s| quadrics[s as usize].rows().len()).sum();
-        self.assembly.linearize(0, count, |item, out| {
-            let Item { samples, factors } = &items[item];
-            let (mut residuals, mut r) = ([0.0; 3 * ITEM], 0);
-            for (&s, factors) in samples.iter().zip(factors.chunks_exact(factors.len() / samples.len())) {
-                let quadric = &quadrics[s as usize];
-                for (row, e) in quadric.rows().iter().zip(quadric.residuals()) {
-                    for (slot, h) in factors.iter().enumerate() {
-                        let by_axis = out.of_block(slot, r).chunks_exact_mut(H).zip(row);
-                        by_axis.for_each(|(y, a)| y.iter_mut().zip(h).for_each(|(y, h)| *y = a * h));
+        self.assembly.linearize(
+            0,
+            count,
+            #[inline(always)]
+            |item, out| {
+                let Item { samples, factors } = &items[item];
+                let (mut residuals, mut r) = ([0.0; 3 * ITEM], 0);
+                for (&s, factors) in samples.iter().zip(factors.chunks_exact(factors.len() / samples.len())) {
+                    let quadric = &quadrics[s as usize];
+                    for (row, e) in quadric.rows().iter().zip(quadric.residuals()) {
+                        for (slot, h) in factors.iter().enumerate() {
+                            let by_axis = out.of_block(slot, r).chunks_exact_mut(H).zip(row);
+                            by_axis.for_each(|(y, a)| y.iter_mut().zip(h).for_each(|(y, h)| *y = a * h));
+                        }
+                        residuals[r] = *e;
+                        r += 1;
                     }
-                    residuals[r] = *e;
-                    r += 1;
                 }
-            }
-            out.set_residuals(&residuals);
-        });
+                out.set_residuals(&residuals);
+            },
+        );
         self.assembly.add_to(equations);
     }
 }

@@ -186,6 +186,7 @@ impl VertexAssembly {
         self.assembly.linearize(
             0,
             |item| quadric(item).rows().len(),
+            #[inline(always)]
             |item, rows| {
                 for (slot, weight) in weights[corners.range(item)].iter().enumerate() {
                     for (r, row) in quadric(item).rows().iter().enumerate() {

@@ -226,7 +226,8 @@ impl Assembly {
         pairs
     }
 
-    /// Has `fill` write the rows of every item, `count` of them, over a border of `border` coordinates.
+    /// Has `fill` write the rows of every item, `count` of them, over a border of `border` coordinates. A `fill` that is marked
+    /// `#[inline(always)]` is compiled for the instruction set that the processor has, where fused products are no calls.
     pub fn linearize(
         &mut self,
         border: usize,

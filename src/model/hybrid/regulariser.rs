@@ -113,28 +113,33 @@ impl<const W: usize> GraphRegulariser<W> {
         let edge_weights = &self.edge_weights;
         let joined = &self.joined;
         let count = |item: usize| joined.get(item).map_or(6, |edges| 3 * edges.len());
-        self.assembly.linearize(0, count, |item, rows| {
-            let mut residuals = [0.0; 6];
-            match joined.get(item) {
-                Some(edges) => {
-                    for (&edge, residuals) in edges.iter().zip(residuals.as_chunks_mut().0) {
-                        let (i, j) = graph.edges()[edge as usize];
-                        let ends = [i as usize, j as usize];
-                        let first = if edge == edges[0] { 0 } else { 3 };
-                        let weight = stiffness.graph * edge_weights[edge as usize];
-                        *residuals = edge_rows(graph, maps, ends, (weight, stiffness.kernel), first, rows);
+        self.assembly.linearize(
+            0,
+            count,
+            #[inline(always)]
+            |item, rows| {
+                let mut residuals = [0.0; 6];
+                match joined.get(item) {
+                    Some(edges) => {
+                        for (&edge, residuals) in edges.iter().zip(residuals.as_chunks_mut().0) {
+                            let (i, j) = graph.edges()[edge as usize];
+                            let ends = [i as usize, j as usize];
+                            let first = if edge == edges[0] { 0 } else { 3 };
+                            let weight = stiffness.graph * edge_weights[edge as usize];
+                            *residuals = edge_rows(graph, maps, ends, (weight, stiffness.kernel), first, rows);
+                        }
+                    }
+                    None => {
+                        let Some(of_node) = T::rotation_residuals(&seeded[item - joined.len()]) else { return };
+                        for (r, residual) in of_node.iter().enumerate() {
+                            rows.of_block(0, r)[..W].copy_from_slice(&derivatives(residual).map(|d| rotation * d));
+                        }
+                        residuals = of_node.map(|r| rotation * r.re);
                     }
                 }
-                None => {
-                    let Some(of_node) = T::rotation_residuals(&seeded[item - joined.len()]) else { return };
-                    for (r, residual) in of_node.iter().enumerate() {
-                        rows.of_block(0, r)[..W].copy_from_slice(&derivatives(residual).map(|d| rotation * d));
-                    }
-                    residuals = of_node.map(|r| rotation * r.re);
-                }
-            }
-            rows.set_residuals(&residuals);
-        });
+                rows.set_residuals(&residuals);
+            },
+        );
         self.assembly.add_to(equations);
     }
 

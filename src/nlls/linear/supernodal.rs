@@ -342,10 +342,6 @@ impl<'a> Supernode<'a> {
     }
 }
 
-/// Neighbouring supernodes are merged up to so many columns if so large a share of zeros comes with them: fronts are dense, and
-/// small ones are slow (these save 3 % of a solve with 400 blocks of six against faer's own).
-const RELAX: [(usize, f64); 4] = [(24, 1.0), (48, 0.8), (96, 0.4), (usize::MAX, 0.1)];
-
 /// Elimination tree, column counts and supernodes of the matrix whose upper triangle is given.
 fn symbolic_cholesky(upper: &SymbolicSparseColMat<usize>) -> supernodal::SymbolicSupernodalCholesky<usize> {
     let n = upper.ncols();
@@ -362,7 +358,7 @@ fn symbolic_cholesky(upper: &SymbolicSparseColMat<usize>) -> supernodal::Symboli
         tree,
         &counts,
         memory.stack(),
-        SymbolicSupernodalParams { relax: Some(&RELAX) },
+        SymbolicSupernodalParams::default(),
     )
     .expect("the index type is as wide as the memory that holds the factor")
 }
