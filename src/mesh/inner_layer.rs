@@ -39,6 +39,14 @@ pub fn determinant(nodes: &[Vec3], [a, b, c, d]: [u32; 4]) -> f64 {
     (b - a).cross(&(c - a)).dot(&(d - a))
 }
 
+/// Gradients of the four linear shape functions of a tetrahedron, by the place.
+pub(crate) fn shape_gradients(nodes: &[Vec3], tetrahedron: [u32; 4]) -> [Vec3; 4] {
+    let [a, b, c, d] = tetrahedron.map(|k| nodes[k as usize]);
+    let (p, q, r) = (b - a, c - a, d - a);
+    let [b, c, d] = [q.cross(&r), r.cross(&p), p.cross(&q)].map(|g| g / determinant(nodes, tetrahedron));
+    [-(b + c + d), b, c, d]
+}
+
 impl InnerLayer {
     /// The layer under `mesh`, `thickness` deep (in the mesh's unit), thinner where it would fold. Repeated triangles and those
     /// without area have no prism, nor has one that folds however thin it is; which way round a triangle goes says only where

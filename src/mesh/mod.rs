@@ -25,6 +25,7 @@ mod triangle_mesh;
 
 pub use ambient_occlusion::hidden_vertices;
 pub use error::MeshError;
+pub(crate) use inner_layer::shape_gradients;
 pub use inner_layer::{InnerLayer, determinant};
 pub use mirror_plane::MirrorPlane;
 pub use oriented_points::{ClosestDisc, OrientedPoints};

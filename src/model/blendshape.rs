@@ -52,10 +52,6 @@ impl ModelFactory for Factory {
         include_str!("schedules/blendshape.toml")
     }
 
-    fn uses_shapes(&self) -> bool {
-        true
-    }
-
     fn needs_shapes(&self) -> bool {
         true
     }

@@ -84,9 +84,9 @@ pub trait ModelFactory: Send + Sync {
     /// The model's default schedule, a TOML file.
     fn default_schedule(&self) -> &str;
 
-    /// Whether blendshapes are part of the model.
+    /// Whether blendshapes are part of the model; of one that needs them they are.
     fn uses_shapes(&self) -> bool {
-        false
+        self.needs_shapes()
     }
 
     /// Whether the model can do nothing without blendshapes.

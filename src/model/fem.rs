@@ -1,34 +1,23 @@
 //! Soft tissue of finite elements: linear tetrahedra between the skin and an inner surface, corotational linear elasticity.
 //!
 //! ```text
-//!     F = sum_k x_k g_k'                  deformation gradient, g_k the gradient of the k-th shape function at rest
-//!     F = R S                             R the rotation closest to F (polar decomposition)
-//!     eps = (R'F + F'R) / 2 - 1           corotational strain
-//!     E = lambda sum_e m_e (V_e / T) ( mu |eps|^2 + (kappa / 2) tr(eps)^2 ) + anchor
-//!     mu = 1 / (2 (1 + nu))               kappa = nu / ((1 + nu) (1 - 2 nu))
+//!     E = lambda sum_e m_e (V_e / T) ( mu |eps_e|^2 + (kappa / 2) tr(eps_e)^2 ) + anchor
 //! ```
 //!
-//! (M. Mueller, M. Gross, "Interactive virtual materials", 2004, section 4.) `lambda` is Young's modulus, `m_e` that of a region over
-//! it (mean of the element's corners; 1 unless stated), `nu` Poisson's ratio, `mu` and `kappa` Lame's constants for a modulus of one,
-//! `V_e` the volume of a tetrahedron. Division by the layer's thickness `T` makes
-//! `E` square millimetres of the skin, in any unit and however the skin is triangulated. With a layer one tetrahedron thick,
-//! bending is stiffer than that of the tissue it stands for.
-//!
-//! `R` follows `F`: `R'F` is symmetric there, so `eps = S - 1`, a rotation of an element costs nothing, and the gradient at fixed `R` is
-//! the energy's own. Gauss-Newton on `eps` at fixed `R` is the paper's `R K R'`; it has no curvature in the directions of
-//! rotations either.
+//! (M. Mueller, M. Gross, "Interactive virtual materials", 2004; strain `eps` and Lame's `mu` and `kappa` in `corotational.rs`.)
+//! `lambda` is Young's modulus, `m_e` that of a region over it (mean of the element's corners; 1 unless stated), `V_e` the volume of a
+//! tetrahedron. Division by the layer's thickness `T` makes `E` square millimetres of the skin, in any unit and however the skin is
+//! triangulated. With a layer one tetrahedron thick, bending is stiffer than that of the tissue it stands for.
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, UnitQuaternion};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::corotational::Corotational;
 use super::elements::Elements;
 use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
 use super::on_patch::{PatchFactory, PatchInput};
-use super::rotation_fit::closest_rotation;
-use super::vertex_assembly::{CHUNK, VertexAssembly};
+use super::vertex_assembly::VertexAssembly;
 use super::vertex_model::{VertexModel, VertexRegulariser};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
 use crate::mesh::normals::vertex_areas;
@@ -69,19 +58,6 @@ impl OptionTable for TissueOptions {
     }
 }
 
-impl TissueOptions {
-    /// `m_i` of each of so many vertices.
-    fn moduli(&self, regions: Option<&Regions>, vertices: usize) -> Result<Vec<f64>, ModelError> {
-        let (none, mut moduli) = (Regions::default(), vec![1.0; vertices]);
-        for (name, modulus) in &self.modulus {
-            let region = regions.unwrap_or(&none).named(name);
-            let region = region.map_err(|e| ModelError::Other(format!("modulus: {e}")))?;
-            region.iter().for_each(|v| moduli[*v as usize] *= modulus);
-        }
-        Ok(moduli)
-    }
-}
-
 /// Volume of a tie of a vertex without tissue, as a part of the mean element's at most.
 const TIE: f64 = 1e-3;
 
@@ -92,31 +68,12 @@ pub type Fem = VertexModel<Tissue>;
 pub struct Tissue {
     options: TissueOptions,
     layer: InnerLayer,
-    elements: Elements<4>,
-    at_rest: Vec<AtRest>,
-    states: Vec<State>,
+    tetrahedra: Corotational,
     anchors: Elements<1>,
     /// `m_i A_i / T^2` of each anchor.
     anchor_weights: Vec<f64>,
     /// How far each has moved.
     anchors_moved: Vec<Vec3>,
-}
-
-/// What is known of an element before it moves.
-#[derive(Debug, Clone, Copy)]
-struct AtRest {
-    /// `g_k`.
-    gradients: [Vec3; 4],
-    /// `m_e V_e / T`.
-    weight: f64,
-}
-
-/// And what it is strained to.
-#[derive(Clone, Copy)]
-struct State {
-    turn: UnitQuaternion<f64>,
-    rotation: Matrix3<f64>,
-    strain: Matrix3<f64>,
 }
 
 impl Fem {
@@ -138,11 +95,7 @@ impl Fem {
         let tie = TIE * layer.tetrahedra.iter().map(volume).sum::<f64>() / layer.tetrahedra.len() as f64;
         let volumes = layer.tetrahedra.iter().map(volume).chain(layer.ties.iter().map(|t| volume(t).min(tie)));
         let corners = [&layer.tetrahedra[..], &layer.ties].concat();
-        let at_rest = corners.iter().zip(volumes).map(|(t, volume)| AtRest {
-            gradients: shape_gradients(t.map(|k| layer.nodes[k as usize])),
-            weight: volume / options.thickness,
-        });
-        let at_rest: Vec<AtRest> = at_rest.collect();
+        let weights = volumes.map(|volume| volume / options.thickness).collect();
         let (mut anchors, mut anchor_weights) = (Vec::new(), Vec::new());
         if options.anchor > 0.0 {
             let areas = vertex_areas(&mesh.positions, &mesh.triangles);
@@ -153,13 +106,10 @@ impl Fem {
         }
         let joined: Vec<[u32; 2]> = corners.iter().flat_map(|t| [1, 2, 3].map(|k| [t[0], t[k]])).collect();
         let vertices = VertexAssembly::new(layer.nodes.clone(), mesh.positions.len(), &joined);
-        let still = State { turn: UnitQuaternion::identity(), rotation: Matrix3::identity(), strain: Matrix3::zeros() };
         let tissue = Tissue {
+            tetrahedra: Corotational::new(&layer.nodes, corners, weights, options.poisson),
             options,
             layer,
-            states: vec![still; at_rest.len()],
-            elements: Elements::new(corners),
-            at_rest,
             anchors: Elements::new(anchors),
             anchor_weights,
             anchors_moved: Vec::new(),
@@ -180,8 +130,9 @@ impl Fem {
         for ((v, m), below) in moduli.iter().enumerate().zip(&tissue.layer.below) {
             [Some(v as u32), *below].into_iter().flatten().for_each(|node| of_node[node as usize] = *m);
         }
-        for (corners, rest) in tissue.elements.nodes.iter().zip(&mut tissue.at_rest) {
-            rest.weight *= corners.iter().map(|k| of_node[*k as usize]).sum::<f64>() / 4.0;
+        let Corotational { elements, weights, .. } = &mut tissue.tetrahedra;
+        for (corners, weight) in elements.nodes.iter().zip(weights) {
+            *weight *= corners.iter().map(|k| of_node[*k as usize]).sum::<f64>() / 4.0;
         }
         for ([node], weight) in tissue.anchors.nodes.iter().zip(&mut tissue.anchor_weights) {
             *weight *= of_node[*node as usize];
@@ -196,57 +147,25 @@ impl Fem {
     }
 }
 
-impl Tissue {
-    /// `mu` and `kappa`.
-    fn lame(&self) -> [f64; 2] {
-        let nu = self.options.poisson;
-        [0.5 / (1.0 + nu), nu / ((1.0 + nu) * (1.0 - 2.0 * nu))]
-    }
-}
-
-/// Gradients of the four linear shape functions of a tetrahedron.
-fn shape_gradients([a, b, c, d]: [Vec3; 4]) -> [Vec3; 4] {
-    let (p, q, r) = (b - a, c - a, d - a);
-    let determinant = p.cross(&q).dot(&r);
-    let [b, c, d] = [q.cross(&r), r.cross(&p), p.cross(&q)].map(|g| g / determinant);
-    [-(b + c + d), b, c, d]
-}
-
 impl VertexRegulariser for Tissue {
     const NAME: &'static str = "fem";
 
     fn analyse(&mut self, vertices: &mut VertexAssembly, samples: &Samples) -> BlockStructure {
-        let structure = vertices.analyse(samples, self.elements.cliques());
-        self.elements.analyse(vertices, &structure, 6);
+        let structure = vertices.analyse(samples, self.tetrahedra.elements.cliques());
+        self.tetrahedra.elements.analyse(vertices, &structure, 6);
         self.anchors.analyse(vertices, &structure, 3);
         structure
     }
 
     fn fit(&mut self, nodes: &[Vec3]) {
-        let (corners, at_rest) = (&self.elements.nodes, &self.at_rest);
-        self.states.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, state) in chunk.iter_mut().enumerate() {
-                let (corners, gradients) = (corners[c * CHUNK + k], at_rest[c * CHUNK + k].gradients);
-                let f: Matrix3<f64> =
-                    corners.iter().zip(&gradients).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
-                state.turn = closest_rotation(&f, &state.turn);
-                state.rotation = state.turn.to_rotation_matrix().into_inner();
-                let turned_back = state.rotation.tr_mul(&f);
-                state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
-            }
-        });
+        self.tetrahedra.fit(nodes);
         let moved = |[k]: &[u32; 1]| nodes[*k as usize] - self.layer.nodes[*k as usize];
         self.anchors_moved.clear();
         self.anchors_moved.extend(self.anchors.nodes.iter().map(moved));
     }
 
     fn energy(&self, lambda: f64, out: &mut Vec<NamedEnergy>) {
-        let [mu, kappa] = self.lame();
-        let of = |(rest, state): (&AtRest, &State)| {
-            rest.weight * (mu * state.strain.norm_squared() + kappa / 2.0 * state.strain.trace().powi(2))
-        };
-        let elastic: f64 = self.at_rest.iter().zip(&self.states).map(of).sum();
-        out.push(("elasticity", lambda * elastic));
+        out.push(("elasticity", lambda * self.tetrahedra.energy()));
         if self.options.anchor > 0.0 {
             let each = self.anchors_moved.iter().zip(&self.anchor_weights).map(|(moved, w)| w * moved.norm_squared());
             out.push(("anchor", lambda * each.sum::<f64>()));
@@ -254,27 +173,7 @@ impl VertexRegulariser for Tissue {
     }
 
     fn add_to(&mut self, lambda: f64, equations: &mut NormalEquations) {
-        let [mu, kappa] = self.lame();
-        let (at_rest, states) = (&self.at_rest, &self.states);
-        // mu |eps|^2 + (kappa / 2) tr(eps)^2 = mu |eps + third tr(eps) 1|^2
-        let third = ((1.0 + 1.5 * kappa / mu).sqrt() - 1.0) / 3.0;
-        self.elements.add(equations, |e, _| {
-            let (AtRest { gradients, weight }, State { rotation, strain, .. }) = (&at_rest[e], &states[e]);
-            let root = (lambda * mu * weight).sqrt();
-            let (mut rows, mut residuals) = ([[Vec3::zeros(); 4]; 6], [0.0; 6]);
-            let shear = root * 2f64.sqrt();
-            for a in 0..3 {
-                let b = (a + 1) % 3;
-                residuals[a] = root * (strain[(a, a)] + third * strain.trace());
-                residuals[3 + a] = shear * strain[(a, b)];
-                for (k, g) in gradients.iter().enumerate() {
-                    let dilation = rotation * g;
-                    rows[a][k] = (rotation.column(a) * g[a] + dilation * third) * root;
-                    rows[3 + a][k] = (rotation.column(a) * g[b] + rotation.column(b) * g[a]) * (0.5 * shear);
-                }
-            }
-            (rows, residuals)
-        });
+        self.tetrahedra.add_to(lambda, equations);
         let (moved, weights) = (&self.anchors_moved, &self.anchor_weights);
         self.anchors.add(equations, |i, _| {
             let root = (lambda * weights[i]).sqrt();
@@ -300,7 +199,9 @@ impl ModelFactory for Factory {
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
         let options: TissueOptions = input.options.read()?;
-        let moduli = options.moduli(input.regions, input.rest.positions.len())?;
+        let (none, vertices) = (Regions::default(), input.rest.positions.len());
+        let moduli = input.regions.unwrap_or(&none).products(&options.modulus, vertices);
+        let moduli = moduli.map_err(|e| ModelError::Other(format!("modulus: {e}")))?;
         let options = TissueOptions { thickness: input.length(options.thickness), ..options };
         Ok(Box::new(Fem::new(input.rest, options, 1.0)?.with_moduli(&moduli)))
     }

@@ -105,7 +105,6 @@ impl GpmmOptions {
         }
         let functions = self.rank.div_ceil(3);
         let (factor, columns) = self.cholesky(n, &areas, unit, OVERSAMPLING * functions);
-        let rows = || factor.chunks_exact(columns.max(1));
 
         // G'AG in chunks of fixed size, summed in order.
         let chunks: Vec<DMatrix<f64>> = (factor.par_chunks(CHUNK * columns.max(1)).zip(areas.par_chunks(CHUNK)))
@@ -134,14 +133,13 @@ impl GpmmOptions {
         });
         let width = 3 * kept.len();
         let mut slab = vec![0f32; 3 * n.len() * width];
-        let place = |(row, slab): (&[f64], &mut [f32])| {
+        let slabs = slab.par_chunks_exact_mut((3 * width).max(1)).with_min_len(CHUNK);
+        slabs.zip(factor.par_chunks_exact(columns.max(1))).for_each(|(slab, row)| {
             for k in 0..kept.len() {
                 let value: f64 = row.iter().zip(turn.column(k)).map(|(g, u)| g * u).sum();
                 (0..3).for_each(|a| slab[a * width + 3 * k + a] = value as f32);
             }
-        };
-        let pairs: Vec<_> = rows().zip(slab.chunks_exact_mut((3 * width).max(1))).collect();
-        pairs.into_par_iter().with_min_len(CHUNK).for_each(place);
+        });
         Ok(ShapeBasis::new(shapes.collect(), slab))
     }
 
@@ -212,10 +210,6 @@ impl ModelFactory for Factory {
 
     fn default_schedule(&self) -> &'static str {
         if self.with_rig { include_str!("schedules/gpmm_rig.toml") } else { include_str!("schedules/gpmm.toml") }
-    }
-
-    fn uses_shapes(&self) -> bool {
-        self.with_rig
     }
 
     fn needs_shapes(&self) -> bool {

@@ -7,14 +7,14 @@
 //!     T_i = s_i + h_i^  minimises  sum_(k in i and N(i)) |T_i n_k + t_i - v_k|^2    eqs. (5), (6)
 //! ```
 //!
-//! `T_i` is linear in `v`, so the energy is quadratic, and large turns it gets wrong, as the paper says: that is `frames = "rest"`. With `frames = "current"` every star is turned first by its best rotation for `v`, and `T_i` is taken round that:
-//! then the energy is a function of `v` that no similarity of the whole changes, however large, and its derivatives are still exact.
-//! The algebra of `T_i` is in `star_similarity.rs`.
+//! `T_i` is linear in `v`, so the energy is quadratic, and large turns it gets wrong, as the paper says: that is `frames = "rest"`. With
+//! `frames = "current"` every star is turned first by its best rotation for `v`, and `T_i` is taken round that: then the energy is a
+//! function of `v` that no similarity of the whole changes, however large, and its derivatives are still exact. The algebra of `T_i` is
+//! in `star_similarity.rs`.
 //!
 //! `a_i` is the area of a vertex in units of that of a template of the schedule's reference size, as for the bi-Laplacian of free
 //! vertices, and with cotangent weights the slope at the open boundary is taken out of `delta` as there (at a cut the paper's `delta`
-//! grows against all others as triangles shrink): the energy is
-//! `integral |T Laplace n - Laplace v|^2` times an area, whatever the resolution.
+//! grows as triangles shrink): the energy is `integral |T Laplace n - Laplace v|^2` times an area, whatever the resolution.
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -86,8 +86,7 @@ impl Laplacian {
     /// meant for.
     ///
     /// Vertices that no triangle refers to follow the nearest one that has triangles, turning and growing with its star. Parts without
-    /// data stay where they are if the solver damps (`Options::with_damping_floor`); without damping the normal equations are
-    /// singular, which is an error there.
+    /// data stay if the solver damps (`Options::with_damping_floor`); else the normal equations are singular, an error there.
     ///
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.
@@ -132,12 +131,11 @@ impl Laplacian {
 impl Row {
     /// `scale sum_j w_j (. - n_j)` for vertex `i`, which moves as the star does.
     fn new(stars: &[Star], star: usize, i: u32, scale: f64, others: &[(u32, f64)], n: &[Vec3]) -> Self {
+        let entry = |vertex, member| Entry { vertex, block: None, member, coefficient: 0.0 };
         let members = stars[star].members.iter().enumerate();
-        let member =
-            |(k, &vertex): (usize, &u32)| Entry { vertex, block: None, member: Some(k as u32), coefficient: 0.0 };
-        let mut entries: Vec<Entry> = members.map(member).collect();
+        let mut entries: Vec<Entry> = members.map(|(k, &vertex)| entry(vertex, Some(k as u32))).collect();
         if entries.iter().all(|e| e.vertex != i) {
-            entries.push(Entry { vertex: i, block: None, member: None, coefficient: 0.0 });
+            entries.push(entry(i, None));
         }
         entries.sort_unstable_by_key(|e| e.vertex);
         let mut delta = Vec3::zeros();
@@ -164,8 +162,8 @@ impl VertexRegulariser for Differentials {
         for entry in self.rows.iter_mut().flat_map(|row| &mut row.entries) {
             entry.block = vertices.block(entry.vertex);
         }
-        let cliques: Vec<Vec<u32>> =
-            self.rows.iter().map(|row| row.entries.iter().map(|e| e.vertex).collect()).collect();
+        let of = |row: &Row| row.entries.iter().map(|e| e.vertex).collect();
+        let cliques: Vec<Vec<u32>> = self.rows.iter().map(of).collect();
         let structure = vertices.analyse(samples, cliques.iter().map(Vec::as_slice));
         let items: Vec<Vec<u32>> = self.rows.iter().map(|row| row.free().map(|free| free.0).collect()).collect();
         self.assembly = Assembly::new(items.iter().map(Vec::as_slice), &structure, |_| 3);
@@ -173,16 +171,14 @@ impl VertexRegulariser for Differentials {
     }
 
     fn fit(&mut self, nodes: &[Vec3]) {
-        let (stars, rows, frames) = (&self.stars, &self.rows, self.frames);
-        self.fits.par_chunks_mut(CHUNK).zip(stars.par_chunks(CHUNK)).for_each(|(fits, stars)| {
-            fits.iter_mut().zip(stars).for_each(|(fit, star)| fit.update(star, frames, nodes));
-        });
+        let frames = self.frames;
+        let fits = self.fits.par_iter_mut().zip(&self.stars).with_min_len(CHUNK);
+        fits.for_each(|(fit, star)| fit.update(star, frames, nodes));
         let fits = &self.fits;
-        self.residuals.par_chunks_mut(CHUNK).zip(rows.par_chunks(CHUNK)).for_each(|(residuals, rows)| {
-            for (residual, row) in residuals.iter_mut().zip(rows) {
-                let laplacian: Vec3 = row.entries.iter().map(|e| nodes[e.vertex as usize] * e.coefficient).sum();
-                *residual = fits[row.star as usize].apply(row.delta) - laplacian;
-            }
+        let residuals = self.residuals.par_iter_mut().zip(&self.rows).with_min_len(CHUNK);
+        residuals.for_each(|(residual, row)| {
+            let laplacian: Vec3 = row.entries.iter().map(|e| nodes[e.vertex as usize] * e.coefficient).sum();
+            *residual = fits[row.star as usize].apply(row.delta) - laplacian;
         });
     }
 
@@ -202,14 +198,10 @@ impl VertexRegulariser for Differentials {
                 let (star, fit) = (&stars[row.star as usize], &fits[row.star as usize]);
                 let by_member = fit.derivative(star, frames, row.delta * root);
                 for (slot, (_, entry)) in row.free().enumerate() {
-                    let mut m = Matrix3::from_diagonal_element(-root * entry.coefficient);
-                    if let Some(member) = entry.member {
-                        m += by_member(member as usize);
-                    }
-                    for a in 0..3 {
-                        for b in 0..3 {
-                            out.of_block(slot, a)[b] = m[(a, b)];
-                        }
+                    let turned = entry.member.map_or_else(Matrix3::zeros, |member| by_member(member as usize));
+                    let m = turned - Matrix3::from_diagonal_element(root * entry.coefficient);
+                    for (a, row) in m.row_iter().enumerate() {
+                        out.of_block(slot, a).iter_mut().zip(&row).for_each(|(out, d)| *out = *d);
                     }
                 }
                 out.set_residuals((residuals[item] * root).as_slice());

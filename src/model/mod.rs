@@ -7,6 +7,7 @@ mod affine;
 mod arap;
 mod autodiff;
 mod blendshape;
+mod corotational;
 mod edge_weights;
 mod elements;
 mod factory;

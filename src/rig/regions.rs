@@ -148,6 +148,25 @@ impl Regions {
             RigError::UnknownRegion { name: name.to_owned(), known }
         })
     }
+
+    /// Of each of so many vertices the product of the `factors` of the regions that it is in; 1 outside of all.
+    ///
+    /// # Errors
+    /// As [`mask`](Self::mask).
+    ///
+    /// # Panics
+    /// If a region has vertices past these.
+    pub fn products<'a>(
+        &self,
+        factors: impl IntoIterator<Item = (&'a String, &'a f64)>,
+        vertices: usize,
+    ) -> Result<Vec<f64>, RigError> {
+        let mut products = vec![1.0; vertices];
+        for (name, factor) in factors {
+            self.named(name)?.iter().for_each(|v| products[*v as usize] *= factor);
+        }
+        Ok(products)
+    }
 }
 
 /// Regions as an object whose entries keep their order.
