@@ -49,10 +49,9 @@ impl Seams {
         let scratch = || (Reach::new(&graph), Vec::new(), Vec::new());
         let across = |(reach, near, targets): &mut (Reach<'_>, Vec<ClosestVertex>, Vec<u32>),
                       (i, p): (usize, &Vec3)| {
-            tree.k_nearest(p, NEIGHBOURS, near);
-            near.retain(|c| c.squared_distance <= width * width && c.vertex as usize != i);
+            tree.k_nearest_within(p, NEIGHBOURS, width, near);
             targets.clear();
-            targets.extend(near.iter().map(|c| c.vertex));
+            targets.extend(near.iter().map(|c| c.vertex).filter(|v| *v as usize != i));
             let other = reach.first_beyond(i as u32, DETOUR * width, targets)?;
             Some((i as u32, other, (rest.positions[other as usize] - p).norm()))
         };

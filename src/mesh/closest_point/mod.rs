@@ -319,12 +319,17 @@ impl ClosestVertices {
 
     /// The `k` closest vertices, nearest first, lowest index on ties, into `found` (cleared first).
     pub fn k_nearest(&self, query: &Vec3, k: usize, found: &mut Vec<ClosestVertex>) {
+        self.k_nearest_within(query, k, f64::INFINITY, found);
+    }
+
+    /// Those of them that are no farther than `distance`, for less work.
+    pub fn k_nearest_within(&self, query: &Vec3, k: usize, distance: f64, found: &mut Vec<ClosestVertex>) {
         found.clear();
         let q: Point = (*query).into();
         if k == 0 || !q.iter().all(|x| x.is_finite()) {
             return;
         }
-        let mut best = Best { squared_distance: f64::INFINITY, primitive: u32::MAX };
+        let mut best = Best { squared_distance: distance * distance, primitive: u32::MAX };
         self.tree.search(q, &mut best, |slots, best| {
             for slot in slots {
                 let new = ClosestVertex {
@@ -466,7 +471,7 @@ mod tests {
 
         #[test]
         fn the_closest_vertices_are_those_of_all(points in prop::collection::vec(point(), 1..120), q in point(),
-                                                 k in 1usize..8) {
+                                                 k in 1usize..8, distance in 0.0..120.0) {
             let tree = ClosestVertices::new(&points).unwrap();
             let mut all: Vec<ClosestVertex> = points.iter().enumerate()
                 .map(|(i, p)| ClosestVertex { vertex: i as u32, squared_distance: squared(sub((*p).into(), q.into())) })
@@ -476,6 +481,9 @@ mod tests {
             let mut found = Vec::new();
             tree.k_nearest(&q, k, &mut found);
             all.truncate(k);
+            prop_assert_eq!(&found, &all);
+            tree.k_nearest_within(&q, k, distance, &mut found);
+            all.retain(|c| c.squared_distance <= distance * distance);
             prop_assert_eq!(found, all);
         }
     }
