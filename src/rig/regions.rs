@@ -1,6 +1,6 @@
 //! Named regions of a template: `regions.json` of a rig, `{"name": [vertex, ...], ...}`, or the groups of an OBJ file.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
 use std::path::Path;
 
@@ -153,14 +153,7 @@ impl Regions {
     ///
     /// # Errors
     /// As [`mask`](Self::mask).
-    ///
-    /// # Panics
-    /// If a region has vertices past these.
-    pub fn products<'a>(
-        &self,
-        factors: impl IntoIterator<Item = (&'a String, &'a f64)>,
-        vertices: usize,
-    ) -> Result<Vec<f64>, RigError> {
+    pub(crate) fn products(&self, factors: &BTreeMap<String, f64>, vertices: usize) -> Result<Vec<f64>, RigError> {
         let mut products = vec![1.0; vertices];
         for (name, factor) in factors {
             self.named(name)?.iter().for_each(|v| products[*v as usize] *= factor);

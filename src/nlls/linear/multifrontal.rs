@@ -11,7 +11,8 @@
 //! so all arithmetic is on dense blocks as large as the supernode: one Cholesky, one triangular solve and one product each
 //! (Duff & Reid 1983; Liu 1992). Updates wait on a stack, in the order of a depth-first walk of the tree.
 //!
-//! Why not faer's supernodal factorisation, on the same symbolic factor? One thread, paired runs; how many times as long it takes:
+//! Why not faer's supernodal factorisation, on the same symbolic factor? One thread, paired runs, with supernodes wider than today's; how
+//! many times as long it takes:
 //!
 //! | vertices, nodes, shapes | Gauss-Newton iteration | linear solve | linear solve, with faer's forward solve of the border too |
 //! |---|---|---|---|
