@@ -48,17 +48,10 @@ impl VertexMasks {
         Self { data, bound, samples: Vec::new(), rim, speakers: Vec::new(), spoken_for: Vec::new() }
     }
 
-    /// The same, but the scan has no say in vertices that no polygon uses.
+    /// The same, but the scan has no say in vertices that `left_out` names.
     #[must_use]
-    pub fn of_surface(mut self, referenced: &[bool]) -> Self {
-        self.data.iter_mut().zip(referenced).filter(|(_, r)| !**r).for_each(|(data, _)| *data = 0.0);
-        self
-    }
-
-    /// The same, but the scan has no say in `hidden` vertices.
-    #[must_use]
-    pub fn without(mut self, hidden: &[bool]) -> Self {
-        self.data.iter_mut().zip(hidden).filter(|(_, h)| **h).for_each(|(data, _)| *data = 0.0);
+    pub fn without(mut self, left_out: impl Fn(usize) -> bool) -> Self {
+        self.data.iter_mut().enumerate().filter(|(v, _)| left_out(*v)).for_each(|(_, data)| *data = 0.0);
         self
     }
 

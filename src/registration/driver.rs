@@ -144,6 +144,10 @@ impl Run {
                 ((problem, x), Placed::at(start, input, schedule)?)
             }
         };
+        // The search looks at the whole template: less of it loses more starts on parts. A pose may bring to light what rest hides.
+        if schedule.scan.reject_hidden && schedule.bend.is_empty() {
+            template.reject_hidden();
+        }
         let vertices = problem.vertices(&x).to_vec();
         let Placed { start, scan, facing } = placed.facing_outwards(&template, &vertices, schedule.scan.flip);
         problem.terms = build_terms(terms, input.landmarks, &on_template, &start, &template, schedule)?;

@@ -124,7 +124,7 @@ impl Seen {
         let size = rms_size(&surface_points(positions, input.template.corners.iter().copied()));
         let used = referenced(positions.len(), input.template.corners.iter().copied());
         let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
-        let masks = masks.of_surface(&used).without(hidden);
+        let masks = masks.without(|v| !used[v] || hidden[v]);
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
         let hits: Vec<_> = (0..positions.len())
             .into_par_iter()

@@ -45,12 +45,18 @@ impl Rest {
         let edges = EdgeGraph::of(&mesh);
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
         let hidden = hidden_vertices(&mesh).map_err(|e| RegistrationError::Template(e.to_string()))?;
-        let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).of_surface(&used);
-        let shown = masks.clone().without(&hidden);
-        let masks = if schedule.scan.reject_hidden && shown.counted() > 0 { shown } else { masks };
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).without(|v| !used[v]);
         let density = schedule.reference_vertices / count;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
         Ok(Self { mesh, used, hidden, masks, rim, edges, areas, sample_area: 0.0, centre, unit, density })
+    }
+
+    /// From now on the scan has no say in what the template hides, if that leaves it any.
+    pub fn reject_hidden(&mut self) {
+        let shown = self.masks.clone().without(|v| self.hidden[v]);
+        if shown.counted() > 0 {
+            self.masks = shown;
+        }
     }
 
     /// Hears of the scan, where it lies over the template.

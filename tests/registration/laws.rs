@@ -603,6 +603,10 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     let (_, pulled) = fit(&schedule);
     println!("the pouch is off by {:.2} mm, {:.2} where it feels the scan", errors.rmse, pulled.rmse);
     assert!(errors.rmse < 0.5 && pulled.rmse > 2.0, "{errors:?} {pulled:?}");
+    // What bends may show what it hides at rest.
+    schedule.scan.reject_hidden = true;
+    schedule.bend = vec![schedule.levels[0].clone()];
+    assert_eq!(fit(&schedule).1, pulled);
 }
 
 /// The sequential method's schedule, its second stage replaced.
