@@ -27,8 +27,8 @@ pub struct ScanOptions {
     /// one has more. (A width in millimetres does worse: rims are finer where there is less to leave out.)
     pub template_rim: f64,
     /// Vertices that the template hides from every scanner ([`hidden_vertices`](crate::mesh::hidden_vertices) at rest, such as inner
-    /// sides of nostrils and lips) take no correspondence: a scan closes such places, or has something else there. Not where a
-    /// schedule has levels `bend`, as a pose brings to light what rest hides.
+    /// sides of nostrils and lips) take no correspondence: a scan closes such places, or has something else there. Where a schedule has
+    /// levels `bend`, those that it hides as each level after the first two finds it, since a pose brings to light what rest hides.
     pub reject_hidden: bool,
 }
 

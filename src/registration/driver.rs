@@ -144,7 +144,7 @@ impl Run {
                 ((problem, x), Placed::at(start, input, schedule)?)
             }
         };
-        // The search looks at the whole template: less of it loses more starts on parts. A pose may bring to light what rest hides.
+        // The search has looked at the whole template: less of it loses more starts on parts.
         if schedule.scan.reject_hidden && schedule.bend.is_empty() {
             template.reject_hidden();
         }
@@ -221,6 +221,10 @@ impl Run {
     ) -> Result<ControlFlow<()>, RegistrationError> {
         for level in levels {
             let name = self.level_names[self.levels_done].clone();
+            // A pose brings to light what rest hides.
+            if schedule.scan.reject_hidden && !schedule.bend.is_empty() && self.levels_done >= second_start::LEVELS {
+                self.template.reject_hidden_at(&self.vertices)?;
+            }
             if self.level(level, &name, most_steps, schedule, observer)?.is_break() {
                 return Ok(ControlFlow::Break(()));
             }

@@ -15,6 +15,8 @@ pub(super) struct Rest {
     pub used: Vec<bool>,
     /// Vertices that the template hides from scanners.
     pub hidden: Vec<bool>,
+    /// Which vertices the scan has a say in, at all and now.
+    all_masks: VertexMasks,
     pub masks: VertexMasks,
     /// Vertices that take no correspondence at levels that reject the rim.
     rim: Vec<bool>,
@@ -44,16 +46,40 @@ impl Rest {
         let finer = (count / schedule.reference_vertices).sqrt();
         let edges = EdgeGraph::of(&mesh);
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
-        let hidden = hidden_vertices(&mesh).map_err(|e| RegistrationError::Template(e.to_string()))?;
+        let hidden = hidden(&mesh)?;
         let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).without(|v| !used[v]);
         let density = schedule.reference_vertices / count;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
-        Ok(Self { mesh, used, hidden, masks, rim, edges, areas, sample_area: 0.0, centre, unit, density })
+        Ok(Self {
+            mesh,
+            used,
+            hidden,
+            all_masks: masks.clone(),
+            masks,
+            rim,
+            edges,
+            areas,
+            sample_area: 0.0,
+            centre,
+            unit,
+            density,
+        })
     }
 
-    /// From now on the scan has no say in what the template hides, if that leaves it any.
+    /// From now on the scan has no say in what the template hides at rest, if that leaves it any.
     pub fn reject_hidden(&mut self) {
-        let shown = self.masks.clone().without(|v| self.hidden[v]);
+        self.reject(&self.hidden.clone());
+    }
+
+    /// The same of what it hides where its vertices are now.
+    pub fn reject_hidden_at(&mut self, vertices: &[Vec3]) -> Result<(), RegistrationError> {
+        let mesh = TriangleMesh { positions: vertices.to_vec(), triangles: self.mesh.triangles.clone() };
+        self.reject(&hidden(&mesh)?);
+        Ok(())
+    }
+
+    fn reject(&mut self, hidden: &[bool]) {
+        let shown = self.all_masks.clone().without(|v| hidden[v]);
         if shown.counted() > 0 {
             self.masks = shown;
         }
@@ -85,6 +111,10 @@ impl Rest {
         let normals: Vec<Vec3> = chosen().map(|v| normals[v]).collect();
         facing::faces_inwards(scan, &points, &normals, FACING_REACH * self.unit)
     }
+}
+
+fn hidden(mesh: &TriangleMesh) -> Result<Vec<bool>, RegistrationError> {
+    hidden_vertices(mesh).map_err(|e| RegistrationError::Template(e.to_string()))
 }
 
 /// Vertices of the template that are asked, about, and how far from the scan they may be, millimetres.

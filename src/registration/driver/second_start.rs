@@ -17,7 +17,7 @@ use crate::rig::ShapeBasis;
 /// As many landmarks that pull say an expression themselves.
 const MANY_LANDMARKS: usize = 16;
 /// How many levels are run before starts are compared.
-const LEVELS: usize = 2;
+pub(super) const LEVELS: usize = 2;
 /// By how much the shares of template and scan that do not find each other must be less for another start.
 const MARGIN: f64 = 0.01;
 /// Share of the scan without a template below which no further start is tried.
