@@ -44,8 +44,8 @@ pub struct StartOptions {
     /// another, as a child's; 0 keeps it always.
     pub scale_sigma: f64,
     /// Weight of the expression that moves most, as an open mouth does, in a second start where fewer than 16 landmarks pull; the start is
-    /// taken whose shape covers the scan better after two levels, at no more energy. Of expressions with a name of ARKit's; 0 for no
-    /// second start.
+    /// taken whose shape covers the scan better after two levels, at no more energy unless it leaves less than half of what rest
+    /// leaves uncovered. Of expressions with a name of ARKit's; 0 for no second start.
     pub expression: f64,
 }
 
@@ -61,7 +61,7 @@ impl Default for StartOptions {
             greatest_loss: 0.7,
             greatest_rival: 0.95,
             scale_sigma: 0.15,
-            expression: 0.6,
+            expression: 0.8,
         }
     }
 }

@@ -12,7 +12,7 @@ use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
     Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
-    ScanFacing, ScanFlip, Schedule, StartSearch, StepRecord, find_start, register,
+    ScanFacing, ScanFlip, Schedule, StartOptions, StartSearch, StepRecord, find_start, register,
 };
 use nonrigid::rig::{Family, Population, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng, SeedableRng};
@@ -424,7 +424,7 @@ fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
         let options = ScanOptions { expressions, triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
         let case = simulate_scan(&rig, &options, seed).unwrap();
         let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
-        [0.0, 0.6].map(|expression| {
+        [0.0, StartOptions::default().expression].map(|expression| {
             let mut schedule = ModelKind::Hybrid.schedule().unwrap();
             schedule.search.expression = expression;
             let result =

@@ -20,6 +20,9 @@ const MANY_LANDMARKS: usize = 16;
 pub(super) const LEVELS: usize = 2;
 /// By how much the shares of template and scan that do not find each other must be less for another start.
 const MARGIN: f64 = 0.01;
+/// Share of rest's misfit that an expression may leave, if it costs less energy; and at any energy.
+const LESS: f64 = 0.9;
+const LITTLE: f64 = 0.5;
 /// Share of the scan without a template below which no further start is tried.
 const COVERED: f64 = 0.004;
 /// A limb that nothing found may be a hundredth of the scan, and where the scan ends the template finds nothing either: what the scan
@@ -40,10 +43,13 @@ struct Trial {
 }
 
 impl Trial {
-    /// Whether it covers the scan better than another, where a share of the scan counts `shown` times one of the template.
+    /// How badly it covers the scan, where a share of the scan counts `shown` times one of the template.
+    fn misfit(&self, shown: f64) -> f64 {
+        self.contradicted + shown * self.scan_missed
+    }
+
     fn is_better_than(&self, other: &Self, shown: f64) -> bool {
-        let misfit = |trial: &Self| trial.contradicted + shown * trial.scan_missed;
-        misfit(self) < misfit(other) - MARGIN
+        self.misfit(shown) < other.misfit(shown) - MARGIN
     }
 }
 
@@ -64,8 +70,10 @@ impl Run {
         // It may fail where rest does not, and is then no start.
         let moved = self.tried(moved, input, schedule, cancel);
         cancel.check()?;
-        // A mouth that opens wrongly covers what was uncovered for other reasons, hair or a hole, but shapes must bend for it.
-        if moved.is_ok_and(|moved| moved.is_better_than(&at_rest, 1.0) && moved.energy < at_rest.energy) {
+        // A mouth that opens wrongly covers some of what is uncovered for other reasons, hair or a hole, and mostly shapes must bend for it.
+        let leaves = |moved: &Trial, share: f64| moved.misfit(1.0) < share * at_rest.misfit(1.0);
+        let explains = |moved: &Trial| leaves(moved, LITTLE) || (leaves(moved, LESS) && moved.energy < at_rest.energy);
+        if moved.is_ok_and(|moved| moved.is_better_than(&at_rest, 1.0) && explains(&moved)) {
             self.start_expression = Some(name);
         } else {
             self.back_to(at_rest, schedule);
