@@ -605,7 +605,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     assert!(errors.rmse < 0.5 && pulled.rmse > 2.0, "{errors:?} {pulled:?}");
 }
 
-/// Two flats 40 mm wide and between them a groove 20 mm deep, whose walls stand at an angle to the upright; and across it.
+/// Two flats 40 mm wide and between them a groove 20 mm deep, whose walls stand at an angle to the upright.
 fn groove(angle: f64) -> TriangleMesh {
     const ACROSS: usize = 61;
     let place = |k: usize| {
