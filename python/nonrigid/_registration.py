@@ -350,8 +350,8 @@ def register(
         warn(f"{turned} of the scan's triangles faced against their neighbours and were turned")
     if flipped and flip != "yes":
         warn('the scan is inside out, its normals face inwards: it was turned over; flip="no" leaves it as it is')
-    for name, distance in found.suspects:
-        warn(f"landmark {name!r} is {distance:.0f} mm from where the others put it and took no part; check its name and place")
+    for remark in found.remarks:
+        warn(remark)
     result = Registration()
     result.mesh = start.with_vertices(found.positions, colors=found.colors)
     result.template, result.model = start, model

@@ -15,7 +15,7 @@ use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::nlls::NormalEquations;
 use nonrigid::registration::TERMS;
 use nonrigid::registration::{
-    self, DetailReport, InputFile, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
+    self, DetailReport, InputFile, LandmarkStart, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
     RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord,
     VertexColors, add_detail, assess, register_with, scan_colors,
 };
@@ -252,9 +252,8 @@ impl Registration {
     }
 
     #[getter]
-    fn suspects(&self) -> Vec<(String, f64)> {
-        let suspects = self.result.start_landmarks.iter().flat_map(|start| &start.suspects);
-        suspects.map(|s| (s.name.clone(), s.distance)).collect()
+    fn remarks(&self) -> Vec<String> {
+        self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks).collect()
     }
 
     #[getter]

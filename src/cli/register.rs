@@ -20,10 +20,10 @@ use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, w
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles};
 use crate::registration::{
-    DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFlip,
-    Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess, register,
-    scan_colors,
+    DetailReport, Handedness, InputFile, LandmarkStart, MOST_ROUNDS, ModelFactory, ModelKind, Quality,
+    RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability,
+    Report, ScanFlip, Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess,
+    register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::rig::Regions;
@@ -358,11 +358,8 @@ fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, 
              right in the result; --flip no leaves it as it is",
         );
     }
-    for suspect in result.start_landmarks.iter().flat_map(|start| &start.suspects) {
-        warn(format_args!(
-            "landmark {:?} is {:.0} mm from where the others put it and took no part; check its name and place",
-            suspect.name, suspect.distance
-        ));
+    for remark in result.start_landmarks.iter().flat_map(LandmarkStart::remarks) {
+        warn(remark);
     }
     if let Some(texture) = texture_of(&a.target).filter(|_| colorless) {
         warn(format_args!(

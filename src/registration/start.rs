@@ -122,9 +122,45 @@ pub struct LandmarkStart {
     pub std_dev: f64,
     /// Landmarks that took no part, as they contradict all their neighbours; the farthest off first.
     pub suspects: Vec<SuspectLandmark>,
+    /// How many times as much as they say the others are off, each otherwise than its neighbours: as many times as
+    /// [`SigmaOptions::landmark`](super::SigmaOptions::landmark) where they say nothing. 1 for few landmarks and for what bends.
+    pub scatter: f64,
     /// Whether a search found a better pose than the landmarks alone, which it tries where they say little.
     pub searched: bool,
 }
+
+impl LandmarkStart {
+    /// What landmarks count of what they would, `(2 / scatter)^2` and at most 1: as much as if they had said what they show. A scatter
+    /// of up to 2 may as well be a shape that no pose explains.
+    #[must_use]
+    pub fn trust(&self) -> f64 {
+        (PLAUSIBLE / self.scatter.max(PLAUSIBLE)).powi(2)
+    }
+
+    /// What the user should know of the landmarks, a sentence each.
+    #[must_use]
+    pub fn remarks(&self) -> Vec<String> {
+        let took_no_part = |s: &SuspectLandmark| {
+            let SuspectLandmark { name, distance } = s;
+            format!(
+                "landmark {name:?} is {distance:.0} mm from where the others put it and took no part; check its name and place"
+            )
+        };
+        let mut remarks: Vec<String> = self.suspects.iter().map(took_no_part).collect();
+        if self.scatter > PLAUSIBLE {
+            remarks.push(format!(
+                "the landmarks are off by {:.0} times what is expected of them, each otherwise than its neighbours: they count \
+                 {:.2} of what they would; place them better",
+                self.scatter,
+                self.trust()
+            ));
+        }
+        remarks
+    }
+}
+
+/// Scatter that landmarks may have without counting less.
+const PLAUSIBLE: f64 = 2.0;
 
 impl StartSearch {
     /// How close the best pose elsewhere comes: its gain (one minus the loss) over that of the start. Measured: up to 0.8 for
@@ -203,7 +239,7 @@ pub(super) fn find_start(
         let (pose, search) = search_start(input, kind, options, None)?;
         return Ok(Start { pose, search: Some(search), by_landmarks: None });
     }
-    let (pose, suspects) = match landmark_pose(input, kind, options) {
+    let (pose, suspects, scatter) = match landmark_pose(input, kind, options) {
         Ok(found) => found,
         // On a line, they leave a turn open.
         Err(RegistrationError::Start(PoseError::Collinear(count))) => {
@@ -241,8 +277,8 @@ pub(super) fn find_start(
         SuspectLandmark { name, distance }
     };
     let searched = start.search.as_ref().is_some_and(|search| !search.given);
-    start.by_landmarks =
-        Some(LandmarkStart { rms, std_dev: deviation, suspects: suspects.iter().map(named).collect(), searched });
+    let suspects = suspects.iter().map(named).collect();
+    start.by_landmarks = Some(LandmarkStart { rms, std_dev: deviation, suspects, scatter, searched });
     Ok(start)
 }
 

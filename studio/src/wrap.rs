@@ -11,8 +11,8 @@ use nonrigid::io::{self, LengthUnit, MaterialFiles};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{
-    ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report, Schedule,
-    StepRecord, TERMS, WarmStart, assess, register, scan_colors,
+    LandmarkStart, ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
+    Schedule, StepRecord, TERMS, WarmStart, assess, register, scan_colors,
 };
 use nonrigid::rig::{Family, Regions, ShapeBasis};
 
@@ -283,13 +283,7 @@ impl WrapJob {
         let surface = ScanDistance::new(&faced, normals.as_deref()).map_err(problem)?;
         let distances = result.positions.iter().map(|p| surface.of(p)).collect();
         let mut doubts: Vec<String> = reliability.doubts.iter().map(ToString::to_string).collect();
-        let suspects = result.start_landmarks.iter().flat_map(|start| &start.suspects);
-        doubts.extend(suspects.map(|s| {
-            format!(
-                "landmark {:?} is {:.0} mm from where the others put it and took no part; check it",
-                s.name, s.distance
-            )
-        }));
+        doubts.extend(result.start_landmarks.iter().flat_map(LandmarkStart::remarks));
         let summary = WrapSummary {
             within: quality.to_scan.share_within,
             median: quality.median_within,

@@ -11,8 +11,8 @@ use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop,
-    ScanFacing, ScanFlip, Schedule, StartOptions, StartSearch, StepRecord, find_start, register,
+    LandmarkStart, Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
+    RegistrationStop, ScanFacing, ScanFlip, Schedule, StartOptions, StartSearch, StepRecord, find_start, register,
 };
 use nonrigid::rig::{Family, Population, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng, SeedableRng};
@@ -24,6 +24,13 @@ fn rig() -> FaceRig {
 
 fn case(rig: &FaceRig, seed: u64) -> ScanCase {
     simulate_scan(rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, seed).unwrap()
+}
+
+/// Root mean square distance from the truth over what the scan shows, millimetres.
+fn error(case: &ScanCase, positions: &[Vec3]) -> f64 {
+    let pairs = positions.iter().zip(&case.truth).zip(&case.observed).filter(|p| *p.1);
+    let squares: Vec<f64> = pairs.map(|((a, b), _)| (a - b).norm_squared()).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
 fn schedule(kind: PoseKind) -> Schedule {
@@ -403,6 +410,57 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
     }
 }
 
+/// The hybrid by landmarks, its error over what the scan shows, millimetres, and how its landmarks scatter.
+fn hybrid_by(rig: &FaceRig, shapes: &ShapeBasis, case: &ScanCase, landmarks: &[Landmark]) -> (f64, LandmarkStart) {
+    let input = RegistrationInput { landmarks, shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
+    let schedule = ModelKind::Hybrid.schedule().unwrap();
+    let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+    let result = result.unwrap();
+    (error(case, &result.positions), result.start_landmarks.unwrap())
+}
+
+#[test]
+fn landmarks_count_as_little_as_they_scatter_or_say() {
+    let rig = rig();
+    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+    let case = simulate_scan(&rig, &options, 53).unwrap();
+    let shapes = expressions(&rig);
+    let good: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let (clean, start) = hybrid_by(&rig, &shapes, &case, &good);
+    assert!((0.7..1.5).contains(&start.scatter) && start.trust() == 1.0 && start.remarks().is_empty(), "{start:?}");
+
+    // Of a deviation of 5 mm.
+    const SPREAD: f64 = 8.66;
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let off = |l: &Landmark| {
+        let target = l.target + Vec3::from_fn(|_, _| rng.random_range(-SPREAD..SPREAD));
+        Landmark { target, ..l.clone() }
+    };
+    let mut marks: Vec<Landmark> = good.iter().map(off).collect();
+    let (noisy, start) = hybrid_by(&rig, &shapes, &case, &marks);
+    assert!((3.5..7.0).contains(&start.scatter) && start.trust() < 0.33, "{start:?}");
+    assert!(start.remarks().last().unwrap().contains("times what is expected"), "{start:?}");
+    assert!(noisy < 1.3 * clean, "{noisy} mm, {clean} mm");
+
+    marks.iter_mut().for_each(|l| l.sigma = Some(5.0));
+    let (_, start) = hybrid_by(&rig, &shapes, &case, &marks);
+    assert!((0.7..1.5).contains(&start.scatter) && start.remarks().is_empty(), "{start:?}");
+}
+
+#[test]
+fn landmarks_that_the_shapes_cannot_reach_are_no_scatter_and_still_pull() {
+    let rig = rig();
+    let expressions = Some(vec![("jawOpen".to_owned(), 1.0)]);
+    let options = ScanOptions { expressions, triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+    let case = simulate_scan(&rig, &options, 54).unwrap();
+    let shapes =
+        basis(Family::Expression, rig.expressions.iter().filter(|e| e.0 != "jawOpen").map(|(n, d)| (n.clone(), d)));
+    let marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let (error, start) = hybrid_by(&rig, &shapes, &case, &marks);
+    assert!(start.scatter < 2.0 && start.trust() == 1.0, "{start:?}");
+    assert!(error < 2.5, "{error} mm");
+}
+
 pub fn expressions(rig: &FaceRig) -> ShapeBasis {
     basis(Family::Expression, rig.expressions.iter().map(|(name, deltas)| (name.clone(), deltas)))
 }
@@ -430,9 +488,7 @@ fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
             let result =
                 register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
             let result = result.unwrap();
-            let pairs = result.positions.iter().zip(&case.truth).zip(&case.observed).filter(|p| *p.1);
-            let squares: Vec<f64> = pairs.map(|((a, b), _)| (a - b).norm_squared()).collect();
-            ((squares.iter().sum::<f64>() / squares.len() as f64).sqrt(), result.start_expression)
+            (error(&case, &result.positions), result.start_expression)
         })
     };
     for preset in ["shout", "open"] {

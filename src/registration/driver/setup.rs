@@ -181,7 +181,7 @@ fn surface((scan, normals): &Faced<'_>, options: &ScanOptions) -> Result<ScanSur
     Ok(ScanSurface::new(scan.clone().into_owned(), normals.as_deref(), options)?)
 }
 
-/// The terms, with the landmarks where the start puts them; those that contradict the others count nothing.
+/// The terms, with the landmarks where the start puts them; those that contradict the others count nothing, and all less that scatter.
 pub(super) fn build_terms(
     terms: &[&dyn TermFactory],
     landmarks: &[Landmark],
@@ -192,8 +192,9 @@ pub(super) fn build_terms(
 ) -> Result<Vec<Box<dyn RegistrationTerm>>, RegistrationError> {
     let frame = start.frame(template.centre);
     let sigma = schedule.sigma.landmark * template.unit * frame.scale;
-    let suspects = start.by_landmarks.as_ref().map_or(&[][..], |start| &start.suspects);
-    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) };
+    let (suspects, trust) =
+        start.by_landmarks.as_ref().map_or((&[][..], 1.0), |start| (&start.suspects, start.trust()));
+    let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) * trust };
     let placed = |l: &Landmark| frame.apply_inverse(l.target);
     let landmarks: Vec<(usize, Vec3, f64)> =
         landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();

@@ -24,12 +24,13 @@ const MOST_SUSPECTS: f64 = 0.25;
 const MIRRORED: f64 = 2.0;
 const MIRRORED_RMS: f64 = 6.0;
 
-/// The pose by landmarks, and which of them took no part: their numbers and distances, the farthest first.
+/// The pose by landmarks, which of them took no part (their numbers and distances, the farthest first), and how much the others
+/// [scatter](LandmarkStart::scatter); of what bends, nothing says that.
 pub(super) fn landmark_pose(
     input: &StartInput<'_>,
     kind: PoseKind,
     options: &StartOptions,
-) -> Result<(Pose, Vec<(usize, f64)>), RegistrationError> {
+) -> Result<(Pose, Vec<(usize, f64)>, f64), RegistrationError> {
     let all = input.landmarks;
     let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
         weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
@@ -103,7 +104,8 @@ pub(super) fn landmark_pose(
     let mut found: Vec<(usize, f64)> =
         suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
-    Ok((pose, found))
+    let scatter = if bends { 1.0 } else { scatter(input, &kept, &pose) };
+    Ok((pose, found, scatter))
 }
 
 /// How many times as long the ways from landmarks to their nearest ones are on the scan as on the template, and how long they are there,
@@ -130,6 +132,27 @@ fn nearest<'a>(input: &StartInput<'_>, kept: &'a [usize], a: usize) -> impl Iter
     let mut others: Vec<usize> = kept.iter().copied().filter(|&b| b != a).collect();
     others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
     others.into_iter().take(NEAREST)
+}
+
+/// As many landmarks say how much they scatter.
+const MANY: usize = 8;
+/// Median of how far a normal deviate of three dimensions lies from the nearest of [`NEAREST`] others, in standard deviations.
+const LIKEST: f64 = 1.488;
+
+/// How many times as much as they say, in the median, `kept` landmarks are off, each otherwise than those next to it: a shape that lacks
+/// something is off alike there. 1 where they are few.
+fn scatter(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> f64 {
+    if kept.len() < MANY {
+        return 1.0;
+    }
+    let way = |i: usize| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0);
+    let unlike = |&a: &usize| {
+        let least = nearest(input, kept, a).map(|b| (way(a) - way(b)).norm()).fold(f64::INFINITY, f64::min);
+        least / input.landmarks[a].1.sigma.unwrap_or(input.sigma * pose.scale)
+    };
+    let mut unlike: Vec<f64> = kept.iter().map(unlike).collect();
+    let middle = unlike.len() / 2;
+    *unlike.select_nth_unstable_by(middle, f64::total_cmp).1 / LIKEST
 }
 
 /// Rounds in which pose and expression follow each other, at most, and the change of the scale that ends them.
