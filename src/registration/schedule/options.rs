@@ -82,7 +82,8 @@ pub struct SigmaOptions {
     /// [level's weight](crate::term::LandmarkLevel) and, next to the others, as much in the start.
     ///
     /// A constant and not, say, the median of what a file states, so that landmarks that are all vague hold the template less
-    /// against the scan, and one more landmark does not change what the others count.
+    /// against the scan, and one more landmark does not change what the others count. But landmarks that [scatter](super::super::LandmarkStart::scatter) by more
+    /// than twice as much count less.
     pub landmark: f64,
 }
 

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 use super::{OTHER_SIZE, StartInput, StartOptions};
 use crate::landmark::Landmark;
 use crate::mesh::adjacency::EdgeGraph;
+use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{Pose, PoseKind, Vec3, rms_size, weighted_closest_pose};
 use crate::registration::RegistrationError;
 use crate::rig::Family;
@@ -111,9 +112,9 @@ pub(super) fn landmark_pose(
 /// How many times as long the ways from landmarks to their nearest ones are on the scan as on the template, and how long they are there,
 /// both in the median: where joints bend they stay. `None` where landmarks coincide.
 fn size_by_lengths(input: &StartInput<'_>, kept: &[usize]) -> Option<(f64, f64)> {
-    let ways = kept.iter().flat_map(|&a| {
+    let ways = kept.iter().zip(nearest(input, kept)).flat_map(|(&a, near)| {
         let (p, l) = input.landmarks[a];
-        nearest(input, kept, a).map(move |b| {
+        near.into_iter().map(move |b| {
             let (q, m) = input.landmarks[b];
             ((l.target - m.target).norm(), (p - q).norm())
         })
@@ -126,12 +127,17 @@ fn size_by_lengths(input: &StartInput<'_>, kept: &[usize]) -> Option<(f64, f64)>
     (!ratios.is_empty()).then(|| (median(&mut ratios), median(&mut lengths)))
 }
 
-/// The landmarks of `kept` that are nearest to landmark `a` on the template.
-fn nearest<'a>(input: &StartInput<'_>, kept: &'a [usize], a: usize) -> impl Iterator<Item = usize> + use<'a> {
-    let apart = |b: usize| (input.landmarks[a].0 - input.landmarks[b].0).norm();
-    let mut others: Vec<usize> = kept.iter().copied().filter(|&b| b != a).collect();
-    others.sort_by(|&b, &c| apart(b).total_cmp(&apart(c)));
-    others.into_iter().take(NEAREST)
+/// For each of `kept` those of them that are nearest to it on the template.
+fn nearest(input: &StartInput<'_>, kept: &[usize]) -> Vec<Vec<usize>> {
+    let at: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].0).collect();
+    let Ok(tree) = ClosestVertices::new(&at) else { return vec![Vec::new(); kept.len()] };
+    let mut found = Vec::new();
+    let of = |(a, p): (usize, &Vec3)| {
+        tree.k_nearest(p, NEAREST + 1, &mut found);
+        let others = found.iter().map(|f| f.vertex as usize).filter(|&b| b != a);
+        others.take(NEAREST).map(|b| kept[b]).collect()
+    };
+    at.iter().enumerate().map(of).collect()
 }
 
 /// As many landmarks say how much they scatter.
@@ -146,11 +152,11 @@ fn scatter(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> f64 {
         return 1.0;
     }
     let way = |i: usize| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0);
-    let unlike = |&a: &usize| {
-        let least = nearest(input, kept, a).map(|b| (way(a) - way(b)).norm()).fold(f64::INFINITY, f64::min);
+    let unlike = |(&a, near): (&usize, Vec<usize>)| {
+        let least = near.into_iter().map(|b| (way(a) - way(b)).norm()).fold(f64::INFINITY, f64::min);
         least / input.landmarks[a].1.sigma.unwrap_or(input.sigma * pose.scale)
     };
-    let mut unlike: Vec<f64> = kept.iter().map(unlike).collect();
+    let mut unlike: Vec<f64> = kept.iter().zip(nearest(input, kept)).map(unlike).collect();
     let middle = unlike.len() / 2;
     *unlike.select_nth_unstable_by(middle, f64::total_cmp).1 / LIKEST
 }
@@ -209,7 +215,7 @@ fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose, bends: bool) -> Op
         return None;
     }
     let way = |i: usize| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0);
-    let excess = |a: usize| {
+    let excess = |(&a, near): (&usize, Vec<usize>)| {
         let (p, l) = input.landmarks[a];
         let over = |b: usize| {
             let (q, m) = input.landmarks[b];
@@ -218,9 +224,9 @@ fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose, bends: bool) -> Op
             differs - STRAY_SLOPE * apart
         };
         let least = (STRAY * input.unit * pose.scale).max(4.0 * l.sigma.unwrap_or(0.0));
-        nearest(input, kept, a).map(over).fold(f64::INFINITY, f64::min) - least
+        (a, near.into_iter().map(over).fold(f64::INFINITY, f64::min) - least)
     };
-    let worst = kept.iter().map(|&a| (a, excess(a))).filter(|w| w.1 > 0.0);
+    let worst = kept.iter().zip(nearest(input, kept)).map(excess).filter(|w| w.1 > 0.0);
     worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
 }
 
