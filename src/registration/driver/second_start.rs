@@ -67,6 +67,9 @@ impl Run {
         }
         let at_rest = self.tried(self.x.clone(), input, schedule, cancel)?;
         let Some((name, moved)) = expression else { return self.choose_bend(at_rest, input, schedule, cancel) };
+        if at_rest.misfit(1.0) <= MARGIN {
+            return Ok(()); // nothing covers the scan better by so much
+        }
         // It may fail where rest does not, and is then no start.
         let moved = self.tried(moved, input, schedule, cancel);
         cancel.check()?;
