@@ -3,10 +3,11 @@
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use nonrigid::evaluation::ScanDistance;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::adjacency::EdgeGraph;
+use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::{NormalWeighting, face_cross, vertex_normals};
 use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use nonrigid::registration::ModelKind;
@@ -18,6 +19,10 @@ use rand_distr::{Distribution as _, StandardNormal};
 
 use crate::random_pose::{direction, random_pose};
 use crate::scan_bench::BenchCase;
+
+/// How far from the face a point of the scan moves with it, and how far apart corners of a triangle may come before it tears, millimetres.
+const WITH_THE_FACE: f64 = 15.0;
+const TEARS: f64 = 4.0;
 
 /// A case that is about to be registered.
 pub struct Trial<'a> {
@@ -56,7 +61,7 @@ const fn hopeless(kind: Kind) -> Kind {
 }
 
 /// Every kind. The kinds of a pair that resemble each other are split between design and test.
-pub const KINDS: [Kind; 58] = [
+pub const KINDS: [Kind; 60] = [
     design("none", |_| Ok(())),
     design("noise", |t| t.noise(0.3..1.5)),
     test("wavy noise", |t| t.waves(1.0..3.0, 10.0..25.0)),
@@ -122,6 +127,14 @@ pub const KINDS: [Kind; 58] = [
     design("unlike the rig", |t| t.waves(1.0..3.0, 55.0..90.0)),
     design("unlike the rig, no landmarks", |t| {
         t.waves(1.0..3.0, 55.0..90.0)?;
+        t.some_landmarks(0)
+    }),
+    design("an expression that the rig lacks, no landmarks", |t| {
+        t.beyond_the_rig(0)?;
+        t.some_landmarks(0)
+    }),
+    test("another that the rig lacks, no landmarks", |t| {
+        t.beyond_the_rig(1)?;
         t.some_landmarks(0)
     }),
 ];
@@ -482,10 +495,15 @@ impl Trial<'_> {
     }
 
     fn without(&mut self, family: Family, share: f64) -> Result<()> {
+        let families: Vec<Family> = self.case.shapes.shapes().iter().map(|shape| shape.family).collect();
+        let mut kept = |&k: &usize| families[k] != family || self.rng.random_range(0.0..1.0) >= share;
+        let kept: Vec<usize> = (0..families.len()).filter(|k| kept(k)).collect();
+        self.keep_shapes(&kept);
+        Ok(())
+    }
+
+    fn keep_shapes(&mut self, kept: &[usize]) {
         let shapes = &self.case.shapes;
-        let kept: Vec<usize> = (0..shapes.len())
-            .filter(|&k| shapes.shapes()[k].family != family || self.rng.random_range(0.0..1.0) >= share)
-            .collect();
         let slab = (0..3 * shapes.vertex_count())
             .flat_map(|row| kept.iter().map(move |&k| shapes.displacement(row / 3, k)[row % 3] as f32))
             .collect();
@@ -493,7 +511,44 @@ impl Trial<'_> {
             true => ShapeBasis::none(),
             false => ShapeBasis::new(kept.iter().map(|&k| shapes.shapes()[k].clone()).collect(), slab),
         };
-        Ok(())
+    }
+
+    /// Makes an expression that the rig no longer has: the one that moves most, as an open mouth does, or one after it.
+    fn beyond_the_rig(&mut self, place: usize) -> Result<()> {
+        let weight = self.draw(0.5..1.0);
+        let pose = self.frame().1;
+        let shapes = &self.case.shapes;
+        let square =
+            |k: usize| -> f64 { (0..shapes.vertex_count()).map(|v| shapes.displacement(v, k).norm_squared()).sum() };
+        let mut expressions: Vec<(f64, usize)> = (0..shapes.len())
+            .filter(|&k| shapes.shapes()[k].family == Family::Expression)
+            .map(|k| (square(k), k))
+            .collect();
+        expressions.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let Some(&(_, shape)) = expressions.get(place) else { bail!("the rig has no {} expressions", place + 1) };
+        let moves: Vec<Vec3> = (0..shapes.vertex_count())
+            .map(|v| pose.rotation * (pose.scale * weight * shapes.displacement(v, shape)))
+            .collect();
+        let truth =
+            TriangleMesh { positions: self.case.truth.clone(), triangles: self.case.template.triangulate().triangles };
+        let tree = ClosestPoint::new(&truth)?;
+        // What floats about stays; lips that touch in the scan come apart.
+        let moved = |p: &Vec3| -> Vec3 {
+            tree.query_within(p, WITH_THE_FACE.powi(2)).map_or(Vec3::zeros(), |hit| {
+                let corners = truth.triangles[hit.triangle as usize];
+                corners.iter().zip(hit.barycentric).map(|(&v, b)| moves[v as usize] * b).sum()
+            })
+        };
+        let by: Vec<Vec3> = self.case.scan.mesh.positions.iter().map(moved).collect();
+        self.case.scan.mesh.triangles.retain(|t| {
+            let [a, b, c] = t.map(|v| by[v as usize]);
+            (a - b).norm().max((b - c).norm()).max((c - a).norm()) < TEARS
+        });
+        self.displace(|i, _| by[i]);
+        self.case.truth.iter_mut().zip(&moves).for_each(|(p, by)| *p += by);
+        let others: Vec<usize> = (0..self.case.shapes.len()).filter(|k| *k != shape).collect();
+        self.keep_shapes(&others);
+        self.refresh()
     }
 
     fn with_model(&mut self, model: ModelKind) -> Result<()> {
