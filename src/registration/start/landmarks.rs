@@ -142,19 +142,26 @@ fn nearest(input: &StartInput<'_>, kept: &[usize]) -> Vec<Vec<usize>> {
 
 /// As many landmarks say how much they scatter.
 const MANY: usize = 8;
+/// Over so much of the distance between two landmarks people differ from the template.
+const UNLIKE_SLOPE: f64 = 0.1;
 /// Median of how far a normal deviate of three dimensions lies from the nearest of [`NEAREST`] others, in standard deviations.
 const LIKEST: f64 = 1.488;
 
-/// How many times as much as they say, in the median, `kept` landmarks are off, each otherwise than those next to it: a shape that lacks
-/// something is off alike there. 1 where they are few.
+/// How many times as much as they say, in the median, `kept` landmarks are off, each otherwise than those next to it by more than
+/// people differ over the way between them: a shape that lacks something is off alike there. 1 where they are few.
 fn scatter(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> f64 {
     if kept.len() < MANY {
         return 1.0;
     }
     let way = |i: usize| input.landmarks[i].1.target - pose.apply(input.landmarks[i].0);
     let unlike = |(&a, near): (&usize, Vec<usize>)| {
-        let least = near.into_iter().map(|b| (way(a) - way(b)).norm()).fold(f64::INFINITY, f64::min);
-        least / input.landmarks[a].1.sigma.unwrap_or(input.sigma * pose.scale)
+        let (p, l) = input.landmarks[a];
+        let over = |b: usize| {
+            let by_shape = UNLIKE_SLOPE * (p - input.landmarks[b].0).norm() * pose.scale;
+            (way(a) - way(b)).norm_squared() - by_shape.powi(2)
+        };
+        let least = near.into_iter().map(over).fold(f64::INFINITY, f64::min);
+        least.max(0.0).sqrt() / l.sigma.unwrap_or(input.sigma * pose.scale)
     };
     let mut unlike: Vec<f64> = kept.iter().zip(nearest(input, kept)).map(unlike).collect();
     let middle = unlike.len() / 2;
