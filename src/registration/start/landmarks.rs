@@ -26,7 +26,7 @@ const MIRRORED: f64 = 2.0;
 const MIRRORED_RMS: f64 = 6.0;
 
 /// The pose by landmarks, which of them took no part (their numbers and distances, the farthest first), and how much the others
-/// [scatter](LandmarkStart::scatter); of what bends, nothing says that.
+/// [scatter](super::LandmarkStart::scatter); of what bends, nothing says that.
 pub(super) fn landmark_pose(
     input: &StartInput<'_>,
     kind: PoseKind,
