@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::{Deserialize, Serialize};
 
-use self::landmarks::{deviation, landmark_pose};
+use self::landmarks::{LandmarkPose, deviation, landmark_pose};
 use self::search::search_start;
 use super::{RegistrationError, ScanFlip};
 use crate::landmark::Landmark;
@@ -239,7 +239,7 @@ pub(super) fn find_start(
         let (pose, search) = search_start(input, kind, options, None)?;
         return Ok(Start { pose, search: Some(search), by_landmarks: None });
     }
-    let (pose, suspects, scatter) = match landmark_pose(input, kind, options) {
+    let LandmarkPose { pose, suspects, scatter } = match landmark_pose(input, kind, options) {
         Ok(found) => found,
         // On a line, they leave a turn open.
         Err(RegistrationError::Start(PoseError::Collinear(count))) => {

@@ -25,13 +25,21 @@ const MOST_SUSPECTS: f64 = 0.25;
 const MIRRORED: f64 = 2.0;
 const MIRRORED_RMS: f64 = 6.0;
 
-/// The pose by landmarks, which of them took no part (their numbers and distances, the farthest first), and how much the others
-/// [scatter](super::LandmarkStart::scatter); of what bends, nothing says that.
+/// What landmarks say of the start.
+pub(super) struct LandmarkPose {
+    pub pose: Pose,
+    /// Which of them took no part: their numbers and distances, the farthest first.
+    pub suspects: Vec<(usize, f64)>,
+    /// How much the others [scatter](super::LandmarkStart::scatter); of what bends, nothing says that.
+    pub scatter: f64,
+}
+
+/// The pose by landmarks.
 pub(super) fn landmark_pose(
     input: &StartInput<'_>,
     kind: PoseKind,
     options: &StartOptions,
-) -> Result<(Pose, Vec<(usize, f64)>, f64), RegistrationError> {
+) -> Result<LandmarkPose, RegistrationError> {
     let all = input.landmarks;
     let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
         weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
@@ -102,11 +110,11 @@ pub(super) fn landmark_pose(
             return Err(RegistrationError::Mirrored { rms, reflected });
         }
     }
-    let mut found: Vec<(usize, f64)> =
+    let mut suspects: Vec<(usize, f64)> =
         suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
-    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    suspects.sort_by(|a, b| b.1.total_cmp(&a.1));
     let scatter = if bends { 1.0 } else { scatter(input, &kept, &pose) };
-    Ok((pose, found, scatter))
+    Ok(LandmarkPose { pose, suspects, scatter })
 }
 
 /// How many times as long the ways from landmarks to their nearest ones are on the scan as on the template, and how long they are there,
