@@ -37,22 +37,8 @@ pub fn self_intersections(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<
     let surface = TriangleMesh { triangles: solid.iter().map(|&t| triangles[t as usize]).collect(), positions };
     let tree = ClosestPoint::new(&surface).expect("proven: indices are checked, and corners of `solid` are finite");
     let corners = |t: u32| surface.triangles[t as usize].map(|v| surface.positions[v as usize]);
-    let later: Vec<Vec<u32>> = (0..solid.len() as u32)
-        .into_par_iter()
-        .map(|t| {
-            let a = corners(t);
-            let mut found = Vec::new();
-            tree.triangles_meeting_box(&a[0].inf(&a[1]).inf(&a[2]), &a[0].sup(&a[1]).sup(&a[2]), |u| {
-                if u > t && interiors_meet(&a, &corners(u)) {
-                    found.push(u);
-                }
-            });
-            found.sort_unstable();
-            found
-        })
-        .collect();
-    let pairs = later.iter().zip(&solid).flat_map(|(found, &t)| found.iter().map(move |&u| (t, u)));
-    Ok(pairs.map(|(t, u)| [t, solid[u as usize]]).collect())
+    let pairs = tree.meeting_pairs(|t, u| interiors_meet(&corners(t), &corners(u)));
+    Ok(pairs.into_iter().map(|pair| pair.map(|t| solid[t as usize])).collect())
 }
 
 /// The points times a power of two that brings the largest coordinate near 1: exact, and determinants cannot overflow.

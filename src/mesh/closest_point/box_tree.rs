@@ -36,6 +36,11 @@ impl Bounds {
             self.high[axis] = self.high[axis].max(other.high[axis]);
         }
     }
+
+    /// Whether they have a point in common.
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.low[axis] <= other.high[axis] && self.high[axis] >= other.low[axis])
+    }
 }
 
 /// A box of the tree, rounded outwards; the fourth coordinate is there for the registers.
@@ -65,8 +70,35 @@ impl Rounded {
         x * y + y * z + z * x
     }
 
-    fn centers(&self) -> [f32; 4] {
+    fn center(&self) -> [f32; 4] {
         std::array::from_fn(|axis| 0.5 * self.low[axis] + 0.5 * self.high[axis])
+    }
+}
+
+/// The box round some boxes, and that round their centres.
+#[derive(Debug, Clone, Copy)]
+struct Extent {
+    boxes: Rounded,
+    centers: Rounded,
+}
+
+impl Extent {
+    const EMPTY: Self = Self { boxes: Rounded::EMPTY, centers: Rounded::EMPTY };
+
+    fn of(items: &[Item]) -> Self {
+        let mut extent = Self::EMPTY;
+        items.iter().for_each(|item| extent.add(&item.0));
+        extent
+    }
+
+    fn add(&mut self, bounds: &Rounded) {
+        let center = bounds.center();
+        self.include(&Self { boxes: *bounds, centers: Rounded { low: center, high: center } });
+    }
+
+    fn include(&mut self, other: &Self) {
+        self.boxes.include(&other.boxes);
+        self.centers.include(&other.centers);
     }
 }
 
@@ -173,7 +205,7 @@ impl BoxTree {
         let mut tree = Self::default();
         if !items.is_empty() {
             let mut pairs = Vec::with_capacity(items.len() / 2 + 1);
-            let all = bounds_of(&items);
+            let all = Extent::of(&items);
             let root = halve(&mut items, 0, &all, 0, &mut pairs);
             tree.widen(&[root], &pairs, 1);
             // Of memory of its own: `into_iter` would collect into that of the boxes, nine times as much.
@@ -400,26 +432,20 @@ impl<Q: Query, F: FnMut(Range<usize>, &mut Best)> WithSimd for Search<'_, Q, F> 
 /// A box, and the number of what lies in it.
 type Item = (Rounded, u32);
 
-fn bounds_of(items: &[Item]) -> Rounded {
-    let mut bounds = Rounded::EMPTY;
-    items.iter().for_each(|(b, _)| bounds.include(b));
-    bounds
-}
-
-/// The child that holds `items`, slots from `first` on, in the box `bounds`: a leaf, or one of `pairs`.
-fn halve(items: &mut [Item], first: usize, bounds: &Rounded, depth: usize, pairs: &mut Vec<[Child; 2]>) -> Child {
+/// The child that holds `items`, slots from `first` on, of that extent: a leaf, or one of `pairs`.
+fn halve(items: &mut [Item], first: usize, extent: &Extent, depth: usize, pairs: &mut Vec<[Child; 2]>) -> Child {
     if items.len() <= LEAF {
-        return Child::new(bounds, first, items.len());
+        return Child::new(&extent.boxes, first, items.len());
     }
     let side_by_side = items.len() >= SIDE_BY_SIDE;
-    let (middle, left, right) = split(items, depth);
+    let (middle, left, right) = split(items, &extent.centers, depth);
     let index = pairs.len();
     pairs.push([Child::NONE; 2]);
     let (low, high) = items.split_at_mut(middle);
     pairs[index] = if side_by_side {
-        let half = |items, first, bounds| {
+        let half = |items, first, extent| {
             let mut pairs = Vec::new();
-            (halve(items, first, bounds, depth + 1, &mut pairs), pairs)
+            (halve(items, first, extent, depth + 1, &mut pairs), pairs)
         };
         let (low, high) = rayon::join(|| half(low, first, &left), || half(high, first + middle, &right));
         [low, high].map(|(mut child, of_half)| {
@@ -434,42 +460,35 @@ fn halve(items: &mut [Item], first: usize, bounds: &Rounded, depth: usize, pairs
         let low = halve(low, first, &left, depth + 1, pairs);
         [low, halve(high, first + middle, &right, depth + 1, pairs)]
     };
-    Child::new(bounds, index, 0)
+    Child::new(&extent.boxes, index, 0)
 }
 
-/// Reorders `items` into two parts; returns the size of the first and the boxes of both. Neither part is empty.
-fn split(items: &mut [Item], depth: usize) -> (usize, Rounded, Rounded) {
-    let mut low = [f32::INFINITY; 4];
-    let mut high = [f32::NEG_INFINITY; 4];
-    for (bounds, _) in items.iter() {
-        for (axis, center) in bounds.centers().into_iter().enumerate() {
-            low[axis] = least(low[axis], center);
-            high[axis] = greatest(high[axis], center);
-        }
-    }
-    let extent = [0, 1, 2].map(|axis| high[axis] - low[axis]);
+/// Reorders `items`, whose centres lie in that box, into two parts; returns the size of the first and the extents of both. Neither
+/// part is empty.
+fn split(items: &mut [Item], centers: &Rounded, depth: usize) -> (usize, Extent, Extent) {
+    let extent = [0, 1, 2].map(|axis| centers.high[axis] - centers.low[axis]);
     let axis = (0..3).fold(0, |widest, axis| if extent[axis] > extent[widest] { axis } else { widest });
-    let scale = BINS as f32 / extent[axis];
+    let (low, scale) = (centers.low[axis], BINS as f32 / extent[axis]);
     if depth < HALVES_FROM_DEPTH && scale.is_finite() && scale > 0.0 {
-        let bin = |item: &Item| (((item.0.centers()[axis] - low[axis]) * scale) as usize).min(BINS - 1);
-        let mut bins = [(Rounded::EMPTY, 0usize); BINS];
+        let bin = |item: &Item| (((item.0.center()[axis] - low) * scale) as usize).min(BINS - 1);
+        let mut bins = [(Extent::EMPTY, 0usize); BINS];
         for item in items.iter() {
-            let (bounds, count) = &mut bins[bin(item)];
-            bounds.include(&item.0);
+            let (extent, count) = &mut bins[bin(item)];
+            extent.add(&item.0);
             *count += 1;
         }
         // cost of the part from bin b on, for every cut b
         let mut after = [f32::INFINITY; BINS];
-        let (mut bounds, mut count) = bins[BINS - 1];
+        let (mut bounds, mut count) = (bins[BINS - 1].0.boxes, bins[BINS - 1].1);
         for b in (1..BINS).rev() {
             after[b] = bounds.half_area() * count as f32;
-            bounds.include(&bins[b - 1].0);
+            bounds.include(&bins[b - 1].0.boxes);
             count += bins[b - 1].1;
         }
         let (mut bounds, mut count) = (Rounded::EMPTY, 0);
         let mut best = (f32::INFINITY, 0);
         for b in 1..BINS {
-            bounds.include(&bins[b - 1].0);
+            bounds.include(&bins[b - 1].0.boxes);
             count += bins[b - 1].1;
             let cost = bounds.half_area() * count as f32 + after[b];
             if count > 0 && count < items.len() && cost < best.0 {
@@ -484,14 +503,14 @@ fn split(items: &mut [Item], depth: usize) -> (usize, Rounded, Rounded) {
                     middle += 1;
                 }
             }
-            let (mut left, mut right) = (Rounded::EMPTY, Rounded::EMPTY);
-            bins[..best.1].iter().for_each(|(b, _)| left.include(b));
-            bins[best.1..].iter().for_each(|(b, _)| right.include(b));
+            let (mut left, mut right) = (Extent::EMPTY, Extent::EMPTY);
+            bins[..best.1].iter().for_each(|(extent, _)| left.include(extent));
+            bins[best.1..].iter().for_each(|(extent, _)| right.include(extent));
             return (middle, left, right);
         }
     }
     let middle = items.len() / 2;
-    let by_center = |a: &Item, b: &Item| a.0.centers()[axis].total_cmp(&b.0.centers()[axis]).then(a.1.cmp(&b.1));
+    let by_center = |a: &Item, b: &Item| a.0.center()[axis].total_cmp(&b.0.center()[axis]).then(a.1.cmp(&b.1));
     items.select_nth_unstable_by(middle, by_center);
-    (middle, bounds_of(&items[..middle]), bounds_of(&items[middle..]))
+    (middle, Extent::of(&items[..middle]), Extent::of(&items[middle..]))
 }

@@ -14,6 +14,8 @@
 mod box_tree;
 mod triangle;
 
+use rayon::prelude::*;
+
 use super::{MeshError, TriangleMesh, Vec3};
 use box_tree::{Best, Bounds, BoxTree, Line};
 use triangle::{closest_on_triangle, on_line, squared, sub};
@@ -41,6 +43,9 @@ pub struct ClosestVertex {
 }
 
 type Point = [f64; 3];
+
+/// Triangles that look for others together.
+const TOGETHER: usize = 8;
 
 /// Answers closest-point queries on a triangle mesh. Queries only read, so threads may share it.
 #[derive(Debug, Clone)]
@@ -185,20 +190,33 @@ impl ClosestPoint {
         (t.abs() <= reach).then_some(Closest { triangle, barycentric, point, squared_distance: t * t })
     }
 
-    /// Calls `found` with every triangle whose bounding box meets the box from `low` to `high`, boundaries included. Their
-    /// order depends on nothing but mesh and box.
-    pub fn triangles_meeting_box(&self, low: &Vec3, high: &Vec3, mut found: impl FnMut(u32)) {
-        let query = Bounds { low: (*low).into(), high: (*high).into() };
-        self.tree.meeting(&query, |slots| {
-            for slot in slots {
-                let [a, b, c] = self.corners(slot);
-                let meets = (0..3)
-                    .all(|i| a[i].min(b[i]).min(c[i]) <= query.high[i] && a[i].max(b[i]).max(c[i]) >= query.low[i]);
-                if meets {
-                    found(self.tree.order[slot]);
+    /// Pairs of triangles whose bounding boxes meet, boundaries included, and of which `meet` says that they do; lower index first, in
+    /// lexicographic order.
+    #[must_use]
+    pub fn meeting_pairs(&self, meet: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
+        // Neighbours in the tree ask together.
+        let pairs_of = |slots: &[u32]| {
+            let boxes: Vec<(u32, Bounds)> =
+                slots.iter().map(|&t| (t, self.box_of(self.slots[t as usize] as usize))).collect();
+            let mut all = Bounds::EMPTY;
+            boxes.iter().for_each(|(_, bounds)| all.include(bounds));
+            let mut pairs = Vec::new();
+            self.tree.meeting(&all, |slots| {
+                for slot in slots {
+                    let (u, of_u) = (self.tree.order[slot], self.box_of(slot));
+                    let earlier = boxes.iter().filter(|(t, of_t)| *t < u && of_t.meets(&of_u) && meet(*t, u));
+                    pairs.extend(earlier.map(|&(t, _)| [t, u]));
                 }
-            }
-        });
+            });
+            pairs
+        };
+        let mut pairs: Vec<[u32; 2]> = self.tree.order.par_chunks(TOGETHER).flat_map_iter(pairs_of).collect();
+        pairs.sort_unstable();
+        pairs
+    }
+
+    fn box_of(&self, slot: usize) -> Bounds {
+        box_of(&self.corners(slot))
     }
 
     #[inline(always)]
@@ -455,18 +473,21 @@ mod tests {
         }
 
         #[test]
-        fn the_triangles_in_a_box_are_those_of_all(mesh in mesh(), a in point(), b in point()) {
-            let (low, high) = (a.inf(&b), a.sup(&b));
-            let mut found = Vec::new();
-            ClosestPoint::new(&mesh).unwrap().triangles_meeting_box(&low, &high, |t| found.push(t));
-            found.sort_unstable();
-            let meets = |t: &[u32; 3]| {
-                let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
-                let (l, h) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
-                (0..3).all(|i| l[i] <= high[i] && low[i] <= h[i])
+        fn the_pairs_whose_boxes_meet_are_those_of_all(mesh in mesh()) {
+            let bounds = |t: u32| {
+                let [a, b, c] = mesh.triangles[t as usize].map(|i| mesh.positions[i as usize]);
+                (a.inf(&b).inf(&c), a.sup(&b).sup(&c))
             };
-            let all = (0..mesh.triangles.len() as u32).filter(|t| meets(&mesh.triangles[*t as usize]));
-            prop_assert_eq!(found, all.collect::<Vec<_>>());
+            let meet = |t: u32, u: u32| {
+                let ((low_t, high_t), (low_u, high_u)) = (bounds(t), bounds(u));
+                (0..3).all(|i| low_t[i] <= high_u[i] && low_u[i] <= high_t[i])
+            };
+            let count = mesh.triangles.len() as u32;
+            let all = (0..count).flat_map(|t| (t + 1..count).map(move |u| [t, u])).filter(|&[t, u]| meet(t, u));
+            let all: Vec<_> = all.collect();
+            let tree = ClosestPoint::new(&mesh).unwrap();
+            prop_assert_eq!(&tree.meeting_pairs(|_, _| true), &all);
+            prop_assert!(tree.meeting_pairs(|t, u| (t + u) % 2 == 0).iter().eq(all.iter().filter(|[t, u]| (t + u) % 2 == 0)));
         }
 
         #[test]
