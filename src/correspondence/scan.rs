@@ -169,7 +169,7 @@ impl ScanSurface {
         let (candidates, area) = self.surface.points(self.reject_boundary);
         let frame = &self.frame;
         let placed = |(p, n): (Vec3, Vec3)| (frame.apply_inverse(p), frame.rotation.tr_mul(&n) * self.side);
-        let candidates: Vec<(Vec3, Vec3)> = candidates.into_iter().map(placed).collect();
+        let candidates: Vec<(Vec3, Vec3)> = candidates.into_par_iter().map(placed).collect();
         let chosen: Vec<(Vec3, Vec3)> =
             apart(candidates.iter().map(|c| c.0), spacing).into_iter().map(|i| candidates[i]).collect();
         let each = area / frame.scale.powi(2) / chosen.len().max(1) as f64;

@@ -104,8 +104,11 @@ impl EdgeGraph {
         }
         // edges are sorted, so both directions in this order give ascending neighbours
         let directed = edges.iter().enumerate().flat_map(|(e, &[a, b])| [(a, (b, e as u32)), (b, (a, e as u32))]);
-        let edge_of = Rows::sorted(vertex_count, directed.clone().map(|(v, (_, e))| (v, e))).into_items();
-        let neighbours = Rows::sorted(vertex_count, directed.map(|(v, (w, _))| (v, w)));
+        let edge_of = directed.clone().map(|(v, (_, e))| (v, e));
+        let (edge_of, neighbours) = rayon::join(
+            || Rows::sorted(vertex_count, edge_of).into_items(),
+            || Rows::sorted(vertex_count, directed.map(|(v, (w, _))| (v, w))),
+        );
         Self { edges, faces, neighbours, edge_of }
     }
 

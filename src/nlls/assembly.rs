@@ -200,7 +200,7 @@ impl Assembly {
                 }
             }
         }
-        let by_block = by_block.into_iter().map(|(items, mut pairs)| {
+        let by_block = by_block.into_par_iter().map(|(items, mut pairs): (Vec<_>, Vec<_>)| {
             pairs.sort_by_key(|pair| pair.0);
             let runs = pairs.chunk_by(|a, b| a.0 == b.0).scan(0, |end, run| {
                 *end += run.len() as u32;
@@ -221,7 +221,7 @@ impl Assembly {
                 pairs.extend(blocks[..p].iter().map(|&k| (j as usize, k as usize)));
             }
         }
-        pairs.sort_unstable();
+        pairs.par_sort_unstable();
         pairs.dedup();
         pairs
     }

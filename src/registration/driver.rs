@@ -22,8 +22,8 @@ use crate::energy::{Deformation, DeformationModel as _, Options, OptionsError, S
 use crate::mesh::{PoseKind, TriangleMesh, Vec3, weighted_closest_pose};
 use crate::model::{ModelFactory, RegistrationModel};
 use crate::nlls::{
-    self, Algorithm, Dogleg, GaussNewton, IterationRecord, Kernel, LevenbergMarquardt, Minimizer, NormalEquations,
-    Problem as _, StopReason, Workspace,
+    self, Algorithm, Dogleg, GaussNewton, IterationRecord, Kernel, LevenbergMarquardt, LinearSolverKind, Minimizer,
+    NormalEquations, Problem as _, StopReason, Workspace,
 };
 use crate::rig::{Regions, ShapeBasis};
 use crate::term::{RegistrationTerm, Step, TERMS, TermFactory, TermLevel};
@@ -107,6 +107,11 @@ struct Run {
 struct At<'a> {
     level: &'a str,
     step: usize,
+}
+
+/// What a level asks for that model or terms do not know.
+fn misfit(level: &str) -> impl FnOnce(OptionsError) -> RegistrationError {
+    |error| RegistrationError::Options { level: level.to_owned(), error }
 }
 
 impl Run {
@@ -242,24 +247,18 @@ impl Run {
         schedule: &Schedule,
         observer: &mut dyn RegistrationObserver,
     ) -> Result<ControlFlow<()>, RegistrationError> {
-        let misfit = |error| RegistrationError::Options { level: name.to_owned(), error };
-        self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit)?;
+        self.problem.model.set_level(&level.model, self.template.unit).map_err(misfit(name))?;
         self.problem.model.trust_shapes(&self.x);
         if most_steps == usize::MAX {
             self.set_resolution(&level.model);
         }
         if level.scale == KernelScale::Fixed {
-            self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit)?;
+            self.weigh_terms(level, level.kernel.scaled(self.template.unit)).map_err(misfit(name))?;
         }
         self.template.set_level(level);
         for step in 0..level.steps.min(most_steps) {
             let at = At { level: name, step: step + 1 };
-            self.find_correspondences(level, &at)?;
-            if level.scale == KernelScale::Mad {
-                let kernel = self.measured_kernel(level);
-                self.weigh_terms(level, kernel).map_err(misfit)?;
-            }
-            self.tell_terms(level, &at)?;
+            self.set_out(level, schedule.solver.linear_solver, &at)?;
             let record = self.step(step, &schedule.solver, &at)?;
             let flow = observer.on_step(&record);
             if observer.wants_positions() {
@@ -276,6 +275,24 @@ impl Run {
             }
         }
         Ok(ControlFlow::Continue(()))
+    }
+
+    /// All that a step needs: what it acts on, and memory for its equations.
+    fn set_out(&mut self, level: &Level, solver: LinearSolverKind, at: &At<'_>) -> Result<(), RegistrationError> {
+        let (mut workspace, structure) = (std::mem::take(&mut self.workspace), self.problem.structure().clone());
+        // Where equations are new, their analysis takes as long as the search.
+        let (told, ()) = rayon::join(
+            || {
+                self.find_correspondences(level, at)?;
+                if level.scale == KernelScale::Mad {
+                    self.weigh_terms(level, self.measured_kernel(level)).map_err(misfit(at.level))?;
+                }
+                self.tell_terms(level, at)
+            },
+            || workspace.prepare(&structure, solver),
+        );
+        self.workspace = workspace;
+        told
     }
 
     /// Lets the model have the resolution that a level asks for.

@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::correspondence::ScanSurface;
@@ -123,14 +124,13 @@ const TIMES: usize = 3;
 
 /// Whether a surface faces inwards, by points of the template near it and their normals.
 pub(super) fn faces_inwards(scan: &ScanSurface, points: &[Vec3], normals: &[Vec3], reach: f64) -> bool {
-    let (mut with, mut against) = (0, 0);
-    for (p, n) in points.iter().zip(normals) {
-        if let Some(hit) = scan.closest(p, None, reach * reach).filter(|hit| !hit.on_boundary) {
-            let cosine = hit.normal.dot(n);
-            with += usize::from(cosine > ALIKE);
-            against += usize::from(cosine < -ALIKE);
-        }
-    }
+    let cosine = |(p, n): (&Vec3, &Vec3)| {
+        let hit = scan.closest(p, None, reach * reach).filter(|hit| !hit.on_boundary)?;
+        Some(hit.normal.dot(n))
+    };
+    let cosines: Vec<f64> = points.par_iter().zip(normals).filter_map(cosine).collect();
+    let with = cosines.iter().filter(|c| **c > ALIKE).count();
+    let against = cosines.iter().filter(|c| **c < -ALIKE).count();
     against >= LEAST && against > TIMES * with
 }
 

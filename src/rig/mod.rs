@@ -167,10 +167,10 @@ impl Rig {
         let size = bounding_box_diagonal(&self.surface_points());
         // a neutral that is one point has no size to compare with
         let most = if size > 0.0 { FARTHEST_SHARE * size } else { LARGEST_COORDINATE };
-        let Some(i) = lengths(&self.deltas).position(|length| length > most) else { return Ok(()) };
-        let (shape, vertex) = (self.shapes[i / self.neutral.len()].name.clone(), i % self.neutral.len());
-        let d = [0, 1, 2].map(|axis| f64::from(self.deltas[3 * i + axis]));
-        Err(RigError::Displacement { shape, vertex, displacement: d, size })
+        let too_long = |k| Some((k, lengths(self.deltas(k)).position(|length| length > most)?));
+        let Some((k, vertex)) = (0..self.shapes.len()).into_par_iter().find_map_first(too_long) else { return Ok(()) };
+        let displacement = [0, 1, 2].map(|axis| f64::from(self.deltas(k)[3 * vertex + axis]));
+        Err(RigError::Displacement { shape: self.shapes[k].name.clone(), vertex, displacement, size })
     }
 
     /// What a vertex moves by that does not count as moving, millimetres.
@@ -181,8 +181,8 @@ impl Rig {
     fn drop_motionless(&mut self) -> Vec<RigWarning> {
         let width = 3 * self.neutral.len();
         let threshold = self.motionless_below();
-        let keep: Vec<bool> =
-            (0..self.shapes.len()).map(|k| lengths(self.deltas(k)).any(|length| length > threshold)).collect();
+        let moves = |k| lengths(self.deltas(k)).any(|length| length > threshold);
+        let keep: Vec<bool> = (0..self.shapes.len()).into_par_iter().map(moves).collect();
         let mut warnings = Vec::new();
         let mut kept = 0;
         for (k, shape) in std::mem::take(&mut self.shapes).into_iter().enumerate() {
@@ -386,7 +386,7 @@ fn first_not_finite(numbers: &[f32]) -> Option<usize> {
     /// Numbers between two branches; one after each takes several times as long.
     const BLOCK: usize = 1024;
     let finite = |block: &[f32]| block.iter().fold(true, |all, x| all & x.is_finite());
-    let before = BLOCK * numbers.chunks(BLOCK).position(|block| !finite(block))?;
+    let before = BLOCK * numbers.par_chunks(BLOCK).position_first(|block| !finite(block))?;
     Some(before + numbers[before..].iter().position(|x| !x.is_finite())?)
 }
 

@@ -420,8 +420,9 @@ impl<T: NodeTransform<W>, const W: usize> DeformationModel for Hybrid<T, W> {
         let pairs = Assembly::pairs(items().chain(edges.iter().map(Vec::as_slice)));
         let structure = BlockStructure::new(&vec![W; self.graph.free_nodes()], pairs, self.shapes.len())
             .expect("proven: all pairs are nodes of the graph");
-        self.assembly = Assembly::new(items(), &structure, |_| 3);
-        self.regulariser.analyse(&edges, &structure);
+        let Self { regulariser, samples, .. } = &mut *self;
+        let of_samples = || Assembly::new(samples.all_nodes(), &structure, |_| 3);
+        (self.assembly, ()) = rayon::join(of_samples, || regulariser.analyse(&edges, &structure));
         let at_rest = Blended { graph: &self.graph, shapes: &self.shapes, vertices: &self.rest };
         self.moments = self.shapes.is_empty().then(|| Moments::new(&self.samples, at_rest, &structure));
         structure

@@ -42,11 +42,12 @@ pub(super) const FIXED: u32 = u32::MAX;
 impl NodeSamples {
     pub fn new(samples: &Samples, graph: &NodeGraph) -> Self {
         let order = by_strongest_node(samples, graph);
-        let mut all = Self::default();
+        let (mut all, mut nodes) = (Self::default(), Vec::new());
         for &s in &order {
             let corners = samples.corners(s as usize);
             let moved_by = corners.iter().flat_map(|c| graph.influences(c.0 as usize).iter().map(|i| i.0));
-            let mut nodes: Vec<u32> = moved_by.filter(|j| (*j as usize) < graph.free_nodes()).collect();
+            nodes.clear();
+            nodes.extend(moved_by.filter(|j| (*j as usize) < graph.free_nodes()));
             nodes.sort_unstable();
             nodes.dedup();
             let slot = |j: u32| nodes.binary_search(&j).map_or(FIXED, |slot| slot as u32);
@@ -55,7 +56,7 @@ impl NodeSamples {
                 all.slots.extend(graph.influences(vertex as usize).iter().map(|i| slot(i.0)));
                 Corner { vertex, weight, first_slot }
             }));
-            all.nodes.push(nodes);
+            all.nodes.push(nodes.iter().copied());
         }
         Self { order, ..all }
     }

@@ -213,8 +213,8 @@ impl Workspace {
         }
     }
 
-    /// Makes equations and solver fit the structure.
-    fn prepare(&mut self, structure: &Arc<BlockStructure>, kind: LinearSolverKind) {
+    /// Makes equations and solver fit the structure. A minimisation does so itself, but something else may be done meanwhile.
+    pub(crate) fn prepare(&mut self, structure: &Arc<BlockStructure>, kind: LinearSolverKind) {
         let fits = |e: &NormalEquations| Arc::ptr_eq(e.structure(), structure) || e.structure() == structure;
         let mut fresh = false;
         if !self.equations.as_ref().is_some_and(fits) {
