@@ -595,6 +595,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
         (result, errors)
     };
     let mut schedule = ModelKind::Hybrid.schedule().unwrap();
+    schedule.levels.iter_mut().for_each(|level| level.distance_cap = 25.0); // so that the pouch is within reach
     let (result, errors) = fit(&schedule);
     let hidden = || result.hidden.iter().enumerate().filter(|(_, hidden)| **hidden).map(|(v, _)| v);
     assert!(hidden().count() > 48 * 12, "{}", hidden().count());
