@@ -109,7 +109,7 @@ struct At<'a> {
     step: usize,
 }
 
-/// What a level asks for that model or terms do not know.
+/// The error of a level that asks for what model or terms do not know.
 fn misfit(level: &str) -> impl FnOnce(OptionsError) -> RegistrationError {
     |error| RegistrationError::Options { level: level.to_owned(), error }
 }

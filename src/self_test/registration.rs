@@ -9,8 +9,8 @@ use crate::evaluation::TruthErrors;
 use crate::mesh::Vec3;
 use crate::registration::{ModelKind, RegistrationError, RegistrationInput, StepRecord, register};
 
-/// Some eleven steps choose closest points anew, and what differs in the last digit may choose another one: of some forty thousand
-/// choices, each would have to lie within some 1e-13 mm of where it turns. `tests/registration/self_test.rs` moves every
+/// Each step chooses closest points anew, and what differs in the last digit may choose another one: of some ten thousands of
+/// choices, one would have to lie within some 1e-13 mm of where it turns. `tests/registration/self_test.rs` moves every
 /// coordinate by 1e-10 mm, ten thousand times as much as processors differ by, and finds the error to change by less than a
 /// tenth of the tolerance.
 pub const ERROR: Check = Check {

@@ -440,7 +440,7 @@ fn landmarks_count_as_little_as_they_scatter_or_say() {
     let (noisy, start) = hybrid_by(&rig, &shapes, &case, &marks);
     assert!((3.5..7.0).contains(&start.scatter) && start.trust() < 0.33, "{start:?}");
     assert!(start.remarks().last().unwrap().contains("times what is expected"), "{start:?}");
-    assert!(noisy < 1.4 * clean, "{noisy} mm, {clean} mm");
+    assert!(noisy < 1.3 * clean, "{noisy} mm, {clean} mm");
 
     marks.iter_mut().for_each(|l| l.sigma = Some(5.0));
     let (_, start) = hybrid_by(&rig, &shapes, &case, &marks);

@@ -195,9 +195,9 @@ impl ClosestPoint {
     #[must_use]
     pub fn meeting_pairs(&self, meet: impl Fn(u32, u32) -> bool + Sync) -> Vec<[u32; 2]> {
         // Neighbours in the tree ask together.
-        let pairs_of = |slots: &[u32]| {
+        let pairs_of = |group: &[u32]| {
             let boxes: Vec<(u32, Bounds)> =
-                slots.iter().map(|&t| (t, self.box_of(self.slots[t as usize] as usize))).collect();
+                group.iter().map(|&t| (t, self.box_of(self.slots[t as usize] as usize))).collect();
             let mut all = Bounds::EMPTY;
             boxes.iter().for_each(|(_, bounds)| all.include(bounds));
             let mut pairs = Vec::new();
