@@ -67,8 +67,8 @@ pub struct Step<'a> {
 pub struct TermInput<'a> {
     /// The schedule's `[terms.NAME]`.
     pub options: &'a Options,
-    /// Landmarks as (sample, target, relative weight), in the model's frame; weight 1 for those without a deviation.
-    pub landmarks: &'a [(usize, Vec3, f64)],
+    /// The landmarks.
+    pub landmarks: &'a [TermLandmark],
     /// The template's rest shape, in the model's frame.
     pub rest: &'a TriangleMesh,
     /// The model's length of one of the schedule's millimetres.
@@ -76,6 +76,19 @@ pub struct TermInput<'a> {
     /// From the model's frame to the scan's: brings what you measured to where the term sees samples by
     /// [`apply_inverse`](Pose::apply_inverse).
     pub frame: Pose,
+}
+
+/// A landmark as a term sees it, in the model's frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TermLandmark {
+    /// The sample that stands for it.
+    pub sample: usize,
+    /// Where it is on the template at rest.
+    pub rest: Vec3,
+    /// Where it was seen.
+    pub target: Vec3,
+    /// 1 for one without a deviation of its own, less for what is known less well, 0 for one that contradicts the others.
+    pub weight: f64,
 }
 
 /// Builds a data term for a registration. Implement this for your own term.

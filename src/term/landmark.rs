@@ -84,9 +84,9 @@ impl TermFactory for Factory {
     }
 
     fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        let samples = input.landmarks.iter().map(|l| l.0).collect();
-        let targets = input.landmarks.iter().map(|l| l.1).collect();
-        let weights = input.landmarks.iter().map(|l| l.2).collect();
+        let samples = input.landmarks.iter().map(|l| l.sample).collect();
+        let targets = input.landmarks.iter().map(|l| l.target).collect();
+        let weights = input.landmarks.iter().map(|l| l.weight).collect();
         let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
         Ok(Box::new(Pointwise::new("landmarks", residuals, Kernel::None)))
     }

@@ -11,7 +11,9 @@ mod scan_to_template;
 mod seam;
 mod symmetric;
 
-pub use factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+pub use factory::{
+    RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLandmark, TermLevel, TermWeight,
+};
 pub use landmark::{LandmarkLevel, Landmarks};
 pub use point_to_plane::{PlaneWeight, PointToPlane};
 pub use point_to_point::PointToPoint;

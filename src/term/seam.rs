@@ -3,18 +3,23 @@
 //! Closest points alone leave a gap between closed lips: their rims roll out of the scanner's sight, and each lip follows its
 //! own visible side. But a scan of closed lips has surface *across* the gap, and a scan of open lips has none: at the middle
 //! of a gap of width `g` the scan is nearer than `g / 2`, the distance of the lips themselves, only if the lips are closed.
+//!
+//! It is a guess all the same: a scanner that cannot look into a slit of 3 mm puts surface across it, too. Where landmarks stand on
+//! both sides they say how far it is open, and nothing is guessed.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PointToPoint;
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use super::factory::{
+    RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLandmark, TermLevel, TermWeight,
+};
 use super::guess::Guess;
 use crate::correspondence::ScanSurface;
 use crate::energy::{OptionTable, Options, OptionsError, Pointwise};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::{ClosestVertex, ClosestVertices};
-use crate::mesh::geodesic::{Reach, WeightedGraph};
+use crate::mesh::geodesic::{Reach, WeightedGraph, nearest_sources};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::Kernel;
 
@@ -30,8 +35,18 @@ const NEIGHBOURS: usize = 16;
 /// Pairs of vertices that touch across a seam of the rest shape.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Seams {
-    /// Both vertices and their distance in the rest shape.
-    pairs: Vec<(u32, u32, f64)>,
+    pairs: Vec<Pair>,
+}
+
+/// A vertex, and the one that it touches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Pair {
+    vertex: u32,
+    other: u32,
+    /// Their distance in the rest shape.
+    rest_gap: f64,
+    /// What a guess about them counts: less than 1 where landmarks tell.
+    weight: f64,
 }
 
 impl Seams {
@@ -53,14 +68,39 @@ impl Seams {
             targets.clear();
             targets.extend(near.iter().map(|c| c.vertex).filter(|v| *v as usize != i));
             let other = reach.first_beyond(i as u32, DETOUR * width, targets)?;
-            Some((i as u32, other, (rest.positions[other as usize] - p).norm()))
+            let rest_gap = (rest.positions[other as usize] - p).norm();
+            Some(Pair { vertex: i as u32, other, rest_gap, weight: 1.0 })
         };
         let found: Vec<_> = rest.positions.par_iter().enumerate().map_init(scratch, across).collect();
         Ok(Self { pairs: found.into_iter().flatten().collect() })
     }
 
-    /// Writes for every vertex the place that closes its seam to the width it has at rest, with weight one, where the scan
-    /// spans it; weight zero elsewhere. Gaps wider than `widest` are left alone.
+    /// Lets pairs count less whose sides both have a landmark within `reach` along the surface: by its weight, not at all from 1 on.
+    ///
+    /// # Errors
+    /// When a position is not finite.
+    pub fn yield_to(&mut self, landmarks: &[TermLandmark], reach: f64, rest: &TriangleMesh) -> Result<(), MeshError> {
+        if self.pairs.is_empty() || landmarks.is_empty() {
+            return Ok(());
+        }
+        let tree = ClosestVertices::new(&rest.positions)?;
+        let vertex = |l: &TermLandmark| match l.sample {
+            vertex if vertex < rest.positions.len() => Some((vertex as u32, l.weight)),
+            _ => Some((tree.query(&l.rest)?.vertex, l.weight)),
+        };
+        let (vertices, weights): (Vec<u32>, Vec<f64>) = landmarks.iter().filter_map(vertex).unzip();
+        let graph = WeightedGraph::euclidean(&EdgeGraph::of(rest), &rest.positions)?;
+        let nearest = nearest_sources(&graph, &vertices, 1);
+        let told = |v: u32| {
+            let near = nearest.of(v as usize).find(|(_, distance)| *distance <= reach);
+            near.map_or(0.0, |(landmark, _)| weights[landmark as usize].min(1.0))
+        };
+        self.pairs.iter_mut().for_each(|pair| pair.weight = 1.0 - told(pair.vertex).min(told(pair.other)));
+        Ok(())
+    }
+
+    /// Writes for every vertex the place that closes its seam to the width it has at rest, with the weight of its guess, where
+    /// the scan spans it; weight zero elsewhere. Gaps wider than `widest` are left alone.
     pub fn targets(
         &self,
         scan: &ScanSurface,
@@ -73,8 +113,8 @@ impl Seams {
         targets.resize(positions.len(), Vec3::zeros());
         weights.clear();
         weights.resize(positions.len(), 0.0);
-        for &(i, j, rest_gap) in &self.pairs {
-            let (a, b) = (positions[i as usize], positions[j as usize]);
+        for &Pair { vertex: i, other, rest_gap, weight } in &self.pairs {
+            let (a, b) = (positions[i as usize], positions[other as usize]);
             let gap = (a - b).norm();
             let reach = SPANNED * gap;
             if gap <= rest_gap || gap > widest {
@@ -82,7 +122,7 @@ impl Seams {
             }
             if let Some(point) = scan.closest_within((a + b) / 2.0, reach) {
                 targets[i as usize] = point + (a - b) * (rest_gap / 2.0 / gap);
-                weights[i as usize] = 1.0;
+                weights[i as usize] = weight;
             }
         }
     }
@@ -97,18 +137,22 @@ pub struct SeamOptions {
     pub width: f64,
     /// Gaps wider than this are open, millimetres.
     pub widest: f64,
+    /// Where both sides of a seam have a landmark within this distance along the surface, millimetres, these say how far it is
+    /// open: the guess counts less by their weight, and nothing beside one of weight 1.
+    pub landmark_reach: f64,
 }
 
 impl Default for SeamOptions {
     fn default() -> Self {
-        Self { width: 2.0, widest: 6.0 }
+        Self { width: 2.0, widest: 6.0, landmark_reach: 10.0 }
     }
 }
 
 impl OptionTable for SeamOptions {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::not_negative("width", self.width)?;
-        OptionsError::not_negative("widest", self.widest)
+        OptionsError::not_negative("widest", self.widest)?;
+        OptionsError::not_negative("landmark_reach", self.landmark_reach)
     }
 }
 
@@ -149,7 +193,8 @@ impl TermFactory for Factory {
 
     fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
         let options = input.options.read::<SeamOptions>()?;
-        let seams = Seams::find(input.rest, options.width * input.unit)?;
+        let mut seams = Seams::find(input.rest, options.width * input.unit)?;
+        seams.yield_to(input.landmarks, options.landmark_reach * input.unit, input.rest)?;
         let source = Closing { seams, widest: options.widest * input.unit };
         Ok(Box::new(Pointwise::new("seams", Guess { pull: PointToPoint::default(), source }, Kernel::None)))
     }
@@ -172,7 +217,7 @@ mod tests {
     /// Both vertices of every pair, and the distance that it keeps.
     fn pairs(mesh: &TriangleMesh, width: f64) -> Vec<(Vec3, Vec3, f64)> {
         let at = |v: u32| mesh.positions[v as usize];
-        Seams::find(mesh, width).unwrap().pairs.iter().map(|&(i, j, gap)| (at(i), at(j), gap)).collect()
+        Seams::find(mesh, width).unwrap().pairs.iter().map(|p| (at(p.vertex), at(p.other), p.rest_gap)).collect()
     }
 
     /// The plane x = 0 for z from `low` to `high`.
@@ -246,6 +291,34 @@ mod tests {
         // It ends at the gap's middle.
         let (_, _, weights) = targets(wall(-9.0, 1.0), 2.0, 6.0);
         assert!(weights.iter().all(|w| *w == 0.0));
+    }
+
+    #[test]
+    fn where_landmarks_stand_on_both_sides_nothing_is_guessed() {
+        // Column c of the lower sheet lies below column 41 - c.
+        let rest = folded(1.0);
+        let index = |column: usize| 2 * 42 + column;
+        let at = |column, weight| {
+            let rest = rest.positions[index(column)];
+            TermLandmark { sample: index(column), rest, target: Vec3::zeros(), weight }
+        };
+        let guess = |landmarks: &[TermLandmark], column: usize| {
+            let mut seams = Seams::find(&rest, 2.0).unwrap();
+            seams.yield_to(landmarks, 3.0, &rest).unwrap();
+            seams.pairs.iter().find(|pair| pair.vertex as usize == index(column)).unwrap().weight
+        };
+        let both = [at(4, 1.0), at(37, 1.0)];
+        assert_eq!([4, 7, 8].map(|column| guess(&both, column)), [0.0, 0.0, 1.0]);
+        assert_eq!([37, 34, 33].map(|column| guess(&both, column)), [0.0, 0.0, 1.0]);
+        assert_eq!([&both[..1], &both[1..], &[]].map(|one| guess(one, 4)), [1.0; 3]);
+        assert_eq!([0.0, 0.25, 4.0].map(|weight| guess(&[at(4, 1.0), at(37, weight)], 4)), [1.0, 0.75, 0.0]);
+        // Inside a face it is nearest to one of its corners.
+        let off = |landmark: TermLandmark| TermLandmark {
+            sample: 42 * ROWS,
+            rest: landmark.rest + Vec3::new(0.2, 0.2, 0.0),
+            ..landmark
+        };
+        assert_eq!([4, 8].map(|column| guess(&both.map(off), column)), [0.0, 1.0]);
     }
 
     #[test]

@@ -133,7 +133,11 @@ fn schedule() -> impl Strategy<Value = Schedule> {
                 .with("weights", ["uniform", "cotangent"][weights])
                 .with("solver", ["local_global", "joint"][solver])
                 .with("gamma", n.0),
-            terms: [("seam".to_owned(), Options::of(&SeamOptions { width: n.2, widest: 2.0 * n.2 }))].into(),
+            terms: [(
+                "seam".to_owned(),
+                Options::of(&SeamOptions { width: n.2, widest: 2.0 * n.2, ..SeamOptions::default() }),
+            )]
+            .into(),
             scan: ScanOptions {
                 normal_smoothing,
                 reject_boundary: reject_boundary == 0,

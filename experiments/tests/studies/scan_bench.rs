@@ -209,7 +209,7 @@ impl TermFactory for PullFactory {
 
     fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
         let (samples, targets): (Vec<usize>, Vec<Vec3>) =
-            input.landmarks.iter().map(|&(sample, target, _)| (sample, target + self.offset)).unzip();
+            input.landmarks.iter().map(|l| (l.sample, l.target + self.offset)).unzip();
         let weights = vec![1.0; samples.len()];
         let residuals = Pull(Landmarks { samples, targets, weights, scale: 0.0 });
         Ok(Box::new(Pointwise::new("pull", residuals, Kernel::None)))

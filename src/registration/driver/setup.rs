@@ -15,7 +15,7 @@ use crate::registration::rest::Rest;
 use crate::registration::start::{self, Start, StartInput};
 use crate::registration::{RegistrationError, RegistrationInput, ScanFacing, Schedule, StartSearch, WarmStart};
 use crate::rig::{Regions, ShapeBasis};
-use crate::term::{RegistrationTerm, TermFactory, TermInput};
+use crate::term::{RegistrationTerm, TermFactory, TermInput, TermLandmark};
 
 /// Where [`register`](super::register) starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
 ///
@@ -195,9 +195,13 @@ pub(super) fn build_terms(
     let (suspects, trust) =
         start.by_landmarks.as_ref().map_or((&[][..], 1.0), |start| (&start.suspects, start.trust()));
     let weight = |l: &Landmark| if suspects.iter().any(|s| s.name == l.name) { 0.0 } else { l.weight(sigma) * trust };
-    let placed = |l: &Landmark| frame.apply_inverse(l.target);
-    let landmarks: Vec<(usize, Vec3, f64)> =
-        landmarks.iter().zip(on_template).map(|(l, &sample)| (sample, placed(l), weight(l))).collect();
+    let placed = |(l, &sample): (&Landmark, &usize)| TermLandmark {
+        sample,
+        rest: l.template.position(&template.mesh.positions),
+        target: frame.apply_inverse(l.target),
+        weight: weight(l),
+    };
+    let landmarks: Vec<TermLandmark> = landmarks.iter().zip(on_template).map(placed).collect();
     let none = Options::new();
     let build = |term: &&dyn TermFactory| {
         let options = schedule.terms.get(term.name()).unwrap_or(&none);
