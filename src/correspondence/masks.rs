@@ -23,6 +23,9 @@ pub struct VertexMasks {
 /// Least share of a sample: a vertex of triangles without area is a vertex.
 const LEAST_SHARE: f64 = 1e-4;
 
+/// Least number of vertices that speak for others: shapes and coarse nodes have nearly as many parameters.
+const LEAST_SPEAKERS: usize = 1000;
+
 impl VertexMasks {
     /// Every one of `count` vertices takes part fully.
     #[must_use]
@@ -65,7 +68,8 @@ impl VertexMasks {
     }
 
     /// Has few vertices take correspondences, no two of them neighbours, each for itself and for neighbours that take none: in the order of
-    /// the vertices, every one that takes part at all and has no such neighbour before it. About a quarter of a surface.
+    /// the vertices, every one that takes part at all and has no such neighbour before it. About a quarter of a surface; all of one where a
+    /// quarter would be under a thousand.
     pub fn thin(&mut self, edges: &EdgeGraph) {
         self.let_all_speak();
         let takes_part = |i: usize| !self.rim[i] && self.data[i] > 0.0;
@@ -75,6 +79,10 @@ impl VertexMasks {
             if let Some(speaker) = earlier.filter(|&j| speakers[j as usize] == j).min() {
                 speakers[i] = speaker;
             }
+        }
+        let speaks = |i: &usize| takes_part(*i) && speakers[*i] as usize == *i;
+        if (0..speakers.len()).filter(speaks).count() < LEAST_SPEAKERS {
+            return;
         }
         self.spoken_for.resize(self.data.len(), 0.0);
         for (i, &speaker) in speakers.iter().enumerate() {
@@ -144,16 +152,18 @@ mod tests {
 
     #[test]
     fn few_speak_for_all_and_weigh_as_much() {
+        const COLUMNS: usize = 80;
+        const COUNT: usize = COLUMNS * COLUMNS;
         use crate::mesh::Vec3;
         use crate::mesh::testing::sheet;
-        let edges = EdgeGraph::of(&sheet(40, 30, |c, r| Vec3::new(c, r, 0.0)));
-        let data: Vec<f64> = (0..1200).map(|i| f64::from(i % 5) * 0.25).collect();
-        let rim = (0..1200).map(|i| i < 40).collect();
+        let edges = EdgeGraph::of(&sheet(COLUMNS, COLUMNS, |c, r| Vec3::new(c, r, 0.0)));
+        let data: Vec<f64> = (0..COUNT).map(|i| (i % 5) as f64 * 0.25).collect();
+        let rim = (0..COUNT).map(|i| i < COLUMNS).collect();
         let mut masks = VertexMasks::new(Some(&data), None, rim);
         let all = masks.clone();
         masks.thin(&edges);
-        let takes_part = |i: usize| i >= 40 && data[i] > 0.0;
-        for i in (0..1200).filter(|&i| takes_part(i)) {
+        let takes_part = |i: usize| i >= COLUMNS && data[i] > 0.0;
+        for i in (0..COUNT).filter(|&i| takes_part(i)) {
             let speaker = masks.speaker(i);
             assert!(takes_part(speaker) && masks.speaker(speaker) == speaker);
             assert!(speaker == i || edges.neighbours(i).contains(&(speaker as u32)));
@@ -165,11 +175,15 @@ mod tests {
                         .all(|&j| masks.speaker(j as usize) != j as usize || !takes_part(j as usize))
             );
         }
-        let speaking = (0..1200).filter(|&i| takes_part(i) && masks.speaker(i) == i).count();
-        assert!((200..400).contains(&speaking), "{speaking}");
-        let sum = |masks: &VertexMasks| (0..1200).map(|i| masks.weight(i)).sum::<f64>();
+        let speaking = (0..COUNT).filter(|&i| takes_part(i) && masks.speaker(i) == i).count();
+        assert!((COUNT / 6..COUNT / 3).contains(&speaking), "{speaking}");
+        let sum = |masks: &VertexMasks| (0..COUNT).map(|i| masks.weight(i)).sum::<f64>();
         assert!((sum(&masks) - sum(&all)).abs() < 1e-9);
         masks.let_all_speak();
         assert_eq!(masks, all);
+        // A quarter of so few is too little.
+        let mut few = VertexMasks::all(40 * 30);
+        few.thin(&EdgeGraph::of(&sheet(40, 30, |c, r| Vec3::new(c, r, 0.0))));
+        assert_eq!(few, VertexMasks::all(40 * 30));
     }
 }
