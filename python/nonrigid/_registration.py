@@ -82,7 +82,7 @@ class Registration:
     """The result divided by Catmull and Clark's rules and gone on to the scan, if `subdivide` has asked for it; with the scan's colours."""
 
     _reads: list[str]
-    _facing: tuple[int, bool]
+    _facing: tuple[int, int, bool]
     _title: str
     _scan: Mesh | None
     _equations: Any
@@ -345,10 +345,7 @@ def register(
         on_positions=on_positions,
         equations=equations,
     )
-    turned, flipped = found.facing
-    if turned:
-        warn(f"{turned} of the scan's triangles faced against their neighbours and were turned")
-    if flipped and flip != "yes":
+    if found.facing[-1] and flip != "yes":
         warn('the scan is inside out, its normals face inwards: it was turned over; flip="no" leaves it as it is')
     for remark in found.remarks:
         warn(remark)

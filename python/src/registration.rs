@@ -247,13 +247,15 @@ impl Registration {
     }
 
     #[getter]
-    fn facing(&self) -> (usize, bool) {
-        (self.result.scan_facing.turned, self.result.scan_facing.flipped)
+    fn facing(&self) -> (usize, usize, bool) {
+        let ScanFacing { repeated, turned, flipped, .. } = self.result.scan_facing;
+        (repeated, turned, flipped)
     }
 
     #[getter]
     fn remarks(&self) -> Vec<String> {
-        self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks).collect()
+        let of_landmarks = self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks);
+        self.result.scan_facing.remarks().into_iter().chain(of_landmarks).collect()
     }
 
     #[getter]
@@ -510,13 +512,14 @@ fn picture(
     template: &Mesh,
     scan: &Mesh,
     result: &Mesh,
-    facing: (usize, bool),
+    facing: (usize, usize, bool),
     reads: Vec<PathBuf>,
 ) -> PyResult<()> {
     compute(py, None, || {
         check_plan(&reads, std::slice::from_ref(&path))?;
         let scan = mesh_of_scan(scan);
-        let (faced, _) = ScanFacing { turned: facing.0, flipped: facing.1 }.apply(&scan, None);
+        let (repeated, turned, flipped) = facing;
+        let (faced, _) = ScanFacing { repeated, turned, flipped, ..ScanFacing::default() }.apply(&scan, None);
         let (template, result): (&PolygonMesh, &PolygonMesh) = (template.polygons(), result.polygons());
         save_png(&registration_sheet(title, template, &faced, result, 480), &path).map_err(input)
     })

@@ -8,7 +8,7 @@ use super::units::Units;
 use super::{Failure, warn};
 use crate::io::{self, Inputs};
 use crate::landmark::{self, Landmark};
-use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh};
+use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3};
 use crate::registration::ScanFlip;
 use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection};
 
@@ -67,9 +67,14 @@ pub enum ShapeKindArgument {
 
 impl RigArguments {
     /// Reads the rig and takes out the shapes that are asked for, and as many identity modes as are usual if the subject's own neutral
-    /// is known or is not; with the rig's regions, if it has any.
-    pub fn read(&self, units: &mut Units<'_>, own_neutral: bool) -> Result<(ShapeBasis, Option<Regions>), Failure> {
-        self.choose(self.open(own_neutral)?, units, own_neutral)
+    /// is known or is not; with the rig's regions, if it has any. `subject`, what they are to deform, has the rig's vertices.
+    pub fn read(
+        &self,
+        units: &mut Units<'_>,
+        own_neutral: bool,
+        subject: (&'static str, &[Vec3]),
+    ) -> Result<(ShapeBasis, Option<Regions>), Failure> {
+        self.choose(self.open(own_neutral)?, units, own_neutral, subject)
     }
 
     /// What [`read`](Self::read) reads: it needs nothing of other inputs, so that those can be read meanwhile.
@@ -85,9 +90,12 @@ impl RigArguments {
         open: Option<OpenRig>,
         units: &mut Units<'_>,
         own_neutral: bool,
+        (what, subject): (&'static str, &[Vec3]),
     ) -> Result<(ShapeBasis, Option<Regions>), Failure> {
         let (Some(folder), Some(open)) = (&self.rig, open) else { return Ok((ShapeBasis::none(), None)) };
-        let rig = bring_rig(folder, open, units)?;
+        let mut rig = bring_rig(folder, open, units)?;
+        let odd = rig.turn_to(what, subject).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
+        odd.iter().for_each(warn);
         let names = self.shapes.as_deref();
         let identity_modes = self.identity_modes.unwrap_or_else(|| rig.usual_identity_modes(names, own_neutral));
         let selection = ShapeSelection { names, identity_modes };

@@ -128,7 +128,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let material_files = materials.reads().map(|path| ("mesh", path.clone()));
     check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
     let mut mesh = before.clone();
-    let (mut shapes, regions) = a.rig.read(&mut units, true)?;
+    let (mut shapes, regions) = a.rig.read(&mut units, true, ("the mesh", &mesh.positions))?;
     if let Some(bounds) = a.weight_bounds {
         shapes = shapes.with_bounds(|_| bounds);
     }

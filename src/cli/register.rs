@@ -210,7 +210,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let materials = a.materials();
     materials.missing.iter().for_each(|(_, told)| warn(told));
-    let (shapes, regions) = a.rig.choose(rig?, &mut units, own_neutral)?;
+    let subject = neutral.as_deref().map_or(("the template", &template.positions[..]), |n| ("the neutral", n));
+    let (shapes, regions) = a.rig.choose(rig?, &mut units, own_neutral, subject)?;
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
     let [mask, free_mask] = a.masks.read(&inputs, &template, &regions)?;
     let landmarks = [&a.landmarks, &a.template_landmarks].map(Option::as_deref);
@@ -324,7 +325,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
     warn_of_format(&a.out, template);
-    warn_of_inputs(a, &result, scan.mesh.triangles.len(), scan.colors.is_none() && !a.bake.asked());
+    warn_of_inputs(a, &result, scan.colors.is_none() && !a.bake.asked());
     reliability.doubts.iter().for_each(warn);
     if let Some(colors) = &colors {
         let (seen, of) = (colors.observed_count(), colors.colors.len());
@@ -344,14 +345,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
 }
 
 /// What was found wrong with scan and landmarks, and what was done about it.
-fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, triangles: usize, colorless: bool) {
+fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, colorless: bool) {
     let facing = result.scan_facing;
-    if facing.turned > 0 {
-        warn(format_args!(
-            "{} of the scan's {triangles} triangles faced against their neighbours and were turned",
-            facing.turned
-        ));
-    }
+    facing.remarks().iter().for_each(warn);
     if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
         warn(
             "the scan is inside out, its normals face inwards: it was turned over; if a program has mirrored it instead, left is \

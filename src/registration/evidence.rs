@@ -78,9 +78,9 @@ pub struct Evidence {
 /// How template and scan cover each other in a result.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Coverage {
-    /// Share of the vertices that lie on the scan and face as it does, of those that masks leave in and the template does not hide.
+    /// Share of the vertices that lie on the scan and face as it does, of those that the template does not hide.
     pub on_scan: f64,
-    /// Share for which the scan ends before it reaches them: nothing is seen there.
+    /// Share for which the scan ends before it reaches them, or that the mask takes out: nothing is seen there.
     pub unseen: f64,
     /// The rest: the scan has a surface there, but elsewhere or facing elsewhere.
     pub contradicted: f64,
@@ -131,7 +131,10 @@ impl Seen {
             .map(|i| if masks.data[i] > 0.0 { scan.closest(&positions[i], None, f64::INFINITY) } else { None })
             .collect();
         let mut distances = vec![f64::NAN; positions.len()];
-        let (mut near, mut turn, mut unseen, mut asked) = (Vec::new(), 0.0, 0, 0);
+        // What the mask takes out is guessed, like what the scan does not show.
+        let masked = |v: &usize| used[*v] && !hidden[*v] && masks.bound[*v] > 0.0 && masks.data[*v] == 0.0;
+        let masked = (0..positions.len()).filter(masked).count();
+        let (mut near, mut turn, mut unseen, mut asked) = (Vec::new(), 0.0, masked, masked);
         for (i, hit) in hits.iter().enumerate().filter_map(|(i, hit)| Some((i, hit.as_ref()?))) {
             asked += 1;
             distances[i] = (hit.point - positions[i]).norm();
@@ -145,11 +148,11 @@ impl Seen {
         }
         near.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| near.get(((near.len() as f64 * share) as usize).min(near.len().max(1) - 1)).copied();
-        let share = |count: usize| count as f64 / f64::from(asked.max(1));
+        let share = |count: usize| count as f64 / asked.max(1) as f64;
         let coverage = Coverage {
             on_scan: share(near.len()),
             unseen: share(unseen),
-            contradicted: 1.0 - share(near.len()) - share(unseen),
+            contradicted: share(asked - unseen - near.len()),
             scan_missed: scan_missed(scan, &mesh, size)?,
             distance: at(0.5).unwrap_or(0.0),
             distance_p90: at(0.9).unwrap_or(0.0),

@@ -2,20 +2,26 @@
 //! whose normals point inwards is turned over.
 
 use std::borrow::Cow;
+use std::collections::HashSet;
 
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::correspondence::ScanSurface;
-use crate::mesh::normals::face_areas;
+use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
 use crate::mesh::rows::Rows;
 use crate::mesh::{TriangleMesh, Vec3};
 
 /// What was done to a scan so that it faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ScanFacing {
+    /// Triangles that were left out, since one before them has the same corners: a scan whose surface is there twice, for both sides
+    /// to be seen, faces nowhere.
+    pub repeated: usize,
     /// Triangles that were turned to agree with their neighbours.
     pub turned: usize,
+    /// Whether the file's normals are not those of its triangles, and were not used.
+    pub normals_ignored: bool,
     /// Whether the whole scan was turned over after that.
     pub flipped: bool,
 }
@@ -24,6 +30,20 @@ pub struct ScanFacing {
 pub(super) type Faced<'a> = (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>);
 
 impl ScanFacing {
+    /// What was found wrong with the scan, but that it was turned over.
+    #[must_use]
+    pub fn remarks(&self) -> Vec<String> {
+        let Self { repeated, turned, normals_ignored, .. } = self;
+        let repeats = format!(
+            "{repeated} of the scan's triangles repeat others, as the far side of a double-sided surface does, and were left out"
+        );
+        let turns = format!("{turned} of the scan's triangles faced against their neighbours and were turned");
+        let normals = "the scan's normals are not those of its triangles, as after a program that turned its vertices alone; they were \
+                       not used";
+        let all = [(*repeated > 0, repeats), (*turned > 0, turns), (*normals_ignored, normals.to_owned())];
+        all.into_iter().filter(|remark| remark.0).map(|remark| remark.1).collect()
+    }
+
     /// The scan and its own normals, facing outwards.
     #[must_use]
     pub fn apply<'a>(
@@ -31,7 +51,8 @@ impl ScanFacing {
         scan: &'a TriangleMesh,
         normals: Option<&'a [Vec3]>,
     ) -> (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>) {
-        let scan = if self.turned > 0 { agreeing(scan).0 } else { Cow::Borrowed(scan) };
+        let normals = normals.filter(|_| !self.normals_ignored);
+        let scan = if self.repeated + self.turned > 0 { agreeing(scan).0 } else { Cow::Borrowed(scan) };
         if self.flipped { flipped((scan, normals.map(Cow::Borrowed))) } else { (scan, normals.map(Cow::Borrowed)) }
     }
 }
@@ -43,14 +64,37 @@ pub(super) fn flipped((scan, normals): Faced<'_>) -> Faced<'_> {
     (Cow::Owned(scan), normals.map(|n| Cow::Owned(n.iter().map(|n| -n).collect())))
 }
 
-/// Triangles on both sides of an edge that only they share run along it in opposite directions. Parts where some do not are
-/// made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left alone. The scan, and how many
-/// triangles were turned.
-pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
-    // Two triangles at an edge that only they share, and whether they run along it the same way.
-    let shared = shared_edges(scan);
+/// The scan without triangles that repeat others, where triangles on both sides of an edge that only they share run along it in opposite
+/// directions. Parts where some do not are made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left
+/// alone. The scan, and what was done to it.
+pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing) {
+    match shared_edges(scan) {
+        Ok(shared) => {
+            let (scan, turned) = turned_alike(Cow::Borrowed(scan), shared);
+            (scan, ScanFacing { turned, ..ScanFacing::default() })
+        }
+        Err(Repeated) => {
+            let mut seen = HashSet::new();
+            let mut first = |t: &[u32; 3]| {
+                let mut corners = *t;
+                corners.sort_unstable();
+                seen.insert(corners)
+            };
+            let triangles: Vec<[u32; 3]> = scan.triangles.iter().copied().filter(|t| first(t)).collect();
+            let repeated = scan.triangles.len() - triangles.len();
+            let once = TriangleMesh { triangles, positions: scan.positions.clone() };
+            let shared = shared_edges(&once).unwrap_or_default();
+            let (once, turned) = turned_alike(Cow::Owned(once), shared);
+            (once, ScanFacing { repeated, turned, ..ScanFacing::default() })
+        }
+    }
+}
+
+/// Turns triangles until neighbours agree, and says how many. Of two at an edge that only they share is known whether they run along it
+/// the same way.
+fn turned_alike(scan: Cow<'_, TriangleMesh>, shared: Vec<(u32, u32, bool)>) -> (Cow<'_, TriangleMesh>, usize) {
     if !shared.iter().any(|&(.., disagree)| disagree) {
-        return (Cow::Borrowed(scan), 0);
+        return (scan, 0);
     }
     let mut neighbours: Vec<[(u32, bool); 3]> = vec![[(u32::MAX, false); 3]; scan.triangles.len()];
     for (i, j, disagree) in shared {
@@ -90,13 +134,16 @@ pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, usize) {
             turned += usize::from(turn[k] == Some(true));
         }
     }
-    let mut scan = scan.clone();
+    let mut scan = scan.into_owned();
     scan.triangles.iter_mut().zip(turn).filter(|t| t.1 == Some(true)).for_each(|t| t.0.swap(1, 2));
     (Cow::Owned(scan), turned)
 }
 
+/// Two triangles have the same corners.
+struct Repeated;
+
 /// The triangles at each edge that has just two, and whether both run along it in the same direction; by the edges' vertices.
-fn shared_edges(scan: &TriangleMesh) -> Vec<(u32, u32, bool)> {
+fn shared_edges(scan: &TriangleMesh) -> Result<Vec<(u32, u32, bool)>, Repeated> {
     let side = |s: u32| {
         let (t, corner) = (scan.triangles[s as usize / 3], s as usize % 3);
         (t[corner], t[(corner + 1) % 3])
@@ -105,15 +152,37 @@ fn shared_edges(scan: &TriangleMesh) -> Vec<(u32, u32, bool)> {
     let proper = (0..scan.triangles.len() as u32).filter(|&k| !flat(scan.triangles[k as usize]));
     let sides = proper.flat_map(|k| 3 * k..3 * k + 3);
     let lowest = Rows::sorted(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
-    let (mut shared, mut row) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new());
+    let (mut shared, mut row, mut apexes) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new(), Vec::new());
     for low in 0..lowest.len() {
         row.clear();
         row.extend(lowest.row(low).iter().map(|&s| (side(s).0.max(side(s).1), side(s).0 == low as u32, s / 3)));
         row.sort_unstable();
-        let edges = row.chunk_by(|x, y| x.0 == y.0).filter(|edge| edge.len() == 2);
-        shared.extend(edges.map(|edge| (edge[0].2, edge[1].2, edge[0].1 == edge[1].1)));
+        for edge in row.chunk_by(|x, y| x.0 == y.0).filter(|edge| edge.len() > 1) {
+            apexes.clear();
+            apexes.extend(edge.iter().map(|(.., k)| scan.triangles[*k as usize].iter().fold(0, |all, v| all ^ v)));
+            apexes.sort_unstable();
+            if apexes.windows(2).any(|pair| pair[0] == pair[1]) {
+                return Err(Repeated);
+            }
+            if edge.len() == 2 {
+                shared.push((edge[0].2, edge[1].2, edge[0].1 == edge[1].1));
+            }
+        }
     }
-    shared
+    Ok(shared)
+}
+
+/// Share of the vertices at which a file's normals are within 60 degrees of those of its triangles, whichever way these face, below which
+/// they are of something else.
+const BELIEVED: f64 = 0.8;
+
+/// Whether normals are those of a mesh; of a cloud they are all there is.
+pub(super) fn belong(mesh: &TriangleMesh, normals: &[Vec3]) -> bool {
+    let of_triangles = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+    let known = normals.iter().zip(&of_triangles).filter(|(a, b)| **a != Vec3::zeros() && **b != Vec3::zeros());
+    let (agree, known) = known
+        .fold((0, 0), |(agree, known), (a, b)| (agree + usize::from(a.dot(b).abs() > ALIKE * a.norm()), known + 1));
+    mesh.triangles.is_empty() || (known > 0 && agree as f64 >= BELIEVED * f64::from(known))
 }
 
 /// Cosine between two normals that agree, and minus that between those that do not.
@@ -150,16 +219,49 @@ mod tests {
         let one = sheet(12, 9, |c, r| Vec3::new(c, r, 0.1 * c * r));
         let both = side_by_side(&one, &one);
         let (same, turned) = agreeing(&both);
-        assert!(matches!(same, Cow::Borrowed(_)) && turned == 0);
+        assert!(matches!(same, Cow::Borrowed(_)) && turned == ScanFacing::default());
         for which in [&(|k: usize| k.is_multiple_of(5)) as &dyn Fn(usize) -> bool, &|k| k < 60, &|k| noise(k) > 0.3] {
             let scan = turned_over(&both, which);
             let wrong = (0..both.triangles.len()).filter(|&k| which(k)).count();
             let (found, turned) = agreeing(&scan);
-            assert!(wrong > 20 && turned == wrong, "{turned} of {wrong}");
+            assert!(wrong > 20 && turned == ScanFacing { turned: wrong, ..turned }, "{turned:?} of {wrong}");
             assert_eq!(found.triangles, both.triangles);
-            let facing = ScanFacing { turned, flipped: true };
+            let facing = ScanFacing { flipped: true, ..turned };
             assert_eq!(facing.apply(&scan, None).0.triangles, turned_over(&both, |_| true).triangles);
         }
+    }
+
+    #[test]
+    fn a_surface_that_is_there_twice_is_there_once() {
+        let one = sheet(12, 9, |c, r| Vec3::new(c, r, 0.1 * c * r));
+        let alike = one.triangles.iter().copied();
+        let turned = one.triangles.iter().map(|&[a, b, c]| [b, a, c]);
+        for again in [alike.clone().collect::<Vec<_>>(), turned.clone().collect(), turned.chain(alike).collect()] {
+            let scan = TriangleMesh { triangles: [&one.triangles[..], &again].concat(), ..one.clone() };
+            let (once, facing) = agreeing(&scan);
+            assert_eq!(once.triangles, one.triangles);
+            assert_eq!(facing, ScanFacing { repeated: again.len(), ..ScanFacing::default() });
+            assert_eq!(facing.apply(&scan, None).0.triangles, one.triangles);
+        }
+        assert_eq!(ScanFacing { repeated: 3, ..ScanFacing::default() }.remarks().len(), 1);
+        // Two sides of one triangle share all their edges with each other alone.
+        let leaf = TriangleMesh { triangles: vec![[0, 1, 2], [0, 2, 1]], ..one.clone() };
+        assert_eq!(agreeing(&leaf).1.repeated, 1);
+    }
+
+    #[test]
+    fn normals_of_another_mesh_are_known_as_such() {
+        let mesh = sheet(12, 9, |c, r| Vec3::new(c, r, 2.0 * (0.5 * c).sin()));
+        let own = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let each = |change: &dyn Fn(usize, Vec3) -> Vec3| -> Vec<Vec3> {
+            own.iter().enumerate().map(|(i, n)| change(i, *n)).collect()
+        };
+        assert!(belong(&mesh, &own));
+        assert!(belong(&mesh, &each(&|_, n| -3.0 * n)));
+        assert!(belong(&mesh, &each(&|i, n| if i.is_multiple_of(9) { n.yzx() } else { n })));
+        assert!(!belong(&mesh, &each(&|_, n| n.yzx())));
+        assert!(!belong(&mesh, &each(&|_, _| Vec3::zeros())));
+        assert!(belong(&TriangleMesh { triangles: vec![], ..mesh.clone() }, &own));
     }
 
     #[test]
@@ -177,6 +279,6 @@ mod tests {
             strip.triangles.extend([[a, b, c], [b, d, c]]);
         }
         let (found, turned) = agreeing(&strip);
-        assert_eq!((found.triangles.clone(), turned), (strip.triangles.clone(), 0));
+        assert_eq!((found.triangles.clone(), turned), (strip.triangles.clone(), ScanFacing::default()));
     }
 }

@@ -18,6 +18,11 @@ pub const WRONG_MM: f64 = 3.0;
 /// as probably wrong as right at least. What lies off the scan is off the truth, as that of a rigid template.
 const OFF_THE_SCAN: f64 = 0.009;
 
+/// [`Coverage::contradicted`](super::Coverage::contradicted) and [`Coverage::unseen`](super::Coverage::unseen) above which nothing was
+/// calibrated either: right results of the sets of `experiments silence` have 0.14 and 0.69 at most.
+const CONTRADICTED: f64 = 0.25;
+const UNSEEN: f64 = 0.75;
+
 /// [`StartSearch::rival`](super::StartSearch::rival) above which another place fits as well, such as a second face, and what is then
 /// the least probability: 3 of 14 such starts of the design set were wrong.
 const RIVAL: (f64, f64) = (0.88, 0.2);
@@ -59,8 +64,15 @@ impl Reliability {
         let off = evidence.coverage.distance > OFF_THE_SCAN;
         let rival = evidence.start_rival > RIVAL.0;
         let mirrored = evidence.handedness.against() > 0.0;
-        let known =
-            [(mirrored, Risk::Mirrored, MIRRORED), (off, Risk::Distance, 0.5), (rival, Risk::StartRival, RIVAL.1)];
+        let contradicted = evidence.coverage.contradicted > CONTRADICTED;
+        let unseen = evidence.coverage.unseen > UNSEEN;
+        let known = [
+            (mirrored, Risk::Mirrored, MIRRORED),
+            (contradicted, Risk::Contradicted, 0.5),
+            (unseen, Risk::Unseen, 0.5),
+            (off, Risk::Distance, 0.5),
+            (rival, Risk::StartRival, RIVAL.1),
+        ];
         let known = known.into_iter().filter(|k| k.0);
         let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence), f64::max);
         let mut signs: Vec<Risk> = known.map(|k| k.1).collect();

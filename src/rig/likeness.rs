@@ -5,8 +5,10 @@
 
 use std::fmt;
 
-use nalgebra::{Matrix3, SymmetricEigen};
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen};
+use rayon::prelude::*;
 
+use super::{Rig, RigError, RigWarning};
 use crate::mesh::normals::face_cross;
 use crate::mesh::{PoseKind, Vec3, closest_pose};
 
@@ -173,6 +175,35 @@ pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3])
     Ok(doubts)
 }
 
+/// A subject that is turned by more than this against the neutral has the rig's shapes turned with it, radians. People of one pose
+/// differ by a degree or so.
+const TURNED: f64 = 0.05;
+
+impl Rig {
+    /// Makes the rig one for `subject`, a mesh of the rig's vertices in the rig's order: shapes turn with it where it is turned. What is
+    /// odd about it is a warning. A mesh of another number of vertices is none of the rig's, which is for others to say.
+    ///
+    /// # Errors
+    /// When it is no such mesh: in another order, mirrored, flat, collapsed ([`Unlike`]).
+    pub fn turn_to(&mut self, what: &'static str, subject: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
+        if subject.len() != self.neutral.len() {
+            return Ok(Vec::new());
+        }
+        let triangles = self.mesh.as_ref().map_or_else(Vec::new, |mesh| mesh.triangulate().triangles);
+        let doubts = compare(&self.neutral, &triangles, subject).map_err(|why| RigError::Unlike { what, why })?;
+        let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(subject.iter().copied()).collect();
+        if let Ok(pose) = closest_pose(&pairs, PoseKind::Similarity)
+            && Rotation3::from_matrix_unchecked(pose.rotation).angle() > TURNED
+        {
+            self.deltas.par_chunks_exact_mut(3).for_each(|d| {
+                let turned = pose.rotation * Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
+                d.iter_mut().zip(turned.iter()).for_each(|(d, turned)| *d = *turned as f32);
+            });
+        }
+        Ok(doubts.into_iter().map(|why| RigWarning::Unlike { what, why }).collect())
+    }
+}
+
 /// What to doubt where a rig's shapes, fitted, are `rms` from a mesh.
 pub(super) fn unexplained(points: &[Vec3], rms: f64) -> Option<Unlike> {
     let [size, _] = spread(points);
@@ -193,6 +224,28 @@ fn spread(points: &[Vec3]) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::mesh::testing::{noise, sheet};
+
+    #[test]
+    fn shapes_turn_with_a_subject_that_is_turned() {
+        let face = sheet(20, 16, |x, y| Vec3::new(8.0 * x, 12.0 * y, 40.0 * (0.16 * x).sin() * (0.2 * y).sin()));
+        let count = face.positions.len();
+        let shape = crate::rig::Shape { name: "up".into(), family: crate::rig::Family::Expression };
+        let rig = Rig::new(face.positions.clone(), Some((&face).into()), vec![shape], [0.0, 3.0, 0.0].repeat(count));
+        let rig = rig.unwrap().0;
+        let turned = |angle: f64| {
+            let pose = crate::mesh::Pose::rigid(Vec3::new(0.0, 0.0, angle), Vec3::new(5.0, 100.0, 3.0));
+            let subject: Vec<Vec3> = face.positions.iter().map(|p| pose.apply(*p)).collect();
+            let mut of_subject = rig.clone();
+            assert_eq!(of_subject.turn_to("the template", &subject).unwrap(), []);
+            of_subject.deltas(0)[..3].to_vec()
+        };
+        assert_eq!(turned(0.04), [0.0, 3.0, 0.0]);
+        let quarter = turned(std::f64::consts::FRAC_PI_2);
+        assert!((quarter[0] + 3.0).abs() < 1e-5 && quarter[1].abs() < 1e-5, "{quarter:?}");
+        let shuffled: Vec<Vec3> = (0..count).map(|i| face.positions[i * 7 % count]).collect();
+        assert!(rig.clone().turn_to("the template", &shuffled).is_err());
+        assert_eq!(rig.clone().turn_to("the template", &shuffled[1..]).unwrap(), []);
+    }
 
     #[test]
     fn what_is_no_such_mesh_is_told_and_what_is_one_is_not() {

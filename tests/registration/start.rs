@@ -228,6 +228,31 @@ fn search_of(
     find_start(&input, &schedule(PoseKind::Rigid))
 }
 
+/// Of a lip of a wide-open mouth the landmarks of the other lip are the nearest, and go another way.
+#[test]
+fn no_right_landmark_of_an_open_mouth_is_suspect() {
+    let rig = rig();
+    let open = &rig.expressions.iter().find(|e| e.0 == "jawOpen").unwrap().1;
+    let positions = rig.mesh.positions.iter().zip(open).map(|(p, d)| p + d).collect();
+    let scan = TriangleMesh { positions, ..rig.mesh.triangulate() };
+    let run = |wrong: Option<usize>| {
+        let mut marks: Vec<Landmark> =
+            rig.landmarks.iter().map(|l| landmark(l.vertex, scan.positions[l.vertex as usize])).collect();
+        let name = wrong.map(|wrong| {
+            marks[wrong].target += Vec3::new(50.0, 0.0, 0.0);
+            marks[wrong].name.clone()
+        });
+        let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&rig.mesh, &scan) };
+        let schedule = ModelKind::Rigid.schedule().unwrap();
+        let result = register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let suspects = result.unwrap().start_landmarks.unwrap().suspects;
+        assert_eq!(suspects.first().map(|s| s.name.clone()), name);
+        assert!(suspects.len() <= 1, "{suspects:?}");
+    };
+    run(None);
+    run(Some(rig.landmarks.len() / 2));
+}
+
 #[test]
 fn what_is_no_face_is_refused_by_name() {
     let rig = rig();

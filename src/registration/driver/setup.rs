@@ -32,17 +32,18 @@ pub fn find_start(
     Ok((start.pose, start.search))
 }
 
-/// The scan, its triangles facing as their neighbours do unless it has normals of its own, or the template's do not either;
-/// and how many were turned.
-fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, usize) {
-    match input.scan_normals {
-        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), 0),
+/// The scan, each triangle once and facing as its neighbours do, unless it has normals of its own, or the template's do not either;
+/// and what was done to it.
+fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, ScanFacing) {
+    let own = |normals: &&[Vec3]| normals.len() != input.scan.positions.len() || facing::belong(input.scan, normals);
+    match input.scan_normals.filter(own) {
+        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), ScanFacing::default()),
         None => {
-            let (scan, turned) = match facing::agreeing(&input.template.triangulate()) {
-                (_, 0) => facing::agreeing(input.scan),
-                _ => (Cow::Borrowed(input.scan), 0),
+            let (scan, facing) = match facing::agreeing(&input.template.triangulate()).1.turned {
+                0 => facing::agreeing(input.scan),
+                _ => (Cow::Borrowed(input.scan), ScanFacing::default()),
             };
-            ((scan, None), turned)
+            ((scan, None), ScanFacing { normals_ignored: input.scan_normals.is_some(), ..facing })
         }
     }
 }
@@ -141,29 +142,29 @@ impl Placed {
         schedule: &Schedule,
         cancel: start::Cancel<'_>,
     ) -> Result<Self, RegistrationError> {
-        let (faced, turned) = agreeing(input);
+        let (faced, facing) = agreeing(input);
         let start = || start_of(input, &faced, template, schedule, cancel);
         let (start, scan) = rayon::join(start, || surface(&faced, &schedule.scan));
         let start = start?;
         cancel.check()?;
-        Ok(Self::new(scan?, turned, start, schedule.scan.flip))
+        Ok(Self::new(scan?, facing, start, schedule.scan.flip))
     }
 
     /// By a start that is known.
     pub fn at(start: Start, input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, RegistrationError> {
-        let (faced, turned) = agreeing(input);
-        Ok(Self::new(surface(&faced, &schedule.scan)?, turned, start, schedule.scan.flip))
+        let (faced, facing) = agreeing(input);
+        Ok(Self::new(surface(&faced, &schedule.scan)?, facing, start, schedule.scan.flip))
     }
 
-    /// The scan, of which so many triangles were turned, turned over where the schedule or the search of the start says so.
-    fn new(scan: ScanSurface, turned: usize, start: Start, flip: ScanFlip) -> Self {
+    /// The scan, to which that was done already, turned over where the schedule or the search of the start says so.
+    fn new(scan: ScanSurface, facing: ScanFacing, start: Start, flip: ScanFlip) -> Self {
         let flipped = match flip {
             ScanFlip::Yes => true,
             ScanFlip::No => false,
             ScanFlip::Auto => start.search.as_ref().is_some_and(|search| search.flipped),
         };
         let scan = if flipped { scan.turned_over() } else { scan };
-        Self { start, scan, facing: ScanFacing { turned, flipped } }
+        Self { start, scan, facing: ScanFacing { flipped, ..facing } }
     }
 
     /// Turned over besides where nothing has said yet which side is its front, and the template at those vertices sees the inside.

@@ -17,6 +17,8 @@ const MISMATCH: f64 = 4.0;
 const STRAY: f64 = 25.0;
 const STRAY_SLOPE: f64 = 0.25;
 const NEAREST: usize = 3;
+/// Nearest ones of which one must have gone the same way: of an open mouth's lip the other lip has the three nearest.
+const AROUND: usize = 6;
 /// Such a subject is bent if a similarity leaves the landmarks off by more than this share of their spread.
 const BENT: f64 = 0.1;
 /// More than this share of the landmarks cannot be suspect: then nothing says which are right.
@@ -120,7 +122,7 @@ pub(super) fn landmark_pose(
 /// How many times as long the ways from landmarks to their nearest ones are on the scan as on the template, and how long they are there,
 /// both in the median: where joints bend they stay. `None` where landmarks coincide.
 fn size_by_lengths(input: &StartInput<'_>, kept: &[usize]) -> Option<(f64, f64)> {
-    let ways = kept.iter().zip(nearest(input, kept)).flat_map(|(&a, near)| {
+    let ways = kept.iter().zip(nearest(input, kept, NEAREST)).flat_map(|(&a, near)| {
         let (p, l) = input.landmarks[a];
         near.into_iter().map(move |b| {
             let (q, m) = input.landmarks[b];
@@ -135,15 +137,15 @@ fn size_by_lengths(input: &StartInput<'_>, kept: &[usize]) -> Option<(f64, f64)>
     (!ratios.is_empty()).then(|| (median(&mut ratios), median(&mut lengths)))
 }
 
-/// For each of `kept` those of them that are nearest to it on the template.
-fn nearest(input: &StartInput<'_>, kept: &[usize]) -> Vec<Vec<usize>> {
+/// For each of `kept` so many of them that are nearest to it on the template.
+fn nearest(input: &StartInput<'_>, kept: &[usize], count: usize) -> Vec<Vec<usize>> {
     let at: Vec<Vec3> = kept.iter().map(|&i| input.landmarks[i].0).collect();
     let Ok(tree) = ClosestVertices::new(&at) else { return vec![Vec::new(); kept.len()] };
     let mut found = Vec::new();
     let of = |(a, p): (usize, &Vec3)| {
-        tree.k_nearest(p, NEAREST + 1, &mut found);
+        tree.k_nearest(p, count + 1, &mut found);
         let others = found.iter().map(|f| f.vertex as usize).filter(|&b| b != a);
-        others.take(NEAREST).map(|b| kept[b]).collect()
+        others.take(count).map(|b| kept[b]).collect()
     };
     at.iter().enumerate().map(of).collect()
 }
@@ -171,7 +173,7 @@ fn scatter(input: &StartInput<'_>, kept: &[usize], pose: &Pose) -> f64 {
         let least = near.into_iter().map(over).fold(f64::INFINITY, f64::min);
         least.max(0.0).sqrt() / l.sigma.unwrap_or(input.sigma * pose.scale)
     };
-    let mut unlike: Vec<f64> = kept.iter().zip(nearest(input, kept)).map(unlike).collect();
+    let mut unlike: Vec<f64> = kept.iter().zip(nearest(input, kept, NEAREST)).map(unlike).collect();
     let middle = unlike.len() / 2;
     *unlike.select_nth_unstable_by(middle, f64::total_cmp).1 / LIKEST
 }
@@ -241,7 +243,8 @@ fn stray(input: &StartInput<'_>, kept: &[usize], pose: &Pose, bends: bool) -> Op
         let least = (STRAY * input.unit * pose.scale).max(4.0 * l.sigma.unwrap_or(0.0));
         (a, near.into_iter().map(over).fold(f64::INFINITY, f64::min) - least)
     };
-    let worst = kept.iter().zip(nearest(input, kept)).map(excess).filter(|w| w.1 > 0.0);
+    let around = nearest(input, kept, if bends { NEAREST } else { AROUND });
+    let worst = kept.iter().zip(around).map(excess).filter(|w| w.1 > 0.0);
     worst.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
 }
 
