@@ -132,6 +132,15 @@ pub struct Wrapped {
     pub summary: WrapSummary,
 }
 
+impl Wrapped {
+    /// Whether it was wrapped onto this scan, by its file and not by its name: many scans are called `scan.ply`.
+    #[must_use]
+    pub fn is_of(&self, scan: &Source) -> bool {
+        let target = format!("asset:{}/{}", scan.at.asset, scan.at.file);
+        self.command.contains(&target)
+    }
+}
+
 /// What a registration reached, in numbers and words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, TS)]
 pub struct WrapSummary {

@@ -1,7 +1,7 @@
 //! The vault: cases and articles in an SQLite database, meshes and pictures as files beside it.
 //!
 //! ```text
-//! DIR/vault.sqlite         cases, every revision of them, articles
+//! DIR/vault.sqlite         cases, every revision of them, which files were made of them besides, articles
 //! DIR/assets/HASH/NAME     files that were added together, under their own names; HASH is that of names and contents
 //! DIR/incoming/...         what is being written; swept when it is a day old
 //! ```
@@ -25,7 +25,7 @@ use crate::case::{Case, Edit, FileRef};
 use crate::error::{Problem, problem};
 
 /// Steps from one version of the schema to the next; `user_version` counts those that are done.
-const MIGRATIONS: [&str; 2] = [
+const MIGRATIONS: [&str; 3] = [
     "CREATE TABLE cases (id INTEGER PRIMARY KEY AUTOINCREMENT, head INTEGER NOT NULL, touched INTEGER NOT NULL) STRICT;
      CREATE TABLE revisions (
          case_id INTEGER NOT NULL REFERENCES cases (id) ON DELETE CASCADE,
@@ -34,6 +34,9 @@ const MIGRATIONS: [&str; 2] = [
     "CREATE TABLE articles (
          id INTEGER PRIMARY KEY AUTOINCREMENT, title TEXT NOT NULL, tags TEXT NOT NULL, body TEXT NOT NULL,
          recipe TEXT NOT NULL) STRICT;",
+    "CREATE TABLE leftovers (
+         case_id INTEGER NOT NULL REFERENCES cases (id) ON DELETE CASCADE, asset TEXT NOT NULL,
+         PRIMARY KEY (case_id, asset)) STRICT, WITHOUT ROWID;",
 ];
 
 /// Every revision of a case that undo and redo reach.
@@ -307,6 +310,8 @@ impl Vault {
             return Ok(open);
         }
         let number = open.revision + 1;
+        let undone = assets_of(&transaction, "case_id = ?1 AND number >= ?2", params![id, number])?;
+        undone.iter().try_for_each(|asset| leave(&transaction, id, asset))?;
         transaction.execute("DELETE FROM revisions WHERE case_id = ?1 AND number >= ?2", params![id, number])?;
         write_revision(&transaction, id, number, label, &case)?;
         transaction.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
@@ -335,18 +340,39 @@ impl Vault {
         Ok(open)
     }
 
-    /// Deletes a case: all revisions, and every file that no other case has.
+    /// Notes a file that was made of a case and that none of its revisions has, such as an export: it goes with the case. Where the case is
+    /// gone already, so is the file.
+    ///
+    /// # Errors
+    /// When the database cannot be written, or the case is not there any more.
+    pub fn leave(&self, id: u32, at: &FileRef) -> Result<(), Problem> {
+        let mut database = self.database();
+        let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        if let Err(gone) = read(&transaction, id) {
+            if !assets(&transaction)?.contains(&at.asset) {
+                remove_folder(&self.folder.join("assets").join(&at.asset))?;
+            }
+            return Err(gone);
+        }
+        leave(&transaction, id, &at.asset)?;
+        Ok(transaction.commit()?)
+    }
+
+    /// Deletes a case: all revisions, what was made of it, and every file that no other case has.
     ///
     /// # Errors
     /// When the database cannot be written.
     pub fn delete_case(&self, id: u32) -> Result<(), Problem> {
         let mut database = self.database();
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let own = assets(&transaction, Some(id))?;
+        let mut own = assets_of(&transaction, "case_id = ?1", [id])?;
+        let mut rows = transaction.prepare("SELECT asset FROM leftovers WHERE case_id = ?1")?;
+        own.extend(rows.query_map([id], |row| row.get::<_, String>(0))?.collect::<Result<Vec<_>, _>>()?);
+        drop(rows);
         if transaction.execute("DELETE FROM cases WHERE id = ?1", [id])? == 0 {
             return Err(problem("this case is not there any more"));
         }
-        let others = assets(&transaction, None)?;
+        let others = assets(&transaction)?;
         // files first, and under the lock: a crash in between leaves a case that can be deleted again, not a file without a case
         for asset in own.difference(&others) {
             remove_folder(&self.folder.join("assets").join(asset))?;
@@ -507,7 +533,7 @@ impl Vault {
 
     /// Removes what no case refers to and nobody can be writing any more.
     fn sweep(&self) -> Result<(), Problem> {
-        let used = assets(&self.database(), None)?;
+        let used = assets(&self.database())?;
         for part in ["assets", "incoming"] {
             for entry in fs::read_dir(self.folder.join(part))? {
                 let entry = entry?;
@@ -583,10 +609,20 @@ fn write_revision(change: &Transaction<'_>, id: u32, number: u32, label: &str, c
     Ok(())
 }
 
-/// The assets of a case, or of all, in any of their revisions.
-fn assets(database: &Connection, id: Option<u32>) -> Result<BTreeSet<String>, Problem> {
-    let mut rows = database.prepare("SELECT case_id, document FROM revisions WHERE ?1 IS NULL OR case_id = ?1")?;
-    let rows = rows.query_map([id], |row| Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?)))?;
+fn leave(change: &Transaction<'_>, id: u32, asset: &str) -> Result<(), Problem> {
+    change.execute("INSERT OR IGNORE INTO leftovers (case_id, asset) VALUES (?1, ?2)", params![id, asset])?;
+    Ok(())
+}
+
+/// The assets of all cases, in any of their revisions.
+fn assets(database: &Connection) -> Result<BTreeSet<String>, Problem> {
+    assets_of(database, "1", [])
+}
+
+/// The assets of revisions that an SQL condition chooses.
+fn assets_of(database: &Connection, of: &str, params: impl rusqlite::Params) -> Result<BTreeSet<String>, Problem> {
+    let mut rows = database.prepare(&format!("SELECT case_id, document FROM revisions WHERE {of}"))?;
+    let rows = rows.query_map(params, |row| Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?)))?;
     let mut found = BTreeSet::new();
     for row in rows {
         let (id, document) = row?;

@@ -104,10 +104,20 @@ impl Window {
                 let at = FileRef { asset, file: main.clone() };
                 let name = if main.is_empty() { "rig".to_owned() } else { main.clone() };
                 let source = Source { at: at.clone(), name: name.clone(), unit };
+                let before = self.case()?.case.template.as_ref().filter(|_| role == Role::Template);
+                let count = |source: &Source| Ok::<_, Problem>(hub.store.mesh(&hub.vault, source)?.positions.len());
+                let vertices = before.map(|before| Ok::<_, Problem>([count(before)?, count(&source)?])).transpose()?;
                 let label = name.clone();
                 let open = hub.vault.change(id, &label, |case| {
                     match role {
-                        Role::Template => (case.template, case.wrapped) = (Some(source), None),
+                        Role::Template => {
+                            // Vertices and mask of another template mean nothing on this one.
+                            if vertices.is_some_and(|[before, now]| before != now) {
+                                case.wrap.mask = None;
+                                case.wrap.pairs.iter_mut().for_each(|pair| pair.vertex = None);
+                            }
+                            (case.template, case.wrapped) = (Some(source), None);
+                        }
                         Role::Rig => {
                             if case.template.is_none() && template_inside {
                                 let file = FileRef { file: "template.obj".to_owned(), ..at };
@@ -209,6 +219,7 @@ impl Window {
             }
             Export::Case => crate::archive::export(&hub.vault, id)?,
         };
+        hub.vault.leave(id, &at)?;
         self.say(ServerMessage::Exported { at });
         Ok(())
     }

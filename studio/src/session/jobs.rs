@@ -49,6 +49,9 @@ impl Window {
             job.say(ServerMessage::Progress { what: "measuring".to_owned(), share: None });
             let outcome = wrap.measure(result)?;
             let wrapped = wrap.keep(&hub.vault, &outcome)?;
+            // Of a case that was deleted meanwhile nothing stays.
+            let made = [&wrapped.mesh, &wrapped.state, &wrapped.report].map(|at| hub.vault.leave(id, at));
+            made.into_iter().collect::<Result<(), _>>()?;
             hub.vault.change(id, &format!("wrapped by {}", wrapped.model), |case| {
                 case.wrapped = Some(wrapped);
                 Ok(())

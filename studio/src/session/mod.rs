@@ -358,7 +358,7 @@ impl Window {
                     let mesh = hub.store.mesh(&hub.vault, &source)?;
                     self.show(positions_frame("wrapped", &mesh.positions));
                     // only on the scan that it was wrapped onto
-                    if let Some(scan) = case.scan_in_work().filter(|scan| scan.name == result.scan) {
+                    if let Some(scan) = case.scan_in_work().filter(|scan| result.is_of(scan)) {
                         let scan = hub.store.scan(&hub.vault, scan)?;
                         if let Some(surface) = &scan.surface {
                             let distance = |p: &Vec3| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt());

@@ -235,13 +235,17 @@ impl Parts<'_> {
 
 /// The landmarks in whose frame plans are made: the rig's, or else those on the template.
 fn plan_landmarks(hub: &Hub, case: &Case) -> Result<Vec<(String, TemplatePoint)>, Problem> {
+    let vertices = hub.store.face(&hub.vault, case).map_or(0, |face| face.positions.len());
+    // Those of a rig, or of a template before this one, may be of another mesh.
+    let on_face = |(_, point): &(String, TemplatePoint)| point.corners().all(|(v, _)| (v as usize) < vertices);
     if let Some(rig) = &case.rig {
         let rig = hub.store.rig(&hub.vault, rig, 0)?;
         if !rig.landmarks.is_empty() {
-            return Ok(rig.landmarks.clone());
+            return Ok(rig.landmarks.iter().filter(|l| on_face(l)).cloned().collect());
         }
     }
-    Ok(case.wrap.pairs.iter().filter_map(|p| Some((p.name.clone(), TemplatePoint::Vertex(p.vertex?)))).collect())
+    let placed = |p: &Pair| Some((p.name.clone(), TemplatePoint::Vertex(p.vertex?)));
+    Ok(case.wrap.pairs.iter().filter_map(placed).filter(on_face).collect())
 }
 
 /// The frame of the ready operations on a face, if it has their landmarks.

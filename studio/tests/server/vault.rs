@@ -121,10 +121,21 @@ fn deleted_is_deleted_and_shared_files_stay() {
     let one = Case { name: name.to_owned(), photos: vec![photo(&own), photo(&shared)], ..Case::default() };
     let two = Case { photos: vec![photo(&shared)], ..Case::default() };
     let [one, two] = [&one, &two].map(|case| vault.add_case(case).unwrap());
-    // also what only an older revision has
+    // also what only an older revision has, what was undone, and what was made of it
     vault.edit(one, &Edit::RemovePhoto { index: 0 }).unwrap();
+    let [undone, export, late] =
+        ["undone.png", "morphed.obj", "late.obj"].map(|name| vault.add_bytes(name, name.as_bytes()).unwrap());
+    let add = |at| move |case: &mut Case| Ok(case.photos.push(photo(at)));
+    vault.change(one, "photo", add(&undone)).unwrap();
+    vault.step(one, false).unwrap();
+    vault.change(one, "photo", add(&shared)).unwrap();
+    vault.leave(one, &export).unwrap();
+    assert!([&own, &undone, &export].iter().all(|at| vault.path(at).is_ok()));
     vault.delete_case(one).unwrap();
-    assert!(vault.path(&own).is_err() && vault.path(&shared).is_ok());
+    assert!([&own, &undone, &export].iter().all(|at| vault.path(at).is_err()) && vault.path(&shared).is_ok());
+    // What comes after it does not stay, but for what another case has.
+    assert!(vault.leave(one, &late).is_err() && vault.path(&late).is_err());
+    assert!(vault.leave(one, &shared).is_err() && vault.path(&shared).is_ok());
     assert!(vault.case(one).is_err() && vault.case(two).is_ok() && vault.delete_case(one).is_err());
     for file in ["vault.sqlite", "vault.sqlite-wal"] {
         let bytes = std::fs::read(folder.path().join(file)).unwrap_or_default();

@@ -26,7 +26,8 @@ function pairs(): Pair[] {
 /** Whether the template is wrapped onto the scan in work. */
 function result() {
   const open = app.open?.case;
-  return open?.wrapped && open.scan !== null && open.scans[open.scan]?.name === open.wrapped.scan ? open.wrapped : null;
+  const at = open && open.scan !== null ? open.scans[open.scan]?.at : undefined;
+  return at && open?.wrapped?.command.includes(`asset:${at.asset}/${at.file}`) ? open.wrapped : null;
 }
 
 /** What the scan says at each template vertex counts so much; none for 1. */
