@@ -11,7 +11,7 @@ use super::{Failure, Stage, check_output, check_plan, meshes, say};
 use crate::correspondence::ScanError;
 use crate::evaluation::{DistanceSummary, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
 use crate::io::{self, FilePlan, Inputs, Scan};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
 
@@ -175,6 +175,12 @@ fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<
         Some(path) => io::read_npy_mask(path, Some(truth.len())).map_err(Failure::loading)?,
         None => vec![true; truth.len()],
     };
+    if let Some(path) = a.observed.as_deref().filter(|_| !observed.contains(&true)) {
+        return Err(Failure::loading(format!(
+            "{}: no vertex is observed, so there is nothing to measure",
+            path.display()
+        )));
+    }
     let triangles = result.triangulate().triangles;
     let (errors, vertices) =
         TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
@@ -201,7 +207,8 @@ fn against_scan(
     let on_scan = ScanDistance::new(scan, normals).map_err(Failure::computation)?;
     let on_result = ScanDistance::new(&result.triangulate(), None).map_err(Failure::computation)?;
     let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
-    let fit = SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &scan.positions), WITHIN_MM);
+    let of_scan = surface_points(&scan.positions, scan.triangles.as_flattened().iter().copied());
+    let fit = SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &of_scan), WITHIN_MM);
     let (forth, back) = (&fit.result_to_scan, &fit.scan_to_result);
     let text = format!(
         "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\

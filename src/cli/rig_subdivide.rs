@@ -38,7 +38,7 @@ pub struct Arguments {
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     a.output.check(&a.rig, &[])?;
     let mut units = a.units.of(&["rig"])?;
-    let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
+    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
     a.output.check_shapes(&a.rig, &[], &rig)?;
     units.say();
     let divided = rig.subdivided(a.rounds).map_err(|e| Failure::loading(format!("{}: {e}", a.rig.display())));

@@ -17,7 +17,7 @@ use super::error::{excerpt, read_file};
 use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
-/// What a PLY file holds. Colours stored as floats are taken as 0-1, as 16 bits as 0-65535.
+/// What a PLY file holds. Colours stored as floats are taken as 0-1, or as 0-255 if any is above 1; as 16 bits as 0-65535.
 pub type Ply = MeshFile;
 
 /// Reads a PLY file.
@@ -403,6 +403,9 @@ impl<'a> Body<'a> {
         };
         let normal = find3("nx", "ny", "nz").or_else(|| find3("normal_x", "normal_y", "normal_z"));
         let color = find3("red", "green", "blue").or_else(|| find3("diffuse_red", "diffuse_green", "diffuse_blue"));
+        let color = color.or_else(|| find3("r", "g", "b"));
+        let is_float = |i: usize| matches!(element.properties[i].scalar, Scalar::F32 | Scalar::F64);
+        let mut floats = Vec::new();
         let find2 = |a, b| Some([find(a)?, find(b)?]);
         let uv = [("s", "t"), ("u", "v"), ("texture_u", "texture_v")].into_iter().find_map(|(a, b)| find2(a, b));
         if u32::try_from(element.rows).is_err() {
@@ -430,13 +433,18 @@ impl<'a> Body<'a> {
                 ply.mesh.metadata.uvs.push(self.uv(uv.map(|i| values[i]), start, || format!("vertex {index}"))?);
             }
             if let Some(color) = color {
+                if color.into_iter().any(is_float) {
+                    floats.push(color.map(|i| values[i] as f32));
+                    continue;
+                }
                 colors.push(color.map(|i| match element.properties[i].scalar {
-                    Scalar::F32 | Scalar::F64 => (values[i] * 255.0).round() as u8, // `as` saturates, NaN gives 0
                     Scalar::I16 | Scalar::U16 => (values[i] / 257.0).round() as u8,
                     _ => values[i] as u8,
                 }));
             }
         }
+        let whole = if floats.as_flattened().iter().any(|c| *c > 1.0) { 1.0 } else { 255.0 };
+        colors.extend(floats.iter().map(|c| c.map(|c| (c * whole).round() as u8))); // `as` saturates, NaN gives 0
         ply.normals = normal.map(|_| normals);
         ply.colors = color.map(|_| colors);
         Ok(())

@@ -1,6 +1,6 @@
 //! Whether landmarks make sense on a mesh: how far they are off it, which coincide, whether left and right are swapped.
 //!
-//! Pairs are known by name (`left` against `right`, `_l` against `_r`) or, when all 68 numbers of Multi-PIE are there, by
+//! Pairs are known by name (`left` against `right`, `l` against `r` between underscores, a number behind it or not) or, when all 68 numbers of Multi-PIE are there, by
 //! number. A pair is swapped when it points against most of the others. All are swapped, or the mesh is mirrored, when
 //! left, up (from mouth and chin to eyes and brows) and front (the surface's normals) do not make a right-handed frame.
 
@@ -165,7 +165,12 @@ fn pairs(names: &[&str]) -> Vec<[usize; 2]> {
         if name.contains("right") {
             return find(&name.replace("right", "left"));
         }
-        find(&format!("{}_l", name.strip_suffix("_r")?))
+        let left = |part: &str| match part.strip_prefix('r') {
+            Some(number) if number.bytes().all(|b| b.is_ascii_digit()) => format!("l{number}"),
+            _ => part.to_owned(),
+        };
+        let left = name.split('_').map(left).collect::<Vec<_>>().join("_");
+        (left != name).then(|| find(&left))?
     };
     let named = names.iter().enumerate();
     named.filter_map(|(right, name)| mirror(name).map(|left| [right, left])).collect()

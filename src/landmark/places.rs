@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::pairs::nearest_vertex;
-use super::{LandmarkPlace, LandmarkSet, PlacedLandmark, ReadError, TemplatePoint};
+use super::{LandmarkPlace, LandmarkSet, LengthUnit, PlacedLandmark, ReadError, TemplatePoint};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{MeshError, PolygonMesh, Vec3};
 
@@ -44,6 +44,9 @@ impl LandmarkSet {
         let triangles = mesh.triangulate();
         let surface = ClosestPoint::new(&triangles)?;
         let mut set = self.clone();
+        if kind == PlaceKind::Position {
+            set.unit.get_or_insert(LengthUnit::Millimetre); // as meshes that were read
+        }
         let mut farthest = 0.0_f64;
         for (landmark, p) in set.landmarks.iter_mut().zip(positions) {
             let place = match kind {

@@ -8,7 +8,9 @@
 use std::fmt;
 
 use super::landmarks::{Placed, index, mirrored};
-use crate::mesh::{MirrorPlane, Vec3};
+use crate::mesh::closest_point::ClosestVertices;
+use crate::mesh::normals::{NormalWeighting, vertex_normals};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3};
 
 /// An axis of the face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -262,6 +264,15 @@ impl FacialFrame {
             (up - plane.normal * plane.normal.dot(&up)).try_normalize(1e-9)
         });
         Some(Self { plane, vertical })
+    }
+
+    /// Whether the surface at the landmarks faces against the frame's front.
+    pub(super) fn is_mirrored(&self, placed: &Placed, mesh: &TriangleMesh) -> bool {
+        let (Some(up), Ok(tree)) = (self.vertical, ClosestVertices::new(&mesh.positions)) else { return false };
+        let front = self.plane.normal.cross(&up);
+        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
+        let facing = |p: &Vec3| Some(normals[tree.query(p)?.vertex as usize].dot(&front));
+        placed.iter().flatten().filter_map(facing).sum::<f64>() < 0.0
     }
 
     /// Coordinates along the lateral axis, the vertical one and forwards, from the plane's point; without a vertical axis, `p`.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::MeasurementError;
 use crate::io::LengthUnit;
-use crate::landmark::{TemplatePoint, read_landmark_set};
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::landmark::{LandmarkPlace, TemplatePoint, read_landmark_set};
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// A landmark: what its name means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,6 +59,9 @@ const SYNONYMS: [(&str, &str); 1] = [("gnathion", "menton")];
 
 /// Numbered landmarks of Multi-PIE.
 const NUMBERED: usize = 68;
+
+/// A position farther from the mesh than this share of its size is on another mesh, or in another unit.
+const OFF_SHARE: f64 = 0.05;
 
 /// Index in [`LANDMARKS`].
 pub(super) fn index(name: &str) -> Option<usize> {
@@ -125,7 +128,7 @@ impl Landmarks {
     /// Reads the landmarks of a template from files, one after the other; `unit` is that of positions in files which state none.
     ///
     /// # Errors
-    /// When one cannot be read, or for [`Self::add`]'s reasons: the message names the file.
+    /// When one cannot be read, a position is far off the template, or for [`Self::add`]'s reasons: the message names the file.
     pub fn read(
         paths: &[impl AsRef<Path>],
         template: &PolygonMesh,
@@ -136,6 +139,18 @@ impl Landmarks {
             let mut set = read_landmark_set(path)?;
             set.assume(unit);
             let points = set.on_template(path, template)?;
+            let most = OFF_SHARE
+                * bounding_box_diagonal(&surface_points(&template.positions, template.corners.iter().copied()));
+            let far = set.landmarks.iter().zip(&points).find_map(|(landmark, (_, point))| match landmark.place {
+                LandmarkPlace::Position(p) => {
+                    let distance = (point.position(&template.positions) - p).norm();
+                    (distance > most).then(|| MeasurementError::OffSurface { name: landmark.name.clone(), distance })
+                }
+                _ => None,
+            });
+            if let Some(source) = far {
+                return Err(MeasurementError::File { path: path.to_owned(), source: Box::new(source) });
+            }
             landmarks
                 .add(&points)
                 .map_err(|error| MeasurementError::File { path: path.to_owned(), source: Box::new(error) })?;

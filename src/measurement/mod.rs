@@ -204,6 +204,9 @@ impl Face {
         let placed = landmarks.placed(positions)?;
         let frame = FacialFrame::of(&placed);
         let mesh = TriangleMesh { positions: positions.to_vec(), triangles: triangles.to_vec() };
+        if frame.is_some_and(|frame| frame.is_mirrored(&placed, &mesh)) {
+            return Err(MeasurementError::Mirrored(what));
+        }
         let start = frame.map(|f| f.plane).or(before.map(|b| b.symmetry.plane));
         let symmetry = Symmetry::find(&mesh, start, &SymmetryOptions::default(), what)?;
         let upright = before.map_or(frame, |b| b.frame);

@@ -136,6 +136,9 @@ impl Symmetry {
     }
 }
 
+/// A step that moves the plane by less, as a share of the size, is rest.
+const STILL: f64 = 1e-4;
+
 /// The image of a vertex, and where it belongs.
 struct Match {
     vertex: usize,
@@ -212,7 +215,7 @@ impl Search<'_> {
             let next = next.towards(plane.normal);
             let moved = (next.normal - plane.normal).norm() + plane.height(next.point).abs() / self.size;
             plane = next;
-            if moved < 1e-4 {
+            if moved < STILL {
                 break;
             }
         }
@@ -222,8 +225,9 @@ impl Search<'_> {
             let weights = self.weights(&matches);
             let Some((next, moved)) = self.gauss_newton(&plane, &matches, &weights) else { break };
             plane = next;
+            // On a face that is not quite its own image, matches change to and fro in the end.
+            converged = moved < STILL;
             if moved < 1e-13 {
-                converged = true;
                 break;
             }
         }

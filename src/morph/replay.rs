@@ -278,8 +278,11 @@ impl Stage<'_> {
             let (texture, drawn) = self.draw(spec, Blur::default(), frame.as_ref())?;
             let drawn: Vec<Weights> = drawn.iter().map(|weights| weights.without(&protected)).collect();
             let displacement = mask.displacement.map(|d| self.vector(d, frame.as_ref()));
-            for (k, weights) in drawn.iter().enumerate() {
-                let weights = weights.clone();
+            let pulling = match &drawn[..] {
+                [mask, mirrored] => Weights::shared([mask, mirrored]).to_vec(),
+                _ => drawn.clone(),
+            };
+            for (k, weights) in pulling.into_iter().enumerate() {
                 match displacement {
                     None => constraints.free.push(weights),
                     Some(displacement) => {

@@ -53,6 +53,12 @@ impl Weights {
         Self(self.0.iter().zip(&other.0).map(|(a, b)| a.max(*b)).collect())
     }
 
+    /// What is left of each of two where both pull alike: together as much as the larger of them.
+    pub(super) fn shared([a, b]: [&Self; 2]) -> [Self; 2] {
+        let share = |(a, b): (&f64, &f64)| if *a > 0.0 { a * a.max(*b) / (a + b) } else { 0.0 };
+        [[a, b], [b, a]].map(|[own, other]| Self(own.0.iter().zip(&other.0).map(share).collect()))
+    }
+
     /// Reads a one-dimensional NPY array of a weight for each of `vertices` vertices.
     ///
     /// # Errors

@@ -65,6 +65,11 @@ fn a_result_is_divided_and_its_finer_vertices_go_to_the_scan() {
     let printed = bench.done(&format!("{FIT} {INPUTS} --subdivide 2 --out fine.obj --report fine.json"));
     assert!(printed.contains("divided: "), "{printed}");
     bench.done("rig subdivide --rig rig --rounds 2 --out finer");
+    let modes = |rig: &str| {
+        let names = std::fs::read_to_string(bench.path(&format!("{rig}/identity_names.json"))).unwrap();
+        serde_json::from_str::<Vec<String>>(&names).unwrap()
+    };
+    assert!(!modes("rig").is_empty() && modes("finer") == modes("rig"));
     let (fine, rest) =
         (read_obj(&bench.path("fine.obj")).unwrap(), read_obj(&bench.path("finer/template.obj")).unwrap());
     let template = read_obj(&bench.path("rig/template.obj")).unwrap();
