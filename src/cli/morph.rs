@@ -163,7 +163,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
                 Landmarks::read(&landmarks_of_rig(rig), &before, LengthUnit::Millimetre).map_err(Failure::loading)?;
         }
         if known.is_empty() {
-            known.add(&landmarks).map_err(measure::failure)?;
+            known = Landmarks::among(&landmarks).map_err(measure::failure)?;
         }
         let mut plans = vec![outcomes];
         for other in others {

@@ -8,8 +8,8 @@
 use std::fmt;
 
 use super::landmarks::{Placed, index, mirrored};
+use crate::mesh::adjacency::middle_of_parts;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::{MirrorPlane, TriangleMesh, Vec3};
 
 /// An axis of the face.
@@ -266,13 +266,13 @@ impl FacialFrame {
         Some(Self { plane, vertical })
     }
 
-    /// Whether the surface at the landmarks faces against the frame's front.
+    /// Whether the landmarks lie behind the middle of their face, by the frame's front.
     pub(super) fn is_mirrored(&self, placed: &Placed, mesh: &TriangleMesh) -> bool {
         let (Some(up), Ok(tree)) = (self.vertical, ClosestVertices::new(&mesh.positions)) else { return false };
-        let front = self.plane.normal.cross(&up);
-        let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
-        let facing = |p: &Vec3| Some(normals[tree.query(p)?.vertex as usize].dot(&front));
-        placed.iter().flatten().filter_map(facing).sum::<f64>() < 0.0
+        let points: Vec<Vec3> = placed.iter().flatten().copied().collect();
+        let vertices = points.iter().filter_map(|p| tree.query(p)).map(|found| found.vertex);
+        let forwards = points.iter().sum::<Vec3>() / points.len() as f64 - middle_of_parts(mesh, vertices);
+        self.plane.normal.cross(&up).dot(&forwards) < 0.0
     }
 
     /// Coordinates along the lateral axis, the vertical one and forwards, from the plane's point; without a vertical axis, `p`.

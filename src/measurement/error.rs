@@ -37,8 +37,8 @@ pub enum MeasurementError {
     },
     /// Left and right are exchanged.
     #[error(
-        "{0} is mirrored or inside out, or its left and right landmarks are exchanged: left, up and front make no face; turn it back, or \
-         exchange the names"
+        "{0} is mirrored, or its left and right landmarks are exchanged: left, up and front make no face; mirror it back, or exchange \
+         the names"
     )]
     Mirrored(&'static str),
     /// A landmark, region or triangle names a vertex that does not exist.

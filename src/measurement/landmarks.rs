@@ -82,6 +82,19 @@ impl Landmarks {
         Self { points: [const { None }; LANDMARKS.len()] }
     }
 
+    /// Of points of any names those that it knows: others are left out, and so are numbers where not all 68 are there.
+    ///
+    /// # Errors
+    /// When a landmark comes under two names.
+    pub fn among(points: &[(String, TemplatePoint)]) -> Result<Self, MeasurementError> {
+        let all: Vec<String> = (0..NUMBERED).map(|n| n.to_string()).collect();
+        let numbered = all.iter().all(|number| points.iter().any(|p| p.0 == *number));
+        let known = points.iter().filter(|(name, _)| index(name).is_some() || (numbered && all.contains(name)));
+        let mut landmarks = Self::default();
+        landmarks.add(&known.cloned().collect::<Vec<_>>())?;
+        Ok(landmarks)
+    }
+
     /// Whether none is known.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -220,6 +233,15 @@ mod tests {
         assert_eq!((x("stomion"), x("cheilion_left")), (Some(64.0), Some(54.0)));
         assert_eq!((x("trichion"), x("zygion_left"), x("alare_right")), (None, None, None));
         assert!(landmarks.placed(&positions[..60]).unwrap_err().to_string().contains("stomion has vertex 62"));
+    }
+
+    #[test]
+    fn among_other_points_those_that_are_known_are_found() {
+        let names = |points: &[&str]| Landmarks::among(&self::points(points)).unwrap().names().count();
+        assert_eq!([names(&["nasion", "mole", "27", "8"]), names(&["27"]), names(&[])], [1, 0, 0]);
+        let all: Vec<String> = (0..68).map(|n| n.to_string()).chain(["mole".to_owned()]).collect();
+        assert!(names(&all.iter().map(String::as_str).collect::<Vec<_>>()) > 10);
+        assert!(Landmarks::among(&points(&["gnathion", "menton"])).is_err());
     }
 
     #[test]

@@ -301,6 +301,31 @@ impl OpenBoundary {
     }
 }
 
+/// Parts with a smaller share of the vertices are crumbs.
+const CRUMBS: f64 = 0.05;
+
+/// The mean of all vertices of the parts that hold `vertices`; of the whole mesh where those are crumbs, as of one in single triangles.
+///
+/// # Panics
+/// When one is no vertex.
+#[must_use]
+pub fn middle_of_parts(mesh: &TriangleMesh, vertices: impl IntoIterator<Item = u32>) -> Vec3 {
+    let parts = EdgeGraph::of(mesh).components();
+    let mut held = vec![false; parts.count()];
+    for v in vertices {
+        if let Some(held) = held.get_mut(parts.labels()[v as usize] as usize) {
+            *held = true;
+        }
+    }
+    let of = |which: &dyn Fn(usize) -> bool| -> (usize, Vec3) {
+        let vertices = (0..parts.count()).filter(|&c| which(c)).flat_map(|c| parts.vertices(c));
+        vertices.fold((0, Vec3::zeros()), |(count, sum), v| (count + 1, sum + mesh.positions[*v as usize]))
+    };
+    let (all, all_sum) = of(&|_| true);
+    let (count, sum) = of(&|c| held[c]);
+    if (count as f64) < CRUMBS * all as f64 { all_sum / all.max(1) as f64 } else { sum / count as f64 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

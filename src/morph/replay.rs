@@ -10,6 +10,7 @@ use super::{
     Recipe, RecipeError, RecipeStep, Texture, ViewSpec, Weights, uv_weights,
 };
 use crate::landmark::TemplatePoint;
+use crate::mesh::adjacency::middle_of_parts;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::render::Projection;
 use crate::rig::{Regions, ShapeBasis};
@@ -329,11 +330,9 @@ impl Stage<'_> {
         let places: Vec<(String, Vec3)> = self.places().collect();
         let frame = LandmarkFrame::new(spec, &places)?;
         // Landmarks lie on the front of a face, whose middle is behind them.
-        let mean = |points: &mut dyn ExactSizeIterator<Item = Vec3>| {
-            let count = points.len() as f64;
-            points.sum::<Vec3>() / count
-        };
-        let front = mean(&mut places.iter().map(|p| p.1)) - mean(&mut self.mesh.positions.iter().copied());
+        let landmarks = places.iter().map(|p| p.1).sum::<Vec3>() / places.len() as f64;
+        let corners = self.subject.landmarks.iter().flat_map(|(_, point)| point.corners());
+        let front = landmarks - middle_of_parts(&self.triangles, corners.map(|c| c.0));
         if frame.axes()[2].dot(&front) < 0.0 { Err(MorphError::Mirrored) } else { Ok(frame) }
     }
 

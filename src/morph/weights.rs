@@ -98,3 +98,18 @@ impl Weights {
         mesh.positions.par_iter().map(|p| weight(*p)).collect::<Result<_, _>>().map(Self)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_that_share_pull_as_much_as_the_larger_of_them() {
+        let [a, b] = [[0.0, 1.0, 1.0, 0.0, 0.5, 0.25], [0.0, 1.0, 0.0, 0.5, 0.5, 0.75]].map(|w| Weights(w.to_vec()));
+        let [left_a, left_b] = Weights::shared([&a, &b]);
+        let sums: Vec<f64> = left_a.values().iter().zip(left_b.values()).map(|(a, b)| a + b).collect();
+        assert_eq!(sums, a.or(&b).values());
+        assert_eq!((&left_a.values()[..3], left_b.values()[3]), (&[0.0, 0.5, 1.0][..], 0.5));
+        assert_eq!(left_b.values()[5], 3.0 * left_a.values()[5]);
+    }
+}

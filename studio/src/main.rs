@@ -120,12 +120,13 @@ fn taken(vault: &Vault, path: &Path, rig: bool, unit: Option<Unit>) -> Result<So
         .map_or_else(|| guess_unit(path, &points), Ok)
         .map_err(|(text, _)| problem(format!("{text} Say --unit")))?;
     let incoming = vault.incoming()?;
-    let files = if path.is_dir() {
+    let files: Vec<PathBuf> = if path.is_dir() {
         let entries = std::fs::read_dir(path).map_err(unreadable)?;
         let all = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
         all.into_iter().filter(|p| p.is_file()).collect()
     } else {
-        nonrigid::io::files_of_mesh(path)
+        let named = nonrigid::io::files_of_painted_mesh(path);
+        named.into_iter().filter(|file| file == path || file.is_file()).collect()
     };
     for file in files {
         let name = file.file_name().unwrap_or_default();

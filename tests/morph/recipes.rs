@@ -383,6 +383,16 @@ fn a_mirrored_mesh_is_noticed() {
         assert!(error.contains("mirrored"), "{error}");
     }
     assert!(mirror(&mirror(&FACE)).replay(&recipe, ReplayOptions::default()).is_ok());
+    // What else the mesh holds does not turn the face about.
+    let table = (0..4).map(|i| Vec3::new(f64::from(i % 2) * 300.0, -400.0, 900.0 + f64::from(i / 2) * 300.0));
+    let mut mesh = FACE.mesh.clone();
+    let first = mesh.positions.len() as u32;
+    mesh.positions.extend(table);
+    mesh.corners.extend([first, first + 1, first + 3, first + 2]);
+    mesh.starts.push(mesh.corners.len() as u32);
+    mesh.positions.extend(std::iter::repeat_n(Vec3::new(0.0, -400.0, 1000.0), 3 * first as usize));
+    let seated = Face::new(mesh, FACE.landmarks.clone());
+    assert!(seated.replay(&recipe, ReplayOptions::default()).is_ok());
 }
 
 #[test]

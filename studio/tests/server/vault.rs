@@ -125,7 +125,12 @@ fn deleted_is_deleted_and_shared_files_stay() {
     vault.edit(one, &Edit::RemovePhoto { index: 0 }).unwrap();
     let [undone, export, late] =
         ["undone.png", "morphed.obj", "late.obj"].map(|name| vault.add_bytes(name, name.as_bytes()).unwrap());
-    let add = |at| move |case: &mut Case| Ok(case.photos.push(photo(at)));
+    let add = |at| {
+        move |case: &mut Case| {
+            case.photos.push(photo(at));
+            Ok(())
+        }
+    };
     vault.change(one, "photo", add(&undone)).unwrap();
     vault.step(one, false).unwrap();
     vault.change(one, "photo", add(&shared)).unwrap();
