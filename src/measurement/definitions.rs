@@ -269,6 +269,10 @@ impl FacialFrame {
     /// Whether the landmarks lie behind the middle of their face, by the frame's front.
     pub(super) fn is_mirrored(&self, placed: &Placed, mesh: &TriangleMesh) -> bool {
         let (Some(up), Ok(tree)) = (self.vertical, ClosestVertices::new(&mesh.positions)) else { return false };
+        // Midline points alone do not say which side is left.
+        if !mirrored().any(|[a, b]| a != b && placed[a].is_some() && placed[b].is_some()) {
+            return false;
+        }
         let points: Vec<Vec3> = placed.iter().flatten().copied().collect();
         let vertices = points.iter().filter_map(|p| tree.query(p)).map(|found| found.vertex);
         let forwards = points.iter().sum::<Vec3>() / points.len() as f64 - middle_of_parts(mesh, vertices);

@@ -230,7 +230,8 @@ mod tests {
         let face = sheet(20, 16, |x, y| Vec3::new(8.0 * x, 12.0 * y, 40.0 * (0.16 * x).sin() * (0.2 * y).sin()));
         let count = face.positions.len();
         let shape = crate::rig::Shape { name: "up".into(), family: crate::rig::Family::Expression };
-        let rig = Rig::new(face.positions.clone(), Some(face.clone().into()), vec![shape], [0.0, 3.0, 0.0].repeat(count));
+        let rig =
+            Rig::new(face.positions.clone(), Some(face.clone().into()), vec![shape], [0.0, 3.0, 0.0].repeat(count));
         let rig = rig.unwrap().0;
         let turned = |angle: f64| {
             let pose = crate::mesh::Pose::rigid(Vec3::new(0.0, 0.0, angle), Vec3::new(5.0, 100.0, 3.0));

@@ -158,11 +158,17 @@ fn an_older_vault_is_brought_up_and_a_newer_one_refused() {
     };
     let change =
         |sql: &str| rusqlite::Connection::open(folder.path().join("vault.sqlite")).unwrap().execute_batch(sql).unwrap();
-    change("DROP TABLE articles; PRAGMA user_version = 1");
-    let vault = Vault::open(folder.path()).unwrap();
-    assert_eq!(vault.case(id).unwrap(), case);
-    assert_eq!(vault.articles("").unwrap().len(), 20);
-    drop(vault);
+    for older in [
+        "DROP TABLE leftovers; PRAGMA user_version = 2",
+        "DROP TABLE leftovers; DROP TABLE articles; PRAGMA user_version = 1",
+    ] {
+        change(older);
+        let vault = Vault::open(folder.path()).unwrap();
+        assert_eq!(vault.case(id).unwrap(), case);
+        assert_eq!(vault.articles("").unwrap().len(), 20);
+        let export = vault.add_bytes("morphed.obj", b"v 0 0 0").unwrap();
+        vault.leave(id, &export).unwrap();
+    }
     change("PRAGMA user_version = 99");
     let error = Vault::open(folder.path()).err().unwrap().0;
     assert!(error.contains("99"), "{error}");
