@@ -597,7 +597,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     let mut schedule = ModelKind::Hybrid.schedule().unwrap();
     // So that the pouch is within reach.
     schedule.levels[1].distance_cap = 12.0;
-    schedule.levels[1].model.set("lambda_graph", 30.0);
+    schedule.levels[1].model.set("lambda_graph", 10.0);
     let (result, errors) = fit(&schedule);
     let hidden = || result.hidden.iter().enumerate().filter(|(_, hidden)| **hidden).map(|(v, _)| v);
     assert!(hidden().count() > 48 * 12, "{}", hidden().count());
