@@ -318,7 +318,30 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
     write_obj(&bench.path("piped/neutral.obj"), &mesh).unwrap();
     assert!(Command::new("mkfifo").arg(bench.path("piped/smile.obj")).status().unwrap().success());
     bench.write("marks.json", "{\"nasion\": 3, \"menton\": 5, \"pronasale\": 9}");
+    // Rows of 20 vertices from left to right, from the chin up; the subject's left is on the side of larger x.
+    let paired = |right: u32, left: u32| {
+        format!("{{\"nasion\": 310, \"menton\": 70, \"cheilion_right\": {right}, \"cheilion_left\": {left}}}")
+    };
+    bench.write("paired.json", &paired(126, 133));
+    bench.write("swapped.json", &paired(133, 126));
+    bench.write("elsewhere.json", "{\"nasion\": [0, 50, 9000], \"menton\": [0, -70, 60]}");
     let rows: &[(&str, i32, &[&str])] = &[
+        ("measure --mesh same/000.obj --landmarks swapped.json", LOADING, &["mirrored", "left and right"]),
+        (
+            "measure --mesh same/000.obj --landmarks elsewhere.json",
+            LOADING,
+            &["elsewhere.json", "\"nasion\"", "mm off the mesh", "--unit landmarks"],
+        ),
+        (
+            "register --template shuffled/000.obj --rig face.npz --target same/000.obj --out o.obj",
+            LOADING,
+            &["face.npz", "the template", "mm rms", "order"],
+        ),
+        (
+            "morph --mesh shuffled/000.obj --rig face.npz --landmarks paired.json --preset chin-forward=1 --out o.obj",
+            LOADING,
+            &["face.npz", "the mesh", "mm rms", "order"],
+        ),
         (
             "rig transfer --rig face.npz --subject shuffled/000.obj --out o.npz",
             LOADING,
@@ -355,6 +378,8 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
     all_hold(rows.len(), &faults);
     let run = bench.run("rig transfer --rig face.npz --subject same/000.obj --out o.npz");
     assert!(run.code == 0 && !run.stderr.contains("warning"), "{}", run.stderr);
+    let run = bench.run("measure --mesh same/000.obj --landmarks paired.json");
+    assert_eq!(run.code, 0, "{}", run.stderr);
     let run = bench.run("measure --mesh inches/000.obj --landmarks marks.json --unit in");
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(Rig::read(&bench.path("o.npz"), &RigReadOptions::default()).is_ok());

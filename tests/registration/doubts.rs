@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use crate::start::{basis, expressions};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::landmark::Landmark;
+use nonrigid::mesh::TriangleMesh;
 use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, StepRecord, assess, register};
 use nonrigid::rig::{Family, ShapeBasis};
 
@@ -38,4 +39,30 @@ fn a_subject_that_the_shapes_do_not_know_is_doubted_whatever_the_model() {
         let doubts: Vec<&str> = unknown.doubts.iter().map(|doubt| doubt.name()).collect();
         assert!(doubts.contains(&"beyond_shapes"), "{model}: {doubts:?}");
     }
+}
+
+/// Whatever the calibration says: it has seen no such results.
+#[test]
+fn what_is_hardly_shown_or_mostly_contradicted_is_doubted() {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
+    let case = simulate_scan(&rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, 70).unwrap();
+    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| Landmark::new(v.to_string(), *v, *p)).collect();
+    let count = rig.mesh.positions.len();
+    let mut half_turned = case.scan.clone();
+    half_turned.triangles.iter_mut().enumerate().filter(|(k, _)| k % 9 < 4).for_each(|(_, t)| t.swap(1, 2));
+    // Triangles with corners of their own say nothing of how their neighbours face.
+    let corners = half_turned.triangles.as_flattened();
+    half_turned.positions = corners.iter().map(|v| case.scan.positions[*v as usize]).collect();
+    half_turned.triangles = (0..half_turned.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+    let nearly_all_masked: Vec<f64> = (0..count).map(|v| if v % 10 == 0 { 1.0 } else { 0.0 }).collect();
+    let doubts = |scan: &TriangleMesh, mask: Option<&[f64]>| -> Vec<&'static str> {
+        let input = RegistrationInput { landmarks: &landmarks, mask, ..RegistrationInput::new(&rig.mesh, scan) };
+        let model = ModelKind::Graph;
+        let schedule = model.schedule().unwrap();
+        let result = register(&input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
+        assess(&input, &result).unwrap().1.doubts.iter().map(|doubt| doubt.name()).collect()
+    };
+    assert!(!doubts(&case.scan, None).iter().any(|doubt| ["little_seen", "contradicted"].contains(doubt)));
+    assert!(doubts(&case.scan, Some(&nearly_all_masked)).contains(&"little_seen"));
+    assert!(doubts(&half_turned, None).contains(&"contradicted"));
 }
