@@ -322,8 +322,8 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
     let paired = |right: u32, left: u32| {
         format!("{{\"nasion\": 310, \"menton\": 70, \"cheilion_right\": {right}, \"cheilion_left\": {left}}}")
     };
-    bench.write("paired.json", &paired(126, 133));
-    bench.write("swapped.json", &paired(133, 126));
+    bench.write("paired.json", paired(126, 133));
+    bench.write("swapped.json", paired(133, 126));
     bench.write("elsewhere.json", "{\"nasion\": [0, 50, 9000], \"menton\": [0, -70, 60]}");
     let rows: &[(&str, i32, &[&str])] = &[
         ("measure --mesh same/000.obj --landmarks swapped.json", LOADING, &["mirrored", "left and right"]),
