@@ -2,7 +2,6 @@
 //! whose normals point inwards is turned over.
 
 use std::borrow::Cow;
-use std::collections::HashSet;
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -26,6 +25,9 @@ pub struct ScanFacing {
     pub flipped: bool,
 }
 
+/// Scans of depth cameras have some triangles twice; so many are another matter.
+const WORTH_A_WORD: usize = 100;
+
 /// A scan and its normals, as registered.
 pub(super) type Faced<'a> = (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>);
 
@@ -40,7 +42,7 @@ impl ScanFacing {
         let turns = format!("{turned} of the scan's triangles faced against their neighbours and were turned");
         let normals = "the scan's normals are not those of its triangles, as after a program that turned its vertices alone; they were \
                        not used";
-        let all = [(*repeated > 0, repeats), (*turned > 0, turns), (*normals_ignored, normals.to_owned())];
+        let all = [(*repeated >= WORTH_A_WORD, repeats), (*turned > 0, turns), (*normals_ignored, normals.to_owned())];
         all.into_iter().filter(|remark| remark.0).map(|remark| remark.1).collect()
     }
 
@@ -68,26 +70,18 @@ pub(super) fn flipped((scan, normals): Faced<'_>) -> Faced<'_> {
 /// directions. Parts where some do not are made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left
 /// alone. The scan, and what was done to it.
 pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing) {
-    match shared_edges(scan) {
-        Ok(shared) => {
-            let (scan, turned) = turned_alike(Cow::Borrowed(scan), shared);
-            (scan, ScanFacing { turned, ..ScanFacing::default() })
-        }
-        Err(Repeated) => {
-            let mut seen = HashSet::new();
-            let mut first = |t: &[u32; 3]| {
-                let mut corners = *t;
-                corners.sort_unstable();
-                seen.insert(corners)
-            };
-            let triangles: Vec<[u32; 3]> = scan.triangles.iter().copied().filter(|t| first(t)).collect();
-            let repeated = scan.triangles.len() - triangles.len();
-            let once = TriangleMesh { triangles, positions: scan.positions.clone() };
-            let shared = shared_edges(&once).unwrap_or_default();
-            let (once, turned) = turned_alike(Cow::Owned(once), shared);
-            (once, ScanFacing { repeated, turned, ..ScanFacing::default() })
-        }
+    let (shared, mut repeated) = shared_edges(scan);
+    let (mut once, turned) = turned_alike(Cow::Borrowed(scan), shared);
+    repeated.sort_unstable();
+    repeated.dedup();
+    if !repeated.is_empty() {
+        let (mut k, mut left_out) = (0, repeated.iter().peekable());
+        once.to_mut().triangles.retain(|_| {
+            k += 1;
+            left_out.next_if_eq(&&(k - 1)).is_none()
+        });
     }
+    (once, ScanFacing { repeated: repeated.len(), turned, ..ScanFacing::default() })
 }
 
 /// Turns triangles until neighbours agree, and says how many. Of two at an edge that only they share is known whether they run along it
@@ -139,11 +133,9 @@ fn turned_alike(scan: Cow<'_, TriangleMesh>, shared: Vec<(u32, u32, bool)>) -> (
     (Cow::Owned(scan), turned)
 }
 
-/// Two triangles have the same corners.
-struct Repeated;
-
-/// The triangles at each edge that has just two, and whether both run along it in the same direction; by the edges' vertices.
-fn shared_edges(scan: &TriangleMesh) -> Result<Vec<(u32, u32, bool)>, Repeated> {
+/// The triangles at each edge that has just two, and whether both run along it in the same direction, by the edges' vertices; and triangles
+/// that have the corners of one before them, which do not count, some of them more than once.
+fn shared_edges(scan: &TriangleMesh) -> (Vec<(u32, u32, bool)>, Vec<u32>) {
     let side = |s: u32| {
         let (t, corner) = (scan.triangles[s as usize / 3], s as usize % 3);
         (t[corner], t[(corner + 1) % 3])
@@ -152,24 +144,32 @@ fn shared_edges(scan: &TriangleMesh) -> Result<Vec<(u32, u32, bool)>, Repeated> 
     let proper = (0..scan.triangles.len() as u32).filter(|&k| !flat(scan.triangles[k as usize]));
     let sides = proper.flat_map(|k| 3 * k..3 * k + 3);
     let lowest = Rows::sorted(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
-    let (mut shared, mut row, mut apexes) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new(), Vec::new());
+    let third = |k: u32| scan.triangles[k as usize].iter().fold(0, |all, v| all ^ v);
+    let (mut shared, mut row) = (Vec::with_capacity(lowest.items().len() / 2), Vec::new());
+    let (mut repeated, mut once) = (Vec::new(), Vec::new());
     for low in 0..lowest.len() {
         row.clear();
         row.extend(lowest.row(low).iter().map(|&s| (side(s).0.max(side(s).1), side(s).0 == low as u32, s / 3)));
         row.sort_unstable();
         for edge in row.chunk_by(|x, y| x.0 == y.0).filter(|edge| edge.len() > 1) {
-            apexes.clear();
-            apexes.extend(edge.iter().map(|(.., k)| scan.triangles[*k as usize].iter().fold(0, |all, v| all ^ v)));
-            apexes.sort_unstable();
-            if apexes.windows(2).any(|pair| pair[0] == pair[1]) {
-                return Err(Repeated);
+            if let [(_, first, i), (_, second, j)] = *edge
+                && third(i) != third(j)
+            {
+                shared.push((i, j, first == second));
+                continue;
             }
-            if edge.len() == 2 {
-                shared.push((edge[0].2, edge[1].2, edge[0].1 == edge[1].1));
+            // Of those with one third corner the first.
+            once.clear();
+            once.extend(edge.iter().map(|&(_, direction, k)| (third(k), k, direction)));
+            once.sort_unstable();
+            repeated.extend(once.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1));
+            once.dedup_by_key(|of| of.0);
+            if let [(_, i, first), (_, j, second)] = once[..] {
+                shared.push((i, j, first == second));
             }
         }
     }
-    Ok(shared)
+    (shared, repeated)
 }
 
 /// Share of the vertices at which a file's normals are within 60 degrees of those of its triangles, whichever way these face, below which
@@ -243,7 +243,8 @@ mod tests {
             assert_eq!(facing, ScanFacing { repeated: again.len(), ..ScanFacing::default() });
             assert_eq!(facing.apply(&scan, None).0.triangles, one.triangles);
         }
-        assert_eq!(ScanFacing { repeated: 3, ..ScanFacing::default() }.remarks().len(), 1);
+        let remarks = |repeated| ScanFacing { repeated, ..ScanFacing::default() }.remarks().len();
+        assert_eq!([remarks(4), remarks(WORTH_A_WORD)], [0, 1]);
         // Two sides of one triangle share all their edges with each other alone.
         let leaf = TriangleMesh { triangles: vec![[0, 1, 2], [0, 2, 1]], ..one.clone() };
         assert_eq!(agreeing(&leaf).1.repeated, 1);
