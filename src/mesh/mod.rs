@@ -16,6 +16,7 @@ mod oriented_points;
 mod polygon_mesh;
 mod pose;
 pub mod rows;
+mod seam;
 pub mod srgb;
 mod subdivide;
 pub mod surface_lattice;
@@ -32,6 +33,7 @@ pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
+pub use seam::sewn;
 pub use subdivide::Subdivision;
 pub use triangle_mesh::TriangleMesh;
 

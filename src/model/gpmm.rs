@@ -242,7 +242,7 @@ impl PatchFactory for Factory {
         let longest = options.kernels.iter().map(|k| k.length).fold(f64::MIN_POSITIVE, f64::max);
         let unit = 0.5 * bounding_box_diagonal(&input.mesh.positions) / longest;
         let all: Vec<u32> = (0..input.mask.len() as u32).collect();
-        let smooth = options.basis(input.mesh, unit)?.masked(&all, |v| input.mask[v as usize]);
+        let smooth = options.basis(input.mesh, unit)?.masked(&all, input.mask);
         Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), smooth, input.shape_weight())))
     }
 }

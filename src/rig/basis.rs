@@ -92,16 +92,15 @@ impl ShapeBasis {
         self
     }
 
-    /// The same shapes on some of the vertices, each displacement times the vertex' `weight`.
+    /// The same shapes on some of the vertices, each displacement times its vertex' weight; one weight for each of `vertices`.
     ///
     /// # Panics
     /// When there is no such vertex.
     #[must_use]
-    pub fn masked(&self, vertices: &[u32], weight: impl Fn(u32) -> f64) -> Self {
+    pub fn masked(&self, vertices: &[u32], weights: &[f64]) -> Self {
         let masked = |slab: &Slab| {
             let mut values = Vec::with_capacity(3 * slab.shapes * vertices.len());
-            for &v in vertices {
-                let w = weight(v);
+            for (&v, w) in vertices.iter().zip(weights) {
                 values.extend(slab.vertex(v as usize).iter().map(|d| (w * f64::from(*d)) as f32));
             }
             Slab { shapes: slab.shapes, values: Arc::new(values) }
@@ -311,7 +310,7 @@ mod tests {
                 assert_eq!(joined.displacement(i, k), Vec3::from_fn(|a, _| number(3 * i + a, k).into()));
             }
         }
-        let masked = joined.masked(&[1], |_| 0.5);
+        let masked = joined.masked(&[1], &[0.5]);
         assert_eq!(masked.displacement(0, 10), joined.displacement(1, 10) * 0.5);
     }
 

@@ -201,8 +201,8 @@ pub struct MorphEnergy {
     displacements: Vec<Vec3>,
     problem: Deformation<Box<dyn DeformationModel>, Term>,
     shapes: ShapeBasis,
-    /// Pinned vertices, and where.
-    pinned: Vec<(u32, Vec3)>,
+    /// Pinned vertices of the patch, and where.
+    pinned: Vec<(usize, Vec3)>,
     pins: PinTerm,
     at_rest: [usize; 2],
     x: Vec<f64>,
@@ -258,12 +258,14 @@ impl MorphEnergy {
         let mut pins = PinTerm::new(PIN_TOLERANCE * bounding_box_diagonal(&mesh.positions));
         for (i, pin) in constraints.pins.iter().enumerate() {
             check_target(pin)?;
-            if constraints.pins[..i].iter().any(|other| other.point == pin.point && other.target != pin.target) {
+            let place = |pin: &PlacedPoint| pin.point.corners().map(|(v, w)| (patch.find(v), w)).collect::<Vec<_>>();
+            let twice = |other: &&PlacedPoint| place(other) == place(pin) && other.target != pin.target;
+            if constraints.pins[..i].iter().any(|other| twice(&other)) {
                 return Err(MorphError::PinnedTwice(pin.name.clone()));
             }
             let sample = sample_of(pin, &patch, &mut samples)?;
-            if let TemplatePoint::Vertex(v) = pin.point {
-                pinned.push((v, pin.target));
+            if let TemplatePoint::Vertex(_) = pin.point {
+                pinned.push((sample, pin.target));
             }
             if !(by_vertex && matches!(pin.point, TemplatePoint::Vertex(_))) {
                 pins.push(pin, sample);
@@ -280,16 +282,15 @@ impl MorphEnergy {
             goals.weights.push(*weight);
         }
 
-        let is_pinned = |v: u32| pinned.iter().any(|p: &(u32, Vec3)| p.0 == v);
-        let lifted = |v: u32| step.pairs.iter().any(|pair| pair.weights.values()[v as usize] > step.threshold);
-        let handles = (0..patch.vertices.len()).filter(|k| !patch.held[*k]);
-        let handles: Vec<usize> =
-            handles.filter(|k| lifted(patch.vertices[*k]) && !is_pinned(patch.vertices[*k])).collect();
-        let weight = |w: f64| if w > step.threshold { w } else { 0.0 };
-        let at_handles = |pair: &super::MaskedDisplacement| {
-            handles.iter().map(|k| weight(pair.weights.values()[patch.vertices[*k] as usize])).collect()
+        let lifting = |weights: &Weights| {
+            let weights = patch.weights(weights).into_iter();
+            weights.map(|w| if w > step.threshold { w } else { 0.0 }).collect::<Vec<f64>>()
         };
-        let pair_weights = step.pairs.iter().map(at_handles).collect();
+        let pulling: Vec<Vec<f64>> = step.pairs.iter().map(|pair| lifting(&pair.weights)).collect();
+        let is_pinned = |k: usize| pinned.iter().any(|p: &(usize, Vec3)| p.0 == k);
+        let handles = (0..patch.vertices.len()).filter(|k| !patch.held[*k] && !is_pinned(*k));
+        let handles: Vec<usize> = handles.filter(|k| pulling.iter().any(|weights| weights[*k] > 0.0)).collect();
+        let pair_weights = pulling.iter().map(|weights| handles.iter().map(|k| weights[*k]).collect()).collect();
         let displacements = step.pairs.iter().map(|pair| pair.displacement).collect();
         let weights = vec![1.0; handles.len()];
         let targets = vec![Vec3::zeros(); handles.len()];
@@ -297,22 +298,20 @@ impl MorphEnergy {
 
         let at_rest =
             parts_at_rest(&patch, options, by_vertex, &samples, [&handles, &goals, pins.landmarks()], &pinned);
-        let mask = |v: u32| {
-            let pairs = step.pairs.iter().map(|pair| &pair.weights).chain(&constraints.free);
-            pairs.map(|weights| weight(weights.values()[v as usize])).fold(0.0, f64::max)
-        };
-        let shapes = if model.uses_shapes() { shapes.masked(&patch.vertices, mask) } else { ShapeBasis::none() };
+        let mut mask = vec![0.0; patch.vertices.len()];
+        for weights in pulling.into_iter().chain(constraints.free.iter().map(lifting)) {
+            mask.iter_mut().zip(weights).for_each(|(m, w): (&mut f64, f64)| *m = m.max(w));
+        }
+        let shapes = if model.uses_shapes() { shapes.masked(&patch.vertices, &mask) } else { ShapeBasis::none() };
         let (mut held, mut places) = (patch.held.clone(), patch.mesh.positions.clone());
-        for (v, target) in pinned.iter().filter(|_| by_vertex) {
-            if let Some(k) = patch.find(*v) {
-                (held[k as usize], places[k as usize]) = (true, *target);
-            }
+        for (k, target) in pinned.iter().filter(|_| by_vertex) {
+            (held[*k], places[*k]) = (true, *target);
         }
         let built = factory.build_on_patch(&PatchInput {
             mesh: &patch.mesh,
             held: &held,
             places: &places,
-            mask: &patch.vertices.iter().map(|&v| mask(v)).collect::<Vec<_>>(),
+            mask: &mask,
             shapes: &shapes,
             vertex_area: patch.vertex_area,
             moving: patch.moving(),
@@ -412,22 +411,23 @@ impl MorphEnergy {
             }
             self.problem.terms[PINS].residuals.targets.clone_from(&self.pins.landmarks().targets);
         };
-        let mut positions = self.input.clone();
-        for ((&v, p), held) in self.patch.vertices.iter().zip(self.problem.vertices(&self.x)).zip(&self.patch.held) {
-            if !held {
-                positions[v as usize] = *p;
-            }
+        let mut moved = self.problem.vertices(&self.x).to_vec();
+        for (k, target) in &self.pinned {
+            moved[*k] = *target;
         }
-        for (v, target) in &self.pinned {
-            positions[*v as usize] = *target;
+        let mut positions = self.input.clone();
+        let mut moving = 0;
+        for (v, k) in self.patch.movers() {
+            positions[v] = moved[k];
+            moving += 1;
         }
         check_finite(&positions)?;
         let first_weight = self.x.len() - self.shapes.len();
         let names = self.shapes.shapes().iter().map(|shape| shape.name.clone());
         let report = EnergyReport {
             model: self.model,
-            moving: self.patch.moving(),
-            held: self.input.len() - self.patch.moving(),
+            moving,
+            held: self.input.len() - moving,
             energies: self.problem.energies(&self.x),
             iterations,
             stop,
@@ -473,14 +473,14 @@ fn parts_at_rest(
     by_vertex: bool,
     samples: &Samples,
     data: [&Landmarks; 3],
-    pinned: &[(u32, Vec3)],
+    pinned: &[(usize, Vec3)],
 ) -> [usize; 2] {
     let count = patch.vertices.len();
     let (parts, part_count) =
         if by_vertex && options.smoothing == 0.0 { ((0..count).collect(), count) } else { patch.parts() };
     let mut driven = vec![false; part_count];
     (0..count).filter(|k| patch.held[*k]).for_each(|k| driven[parts[k]] = true);
-    pinned.iter().filter_map(|p| patch.find(p.0)).for_each(|k| driven[parts[k as usize]] = true);
+    pinned.iter().for_each(|(k, _)| driven[parts[*k]] = true);
     for sample in data.iter().flat_map(|landmarks| &landmarks.samples) {
         samples.corners(*sample).iter().for_each(|c| driven[parts[c.0 as usize]] = true);
     }
