@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::units::Units;
-use super::{Failure, warn};
+use super::{Failure, has_extension, warn};
 use crate::io::{self, Inputs};
-use crate::landmark::{self, Landmark};
-use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3};
+use crate::landmark::{self, Landmark, LandmarkSet};
+use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::registration::ScanFlip;
 use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection};
 
@@ -28,6 +28,7 @@ pub fn read_landmarks(
     let Some(path) = scan_landmarks else { return Ok(Vec::new()) };
     let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, mesh, &mut set)?;
+    scan.map_or(Ok(()), |scan| check_span(path, &set, &scan.positions))?;
     let mut names = None;
     if let Some(path) = template_landmarks {
         let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
@@ -37,6 +38,17 @@ pub fn read_landmarks(
     }
     let names = names.as_ref().map(|(set, path)| (set, *path));
     landmark::pair_landmarks((set, path), names, template, scan).map_err(Failure::loading)
+}
+
+/// Landmarks that span many times what their mesh does, or next to nothing of it, are in another unit.
+fn check_span(path: &Path, set: &LandmarkSet, mesh: &[Vec3]) -> Result<(), Failure> {
+    let points: Vec<Vec3> = set.positions().map(|(_, p)| p).collect();
+    let [span, whole] = [&points[..], mesh].map(bounding_box_diagonal);
+    if points.len() < 3 || (whole / 200.0..=20.0 * whole).contains(&span) {
+        return Ok(());
+    }
+    let message = format!("{}: the landmarks span {span:.4} mm, their mesh {whole:.1} mm", path.display());
+    Err(Failure::loading(format!("{message}: state their unit, such as --unit landmarks=mm")))
 }
 
 /// The rig and which of its shapes to use.
@@ -177,7 +189,7 @@ impl FlipArgument {
 /// The image that a mesh file names for its colours, if it names one: `map_Kd` in the materials of an OBJ file, `TextureFile` in
 /// the comments of a PLY file.
 pub fn texture_of(path: &Path) -> Option<String> {
-    let is = |ending: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
+    let is = |ending: &str| has_extension(path, ending);
     // Only what can be read twice.
     let lines = |path: &Path| -> Option<Vec<String>> {
         let bytes = path.is_file().then(|| std::fs::read(path).ok()).flatten()?;
@@ -224,6 +236,24 @@ pub fn rig_files(rig: &Path) -> Vec<(&'static str, PathBuf)> {
 /// A rig as its files have it, and what to warn of.
 pub type OpenRig = (Rig, Vec<RigWarning>);
 
+/// The rig that a command is about.
+#[derive(Debug, Args)]
+pub struct RigInput {
+    /// The rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf
+    #[arg(long = "rig", value_name = "DIR|FILE")]
+    pub path: PathBuf,
+    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
+    #[arg(long, value_enum)]
+    shape_kind: Option<ShapeKindArgument>,
+}
+
+impl RigInput {
+    /// Reads it and so many of its identity modes, and prints its warnings.
+    pub fn read(&self, modes: usize, units: &mut Units<'_>) -> Result<Rig, Failure> {
+        read_rig(&self.path, modes, self.shape_kind, units)
+    }
+}
+
 /// Reads a rig and prints its warnings.
 pub fn read_rig(
     folder: &Path,
@@ -234,7 +264,7 @@ pub fn read_rig(
     bring_rig(folder, open_rig(folder, modes, kind)?, units)
 }
 
-fn open_rig(folder: &Path, modes: usize, kind: Option<ShapeKindArgument>) -> Result<OpenRig, Failure> {
+pub fn open_rig(folder: &Path, modes: usize, kind: Option<ShapeKindArgument>) -> Result<OpenRig, Failure> {
     let kind = kind.map(|k| match k {
         ShapeKindArgument::Full => ShapeKind::Full,
         ShapeKindArgument::Delta => ShapeKind::Delta,

@@ -1,31 +1,31 @@
 //! `nonrigid rig convert`.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, read_rig, rig_files};
+use super::inputs::{RigInput, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_output_folder, check_plan, materials_for, same_place, say, warn};
+use super::{
+    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, materials_for, same_place, say, warn,
+    write_json,
+};
 use crate::io::{self, FilePlan, PlanError, WriteError};
-use crate::rig::{Family, RIG_FILES, Rig, Shape};
+use crate::rig::{Family, NAMED_LANDMARKS, RIG_FILES, Rig, Shape};
 
 /// Arguments of `nonrigid rig convert`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "A folder of shapes has one .obj a shape, by name, and neutral.obj; it keeps neither families nor landmarks. .npz has\n\
+    after_help = "A folder of shapes has one .obj a shape, by name, and neutral.obj; it keeps neither families nor the 68 landmarks. .npz has\n\
     the arrays of the .npy folder under the same names; it keeps neither groups nor materials. .glb has metres in 32 bits:\n\
-    positions move by less than 1e-4 mm.\n\n\
+    positions move by less than 1e-4 mm. Landmarks by name (landmarks.json, landmarks_anthropometric.json) go to folders alone.\n\n\
     Examples, on what `data-gen --seed 7 --out out/data` makes:\n  \
     nonrigid rig convert --rig out/data/rig --out rig.glb\n  nonrigid rig convert --rig rig.glb --format shapes --out shapes"
 )]
 pub struct Arguments {
-    /// The rig: a folder of .npy deltas with names, a folder of .obj/.ply shapes, .npz, .glb or .gltf
-    #[arg(long, value_name = "DIR|FILE")]
-    rig: PathBuf,
-    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
-    #[arg(long, value_enum)]
-    shape_kind: Option<ShapeKindArgument>,
+    #[command(flatten)]
+    rig: RigInput,
     #[command(flatten)]
     units: UnitArguments,
     #[command(flatten)]
@@ -76,12 +76,13 @@ impl RigOutput {
         match (self.is_file(), self.format) {
             (true, _) => plan.writes("--out", &self.out),
             (_, Format::Npy) => {
-                let names = RIG_FILES.into_iter().chain(["template.mtl"]);
+                let names = RIG_FILES.into_iter().chain(["template.mtl"]).chain(NAMED_LANDMARKS);
                 plan.writes_all(names.map(|name| ("--out", self.out.join(name))))
             }
             (_, Format::Shapes) => {
                 let names = shapes.iter().map(|s| format!("{}.obj", s.name));
                 let names = names.chain(["neutral.obj", "neutral.mtl", "rig.json", "regions.json"].map(str::to_owned));
+                let names = names.chain(NAMED_LANDMARKS.map(str::to_owned));
                 plan.writes_all(names.map(|name| ("--out", self.out.join(name))))
             }
         }
@@ -112,7 +113,7 @@ impl RigOutput {
     /// Writes the rig, made of the one of `input`, with its materials, and says so and what the form does not hold.
     pub fn write(&self, rig: &Rig, input: &Path) -> Result<(), Failure> {
         let shapes_folder = !self.is_file() && self.format == Format::Shapes;
-        let npz = self.is_file() && self.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"));
+        let npz = self.is_file() && has_extension(&self.out, "npz");
         let write: fn(&Rig, &Path) -> Result<(), WriteError> = match (self.is_file(), self.format) {
             (false, Format::Npy) => Rig::write,
             (false, Format::Shapes) => Rig::write_meshes,
@@ -140,6 +141,20 @@ impl RigOutput {
         if shapes_folder && rig.landmarks().is_some() {
             lost("landmarks");
         }
+        let named: Vec<&str> = NAMED_LANDMARKS.into_iter().filter(|name| input.join(name).is_file()).collect();
+        if self.is_file() && !named.is_empty() {
+            lost(&format!("named landmarks: {}", named.join(", ")));
+        }
+        for name in named.into_iter().filter(|_| !self.is_file()) {
+            // those by vertex hold on the new rig, whose vertices are in the old one's order
+            let path = input.join(name);
+            let vertices =
+                std::fs::read(&path).ok().and_then(|b| serde_json::from_slice::<BTreeMap<String, u32>>(&b).ok());
+            match vertices {
+                Some(vertices) => write_json(&self.out.join(name), &vertices)?,
+                None => warn(format_args!("{}: not taken along, since not all of it are vertices", path.display())),
+            }
+        }
         if npz && rig.mesh().is_some_and(|m| !m.metadata.statements.is_empty()) {
             lost("groups and materials");
         }
@@ -161,10 +176,10 @@ pub fn refuse_strangers(rig: &Rig, folder: &Path, shapes: bool) -> Result<(), Fa
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig, &[])?;
+    a.output.check(&a.rig.path, &[])?;
     let mut units = a.units.of(&["rig"])?;
-    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
-    a.output.check_shapes(&a.rig, &[], &rig)?;
+    let rig = a.rig.read(usize::MAX, &mut units)?;
+    a.output.check_shapes(&a.rig.path, &[], &rig)?;
     units.say();
-    a.output.write(&rig, &a.rig)
+    a.output.write(&rig, &a.rig.path)
 }

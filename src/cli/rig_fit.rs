@@ -6,9 +6,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{Align, ShapeKindArgument, bounds, read_rig, rig_files};
+use super::inputs::{Align, RigInput, bounds, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_plan, meshes, say, warn, write_json};
+use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn, write_json};
 use crate::io::{FilePlan, write_atomically};
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
@@ -22,15 +22,11 @@ use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, Weight
     nonrigid rig fit --rig me.glb --meshes registered --out weights.csv"
 )]
 pub struct Arguments {
-    /// The rig: a folder, .npz, .glb or .gltf
-    #[arg(long, value_name = "DIR|FILE")]
-    rig: PathBuf,
+    #[command(flatten)]
+    rig: RigInput,
     /// Shapes to use, by name [default: all but identity modes]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     shapes: Option<Vec<String>>,
-    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
-    #[arg(long, value_enum)]
-    shape_kind: Option<ShapeKindArgument>,
     /// The frames: every .obj and .ply in this folder, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
@@ -71,17 +67,17 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     }
     let frames = mesh_files(&a.meshes).unwrap_or_default(); // what is wrong with the folder is said when it is read
     let plan = FilePlan::new()
-        .reads_all(rig_files(&a.rig))
+        .reads_all(rig_files(&a.rig.path))
         .reads_all(frames.into_iter().map(|(_, path)| ("meshes", path)))
         .reads_all(meshes([("neutral", a.neutral.as_ref())]))
         .writes("--out", &a.out);
     check_plan(&plan)?;
     let mut units = a.units.of(&["rig", "meshes", "neutral"])?;
-    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
-    let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.display()));
+    let rig = a.rig.read(usize::MAX, &mut units)?;
+    let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.path.display()));
     let basis = rig.select(ShapeSelection { names: a.shapes.as_deref(), identity_modes: 0 }).map_err(at_rig)?;
     if basis.is_empty() {
-        return Err(Failure::loading(format!("{}: no shapes to fit", a.rig.display())));
+        return Err(Failure::loading(format!("{}: no shapes to fit", a.rig.path.display())));
     }
     let neutral = match &a.neutral {
         Some(path) => units.read_positions("neutral", path)?,
@@ -98,7 +94,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
     let options = WeightFitOptions { bounds: a.bounds, pose: a.align.pose(), ..WeightFitOptions::default() };
     let mut fitter = WeightFitter::new(&neutral, basis, &options)
-        .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig).display())))?;
+        .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig.path).display())))?;
     let mut frames = Vec::with_capacity(files.len());
     for (name, path) in files {
         let positions = units.read_mesh("meshes", &path)?.positions;
@@ -118,7 +114,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     }
     units.say();
     let sequence = Sequence { shapes, frames };
-    if a.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+    if has_extension(&a.out, "json") {
         write_json(&a.out, &sequence)?;
     } else {
         let text = csv(&sequence);

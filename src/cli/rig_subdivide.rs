@@ -1,10 +1,8 @@
 //! `nonrigid rig subdivide`.
 
-use std::path::PathBuf;
-
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, read_rig};
+use super::inputs::RigInput;
 use super::rig_convert::RigOutput;
 use super::units::UnitArguments;
 use super::{Failure, warn};
@@ -19,12 +17,8 @@ use crate::registration::MOST_ROUNDS;
     nonrigid rig subdivide --rig out/data/rig --rounds 1 --out fine"
 )]
 pub struct Arguments {
-    /// The rig, with polygons: a folder, .npz, .glb or .gltf
-    #[arg(long, value_name = "DIR|FILE")]
-    rig: PathBuf,
-    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
-    #[arg(long, value_enum)]
-    shape_kind: Option<ShapeKindArgument>,
+    #[command(flatten)]
+    rig: RigInput,
     /// How often: each makes four quads of one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=MOST_ROUNDS as i64))]
     rounds: u8,
@@ -36,13 +30,13 @@ pub struct Arguments {
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
-    a.output.check(&a.rig, &[])?;
+    a.output.check(&a.rig.path, &[])?;
     let mut units = a.units.of(&["rig"])?;
-    let rig = read_rig(&a.rig, usize::MAX, a.shape_kind, &mut units)?;
-    a.output.check_shapes(&a.rig, &[], &rig)?;
+    let rig = a.rig.read(usize::MAX, &mut units)?;
+    a.output.check_shapes(&a.rig.path, &[], &rig)?;
     units.say();
-    let divided = rig.subdivided(a.rounds).map_err(|e| Failure::loading(format!("{}: {e}", a.rig.display())));
+    let divided = rig.subdivided(a.rounds).map_err(|e| Failure::loading(format!("{}: {e}", a.rig.path.display())));
     let (fine, warnings) = divided?;
     warnings.iter().for_each(warn);
-    a.output.write(&fine, &a.rig)
+    a.output.write(&fine, &a.rig.path)
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{ShapeKindArgument, read_rig};
+use super::inputs::RigInput;
 use super::rig_convert::RigOutput;
 use super::units::UnitArguments;
 use super::{Failure, Stage, meshes, on_threads, warn};
@@ -21,12 +21,8 @@ use crate::rig::{TransferError, TransferOptions};
     nonrigid rig transfer --rig out/data/rig --subject me.obj --out me.glb"
 )]
 pub struct Arguments {
-    /// The rig, with polygons: a folder, .npz, .glb or .gltf
-    #[arg(long, value_name = "DIR|FILE")]
-    rig: PathBuf,
-    /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]
-    #[arg(long, value_enum)]
-    shape_kind: Option<ShapeKindArgument>,
+    #[command(flatten)]
+    rig: RigInput,
     /// The subject's neutral, with the vertices of the rig: .obj, .ply, .glb, .gltf or .npy N x 3
     #[arg(long, value_name = "FILE")]
     subject: PathBuf,
@@ -49,17 +45,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     let others = meshes([("subject", Some(&a.subject))]);
-    a.output.check(&a.rig, &others)?;
+    a.output.check(&a.rig.path, &others)?;
     let mut units = a.units.of(&["rig", "subject"])?;
-    let rig = read_rig(&a.rig, 0, a.shape_kind, &mut units)?;
-    a.output.check_shapes(&a.rig, &others, &rig)?;
+    let rig = a.rig.read(0, &mut units)?;
+    a.output.check_shapes(&a.rig.path, &others, &rig)?;
     let subject = units.read_positions("subject", &a.subject)?;
     units.say();
     let transferred = rig.transfer(&subject, &TransferOptions { anchor: a.anchor });
     let (personal, warnings) = transferred.map_err(|e| {
         let (stage, at) = match &e {
             TransferError::Anchor(_) => (Stage::Arguments, "--anchor".to_owned()),
-            TransferError::NoPolygons => (Stage::Loading, a.rig.display().to_string()),
+            TransferError::NoPolygons => (Stage::Loading, a.rig.path.display().to_string()),
             TransferError::Rig(_) => (Stage::Loading, a.subject.display().to_string()),
             TransferError::Pose(_) => (Stage::Loading, a.subject.display().to_string()),
             TransferError::Linear(_) => (Stage::Computation, a.subject.display().to_string()),
@@ -67,5 +63,5 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         Failure::new(stage, format!("{at}: {e}"))
     })?;
     warnings.iter().for_each(warn);
-    a.output.write(&personal, &a.rig)
+    a.output.write(&personal, &a.rig.path)
 }

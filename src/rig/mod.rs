@@ -32,7 +32,7 @@ pub use read::{RigReadOptions, ShapeKind};
 pub use regions::Regions;
 pub use subdivide::SubdivideError;
 pub use transfer::{TransferError, TransferOptions};
-pub use write::RIG_FILES;
+pub use write::{NAMED_LANDMARKS, RIG_FILES};
 
 use std::borrow::Cow;
 use std::path::Path;

@@ -77,7 +77,7 @@ fn morphs_measurements_and_converters_print_and_leave_the_same() {
         ("rig convert --rig rig --out OUT/rig.glb".to_owned(), 1),
         ("rig convert --rig rig --out OUT/rig.npz".to_owned(), 1),
         ("rig transfer --rig rig --subject case/neutral.npy --out OUT/me.glb".to_owned(), 1),
-        ("rig convert --rig rig --out OUT/shapes --format shapes".to_owned(), bench.rig.expressions.len() + 8 + 4),
+        ("rig convert --rig rig --out OUT/shapes --format shapes".to_owned(), bench.rig.expressions.len() + 8 + 6),
         (format!("{fit} --out OUT/weights.csv"), 1),
         (format!("{fit} --align similarity --bounds -1,1 --out OUT/weights.json"), 1),
         (format!("{carry} --to subject.obj"), 1),

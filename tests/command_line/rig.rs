@@ -24,12 +24,14 @@ struct Lost {
     families: bool,
     landmarks: bool,
     groups: bool,
+    named: bool,
 }
 
 fn lost_in(form: &str) -> Lost {
     match form {
-        "shapes" => Lost { families: true, landmarks: true, groups: false },
-        "rig.npz" => Lost { groups: true, ..Lost::default() },
+        "shapes" => Lost { families: true, landmarks: true, ..Lost::default() },
+        "rig.npz" => Lost { groups: true, named: true, ..Lost::default() },
+        "rig.glb" => Lost { named: true, ..Lost::default() },
         _ => Lost::default(),
     }
 }
@@ -73,15 +75,20 @@ fn every_form_of_a_rig_becomes_every_other() {
     assert!(original.landmarks().is_some() && original.regions().is_some(), "the test needs both");
     let identities = original.shapes().iter().filter(|s| s.family == Family::Identity).count();
     assert!(identities > 0 && identities < original.shapes().len());
+    let anthropometric = bench.read("rig/landmarks_anthropometric.json");
+    let json = |bytes: &[u8]| serde_json::from_slice::<serde_json::Value>(bytes).unwrap();
     for (from, from_options) in FORMS {
         bench.write(&format!("from_{from}/.keep"), "");
         let first = format!("from_{from}/{from}");
         let said = bench.run(&format!("rig convert --rig rig --out {first}{from_options}"));
         assert_eq!(said.code, 0, "{}", said.stderr);
         let before = lost_in(from);
-        for (kind, lost) in
-            [("families", before.families), ("landmarks", before.landmarks), ("groups and materials", before.groups)]
-        {
+        for (kind, lost) in [
+            ("families", before.families),
+            ("landmarks", before.landmarks),
+            ("groups and materials", before.groups),
+            ("named landmarks: landmarks.json, landmarks_anthropometric.json", before.named),
+        ] {
             let told = said.stderr.contains(&format!("{first}: this form of a rig holds no {kind}"));
             assert_eq!(told, lost, "{first}, {kind}: {}", said.stderr);
         }
@@ -96,6 +103,7 @@ fn every_form_of_a_rig_becomes_every_other() {
                 after.families && !before.families,
                 after.landmarks && !before.landmarks,
                 after.groups && !before.groups,
+                after.named && !before.named,
             ];
             let lines = lines.iter().filter(|lost| **lost).count();
             let warned = said.stderr.lines().filter(|line| line.starts_with("warning: ")).count();
@@ -104,7 +112,11 @@ fn every_form_of_a_rig_becomes_every_other() {
                 families: before.families || after.families,
                 landmarks: before.landmarks || after.landmarks,
                 groups: before.groups || after.groups,
+                named: before.named || after.named,
             };
+            let named = bench.path(&second).join("landmarks_anthropometric.json");
+            let same = !lost.named && std::fs::read(named).is_ok_and(|b| json(&b) == json(&anthropometric));
+            assert_eq!(same, !lost.named, "{from} to {to}");
             assert_same(&read(&bench.path(&second)), &original, lost, &format!("{from} to {to}"));
         }
     }
