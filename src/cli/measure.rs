@@ -1,13 +1,14 @@
 //! `nonrigid measure`.
 
+use std::fmt::Display;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::inputs::read_mask;
+use super::inputs::{open_rig, read_mask};
 use super::units::{UnitArguments, Units};
-use super::{Failure, check_output, check_output_folder, check_plan, meshes, on_threads, say};
+use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say};
 use crate::io::{FilePlan, LengthUnit, write_atomically};
 use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
@@ -101,6 +102,17 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     }
 }
 
+/// Refuses a mesh that has not the rig's vertices in the rig's order: regions and landmarks of the rig would lie anywhere on it.
+fn check_order(folder: &Path, mesh: &PolygonMesh) -> Result<(), Failure> {
+    let (mut rig, _) = open_rig(folder, 0, None)?;
+    let fail = |why: &dyn Display| Err(Failure::loading(format!("{}: {why}", folder.display())));
+    let [found, expected] = [mesh.positions.len(), rig.neutral().len()];
+    if found != expected {
+        return fail(&format_args!("the rig has {expected} vertices, the mesh {found}"));
+    }
+    rig.turn_to("mesh", &mesh.positions).map_or_else(|why| fail(&why), |_| Ok(()))
+}
+
 fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.json.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
@@ -125,6 +137,9 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
+    if let Some(rig) = &a.rig {
+        check_order(rig, &mesh)?;
+    }
     let mut after: Vec<Vec<Vec3>> =
         a.after.iter().map(|path| read_after(path, &mesh, &mut units)).collect::<Result<_, _>>()?;
     for after in after.iter_mut().filter(|_| a.align) {
@@ -213,7 +228,7 @@ fn read_after(path: &Path, mesh: &PolygonMesh, units: &mut Units<'_>) -> Result<
             format!("{}: {found} vertices, the mesh before has {expected}; they must correspond", path.display());
         Err(Failure::loading(message))
     };
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+    if has_extension(path, "npy") {
         let positions = units.read_positions("after", path)?;
         return same_count(positions.len()).map(|()| positions);
     }

@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use clap::Args;
 
-use super::{Failure, Stage, tell};
+use super::{Failure, Stage, has_extension, tell};
 use crate::io::{self, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, MeshFile, Paint, Scan, UnitSource, face_extent};
 use crate::landmark::LandmarkSet;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
@@ -143,7 +143,7 @@ impl Units<'_> {
 
     /// Reads vertex positions from a mesh or an N x 3 array.
     pub fn read_positions(&mut self, input: &'static str, path: &Path) -> Result<Vec<Vec3>, Failure> {
-        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+        if !has_extension(path, "npy") {
             return Ok(self.read_mesh(input, path)?.positions);
         }
         let mut positions = io::read_npy_points(path).map_err(Failure::loading)?;

@@ -97,6 +97,15 @@ fn a_rig_gives_its_landmarks_and_the_client_heads_the_page() {
     let page = String::from_utf8(bench.read("page/index.html")).unwrap();
     assert!(page.contains("O&#39;Neil&lt;b&gt;") || page.contains("O'Neil&lt;b&gt;"), "{page:.2000}");
     assert!(page.contains("2026-11-22") && page.contains("@media print"));
+
+    // vertices in another order would carry landmarks and regions anywhere
+    let mut turned = bench.rig.mesh.clone();
+    turned.positions.reverse();
+    let last = turned.positions.len() as u32 - 1;
+    turned.corners.iter_mut().for_each(|v| *v = last - *v);
+    write_obj(&bench.path("reversed.obj"), &turned).unwrap();
+    let refused = bench.run("measure --mesh reversed.obj --rig rig");
+    assert!(refused.code == 4 && refused.stderr.contains("in the rig's order"), "{}", refused.stderr);
 }
 
 #[test]
