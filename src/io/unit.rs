@@ -50,6 +50,20 @@ pub enum FaceUnit {
 }
 
 impl LengthUnit {
+    /// All of them.
+    const ALL: [Self; 5] = [Self::Micrometre, Self::Millimetre, Self::Centimetre, Self::Metre, Self::Inch];
+
+    /// Its symbol.
+    const fn symbol(self) -> &'static str {
+        match self {
+            Self::Micrometre => "um",
+            Self::Millimetre => "mm",
+            Self::Centimetre => "cm",
+            Self::Metre => "m",
+            Self::Inch => "in",
+        }
+    }
+
     /// How many millimetres one is.
     #[must_use]
     pub fn millimetres(self) -> f64 {
@@ -84,9 +98,8 @@ impl FaceUnit {
     #[must_use]
     pub fn of(extent: f64) -> Self {
         let within = |unit: LengthUnit, [low, high]: [f64; 2]| (low..high).contains(&(extent * unit.millimetres()));
-        let metric = [LengthUnit::Micrometre, LengthUnit::Millimetre, LengthUnit::Centimetre, LengthUnit::Metre];
-        let metric = metric.into_iter().find(|unit| within(*unit, FACE_EXTENT));
         let inch = LengthUnit::Inch;
+        let metric = LengthUnit::ALL.into_iter().find(|unit| *unit != inch && within(*unit, FACE_EXTENT));
         match metric {
             None if within(LengthUnit::Millimetre, BODY_EXTENT) => Self::One(LengthUnit::Millimetre),
             None => Self::Unknown,
@@ -155,13 +168,7 @@ pub fn face_extent(points: &[Vec3]) -> f64 {
 
 impl fmt::Display for LengthUnit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Micrometre => "um",
-            Self::Millimetre => "mm",
-            Self::Centimetre => "cm",
-            Self::Metre => "m",
-            Self::Inch => "in",
-        })
+        f.write_str(self.symbol())
     }
 }
 
@@ -169,14 +176,8 @@ impl FromStr for LengthUnit {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "um" => Ok(Self::Micrometre),
-            "mm" => Ok(Self::Millimetre),
-            "cm" => Ok(Self::Centimetre),
-            "m" => Ok(Self::Metre),
-            "in" => Ok(Self::Inch),
-            _ => Err(format!("unknown unit {text:?}; known are um, mm, cm, m and in")),
-        }
+        let found = Self::ALL.into_iter().find(|unit| unit.symbol() == text);
+        found.ok_or_else(|| format!("unknown unit {text:?}; known are um, mm, cm, m and in"))
     }
 }
 

@@ -1,8 +1,8 @@
 //! XYZ, point clouds as text, as MeshLab and CloudCompare write them: lines `x y z`, `x y z nx ny nz` or `x y z r g b`, with
 //! spaces, commas or semicolons, `#` or `//` for comments. All lines have as many columns as the first.
 //!
-//! Three further columns are colours when all of them are whole numbers from 0 to 255 and one is above 1, else normals. No
-//! unit is stated.
+//! Three further columns are colours when all of them are whole numbers from 0 to 255 and one is above 1, or numbers from 0 to 1 that
+//! are not of unit length, else normals. No unit is stated.
 
 use std::path::Path;
 
@@ -54,9 +54,13 @@ pub fn parse_xyz(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
         return Err(ReadError::malformed(path, Place::File, "points (lines `x y z`)", "none"));
     }
     file.mesh.starts.push(0);
-    let channel = |c: &f64| (0.0..=255.0).contains(c) && c.fract() == 0.0;
-    if columns == 6 && others.iter().all(|o| o.iter().all(channel)) && others.iter().any(|o| o.max() > 1.0) {
-        file.colors = Some(others.iter().map(|o| o.map(|c| c as u8).into()).collect());
+    let all = |channel: fn(&f64) -> bool| columns == 6 && others.iter().all(|o| o.iter().all(channel));
+    let bytes = all(|c| (0.0..=255.0).contains(c) && c.fract() == 0.0) && others.iter().any(|o| o.max() > 1.0);
+    let is_direction = |o: &Vec3| o.norm() == 0.0 || (o.norm() - 1.0).abs() < 0.05;
+    let shares = all(|c| (0.0..=1.0).contains(c)) && !others.iter().all(is_direction);
+    if bytes || shares {
+        let full = if bytes { 1.0 } else { 255.0 };
+        file.colors = Some(others.iter().map(|o| o.map(|c| (full * c).round() as u8).into()).collect());
     } else if columns == 6 {
         file.normals = Some(others);
     }

@@ -81,7 +81,7 @@ pub struct LandmarkSet {
 
 impl LandmarkSet {
     /// The landmarks that are points in space.
-    fn positions(&self) -> impl Iterator<Item = (&PlacedLandmark, Vec3)> {
+    pub(crate) fn positions(&self) -> impl Iterator<Item = (&PlacedLandmark, Vec3)> {
         self.landmarks.iter().filter_map(|l| match l.place {
             LandmarkPlace::Position(p) => Some((l, p)),
             _ => None,

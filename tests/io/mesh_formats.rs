@@ -93,6 +93,8 @@ fn points_come_with_what_their_columns_say() {
     assert_eq!(normals.normals, Some(vec![Vec3::z(), -Vec3::y()]));
     let colours = read("c.xyz", "1 2 3 0 0 255\n4 5 6 7 1 0\n");
     assert_eq!((colours.colors, colours.normals), (Some(vec![[0, 0, 255], [7, 1, 0]]), None));
+    let shares = read("d.xyz", "1 2 3 0 0 1\n4 5 6 0.2 0.6 1\n");
+    assert_eq!((shares.colors, shares.normals), (Some(vec![[0, 0, 255], [51, 153, 255]]), None));
     let off = read("a.off", "CNOFF 3 1 0\n0 0 0 0 0 1 1.0 0 0.2\n1 0 0 0 0 1 0 0 0.0\n0 1 0 0 0 1 1 255 0\n3 0 1 2\n");
     assert_eq!((off.normals, off.colors), (Some(vec![Vec3::z(); 3]), Some(vec![[255, 0, 51], [0, 0, 0], [1, 255, 0]])));
     let quads =

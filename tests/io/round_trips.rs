@@ -249,7 +249,7 @@ fn npy_types_orders_and_prefixes() {
     write_npy(&path, &[2], &[true, false]).unwrap();
     assert_eq!(read_npy_mask(&path, Some(2)).unwrap(), [true, false]);
     write_npy(&path, &[2, 1, 2], &[0.1f32, 0.2, 0.3, 0.4]).unwrap();
-    assert_eq!(NpyArray::open(&path).unwrap().read_f32().unwrap(), [0.1, 0.2, 0.3, 0.4]);
+    assert_eq!(NpyArray::open(&path).unwrap().read_f32_rows(usize::MAX).unwrap(), [0.1, 0.2, 0.3, 0.4]);
     assert_eq!(std::fs::metadata(&path).unwrap().len(), 128 + 16);
     write_npy_points(&path, &[Vec3::new(0.1, 0.2, 0.3)]).unwrap();
     assert_eq!(read_npy_points(&path).unwrap(), [Vec3::new(0.1, 0.2, 0.3)]);
@@ -279,7 +279,7 @@ fn npz_arrays_by_name() {
 
     for shape in ["(0, 99999999999, 99999999999)", "(99999999999, 0, 99999999999)"] {
         std::fs::write(&path, npy("<f4", true, shape, &[])).unwrap();
-        assert!(NpyArray::open(&path).unwrap().read_f32().unwrap().is_empty());
+        assert!(NpyArray::open(&path).unwrap().read_f32_rows(usize::MAX).unwrap().is_empty());
     }
 }
 

@@ -140,15 +140,7 @@ impl<'a> NpyArray<'a> {
         self.read_with(usize::MAX, decode)
     }
 
-    /// All items as `f32`, C order; wider types are rounded.
-    ///
-    /// # Errors
-    /// When the data cannot be read.
-    pub fn read_f32(self) -> Result<Vec<f32>, ReadError> {
-        self.read_f32_rows(usize::MAX)
-    }
-
-    /// The items of the first `rows` entries of the first axis as `f32`, C order. What follows is not read, unless the
+    /// The items of the first `rows` entries of the first axis as `f32`, C order; wider types are rounded. What follows is not read, unless the
     /// file is in Fortran order.
     ///
     /// # Errors
