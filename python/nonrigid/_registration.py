@@ -346,7 +346,7 @@ def register(
         equations=equations,
     )
     if found.facing[-1] and flip != "yes":
-        warn('the scan is inside out, its normals face inwards: it was turned over; flip="no" leaves it as it is')
+        warn('scan and template face opposite ways: the scan was turned over; flip="no" leaves it as it is')
     for remark in found.remarks:
         warn(remark)
     result = Registration()

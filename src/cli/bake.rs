@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, say, warn};
+use super::{Failure, file_name, has_extension, say, warn};
 use crate::io::{self, Paint, Scan, write_atomically};
 use crate::mesh::{ObjStatement, PolygonMesh};
 use crate::texture::{
@@ -50,7 +50,7 @@ impl BakeArguments {
         }
         let mut files: Vec<_> =
             ["color.png", "seen.png"].iter().map(|end| ("--bake-texture", beside(out, end))).collect();
-        let library = is_obj(out).then(|| ("--bake-texture", out.with_extension("mtl")));
+        let library = has_extension(out, "obj").then(|| ("--bake-texture", out.with_extension("mtl")));
         files.extend(library);
         files.extend(self.bake.iter().map(|map| ("--bake", beside(out, map.ending()))));
         files.dedup();
@@ -116,7 +116,7 @@ impl BakeArguments {
             }
         }
         let color = encoded.into_iter().next().flatten();
-        if color.is_some() && is_obj(out) {
+        if color.is_some() && has_extension(out, "obj") {
             let library = out.with_extension("mtl");
             let materials = show_texture(mesh, &file_name(&library));
             let materials: Vec<&str> = materials.iter().map(String::as_str).collect();
@@ -162,7 +162,7 @@ impl BakeArguments {
                 baked.flat
             ));
         }
-        if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) {
+        if has_extension(out, "ply") {
             warn("a result in PLY does not name its texture; give --out as .obj, .glb or .usda for one that shows it");
         }
         Ok(())
@@ -181,10 +181,6 @@ impl BakeMap {
     }
 }
 
-fn is_obj(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"))
-}
-
 /// Where the colours of a result go.
 pub fn color_of(out: &Path) -> PathBuf {
     beside(out, "color.png")
@@ -195,10 +191,6 @@ fn beside(out: &Path, ending: &str) -> PathBuf {
     name.push("_");
     name.push(ending);
     out.with_file_name(name)
-}
-
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Gives all materials of a mesh to one library, and its polygons before the first `usemtl` a material; the materials.

@@ -191,7 +191,7 @@ fn check_parent(path: &Path) -> Result<(), Failure> {
 /// The materials of a mesh that was read from `path`, to be copied beside what is made of it: `out`, an OBJ file. What is missing of
 /// them is said.
 fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
-    if !out.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj")) {
+    if !has_extension(out, "obj") {
         return MaterialFiles::default();
     }
     let files = MaterialFiles::of(path, mesh);
@@ -224,6 +224,32 @@ fn warn_of_format(out: &Path, mesh: &PolygonMesh) {
         },
         _ => {}
     }
+}
+
+/// Says what a result loses of the materials of the mesh that was read from `path`: what is not in `taken` goes from OBJ to OBJ alone.
+fn warn_of_materials(out: &Path, path: &Path, mesh: &PolygonMesh, taken: &MaterialFiles) {
+    let metadata = &mesh.metadata;
+    let named = metadata.statements.iter().any(|(_, s)| matches!(s, ObjStatement::Material(_)));
+    let has_files = !metadata.material_libraries.is_empty() || is_gltf(path);
+    // that PLY has no materials is said
+    if named && has_files && *taken == MaterialFiles::default() && !has_extension(out, "ply") {
+        let (out, path) = (out.display(), path.display());
+        warn(format_args!(
+            "{out}: materials are names alone; their colours and images stay with {path}, but from .obj to .obj"
+        ));
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
+}
+
+fn is_gltf(path: &Path) -> bool {
+    has_extension(path, "glb") || has_extension(path, "gltf")
 }
 
 /// Writes a value as JSON.

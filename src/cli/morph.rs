@@ -10,7 +10,7 @@ use super::measure::{self, ClientArguments, landmarks_of_rig, named_regions, pla
 use super::units::{UnitArguments, Units};
 use super::{
     Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, say, warn,
-    warn_of_format,
+    warn_of_format, warn_of_materials,
 };
 use crate::io::{self, FilePlan, LengthUnit, write_atomically};
 use crate::landmark;
@@ -127,6 +127,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let copies = materials.writes(out).into_iter().map(|path| ("--out", path));
     let material_files = materials.reads().map(|path| ("mesh", path.clone()));
     check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
+    warn_of_materials(out, mesh, &before, &materials);
     let mut mesh = before.clone();
     let (mut shapes, regions) = a.rig.read(&mut units, true, ("the mesh", &mesh.positions))?;
     if let Some(bounds) = a.weight_bounds {

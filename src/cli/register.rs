@@ -16,7 +16,10 @@ use super::inputs::{
 };
 use super::interrupt::Interrupt;
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_plan, meshes, on_threads, say, warn, warn_of_format, write_json};
+use super::{
+    Failure, Stage, check_output, check_plan, file_name, has_extension, is_gltf, meshes, on_threads, say, warn,
+    warn_of_format, warn_of_materials, write_json,
+};
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles};
 use crate::registration::{
@@ -203,13 +206,19 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let own_neutral = a.neutral.is_some();
     let (meshes, rig) = rayon::join(meshes, || inputs.reading(RIG, || a.rig.open(own_neutral)));
-    let (template, (scan, paint), neutral) = meshes?;
+    let (mut template, (scan, paint), neutral) = meshes?;
     let painter = match a.bake.asked() {
         true => a.bake.prepare((&a.template, &template), (&a.target, &scan), paint.as_ref())?,
         false => None,
     };
     let materials = a.materials();
     materials.missing.iter().for_each(|(_, told)| warn(told));
+    if !a.bake.asked() {
+        warn_of_materials(&a.out, &a.template, &template, &materials);
+    }
+    if is_gltf(&a.template) {
+        template.metadata.material_libraries.clear(); // noted from an OBJ, and left beside that
+    }
     let subject = neutral.as_deref().map_or(("the template", &template.positions[..]), |n| ("the neutral", n));
     let (shapes, regions) = a.rig.choose(rig?, &mut units, own_neutral, subject)?;
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&template));
@@ -219,6 +228,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
     units.say();
+    let chosen = [("--shapes", a.rig.shapes.is_some()), ("--identity-modes", a.rig.identity_modes.is_some())];
+    for (option, _) in chosen.iter().filter(|(_, given)| *given && !a.model().uses_shapes()) {
+        warn(format_args!("{option} has no effect: --model {} has no blendshapes", a.model().name()));
+    }
     if shapes.is_empty() && a.model() == ModelKind::Hybrid {
         let why = match a.rig.rig {
             None => "no rig given",
@@ -350,8 +363,8 @@ fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, colorless: bool) {
     facing.remarks().iter().for_each(warn);
     if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
         warn(
-            "the scan is inside out, its normals face inwards: it was turned over; if a program has mirrored it instead, left is \
-             right in the result; --flip no leaves it as it is",
+            "scan and template face opposite ways, so that the normals of one of them face inwards: the scan was turned over; if a \
+             program has mirrored it instead, left is right in the result; --flip no leaves it as it is",
         );
     }
     for remark in result.start_landmarks.iter().flat_map(LandmarkStart::remarks) {
@@ -453,14 +466,6 @@ fn print_summary(
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;
     }
     say(format_args!("wrote {}", a.out.display()))
-}
-
-fn has_extension(path: &Path, extension: &str) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
-}
-
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// A progress bar on a terminal, nothing when piped; ends the registration when Ctrl-C asks for it.

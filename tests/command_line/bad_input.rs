@@ -64,6 +64,7 @@ const ROWS: &[Row] = &[
     ("register", "--landmarks named.json --template-landmarks missing.json", LOADING, &["missing.json"]),
     ("register", "--landmarks wrap.json --template-landmarks rig/landmarks.json", LOADING, &["wrap.json", "999999"]),
     ("register", "--landmarks - --template-landmarks rig/landmarks.json", ARGUMENTS, &["--landmarks"]),
+    ("register", "--unit landmarks=m", LOADING, &["the landmarks span", "--unit landmarks="]),
     // the schedule
     ("register", "--config missing.toml", LOADING, &["missing.toml"]),
     ("register", "--config empty.toml", LOADING, &["empty.toml", "reference_size"]),

@@ -60,6 +60,23 @@ fn every_model_keeps_the_templates_topology() {
 }
 
 #[test]
+fn materials_that_stay_behind_are_said() {
+    let bench = Bench::new();
+    let rows = [("rig/template.obj", "a.glb", true), ("a.glb", "b.obj", true), ("rig/template.obj", "c.obj", false)];
+    for (template, out, behind) in rows {
+        let arguments =
+            format!("register --template {template} {INPUTS} --model rigid --unit landmarks=mm --out {out}");
+        let run = bench.run(&arguments);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        assert_eq!(run.stderr.contains(&format!("stay with {template}")), behind, "{out}: {}", run.stderr);
+    }
+    // what a glTF notes of an OBJ's libraries is not beside the result
+    assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
+    let said = bench.run(&format!("{FIT} {INPUTS} --shapes jawOpen --model arap --out arap.obj")).stderr;
+    assert!(said.contains("--shapes has no effect: --model arap"), "{said}");
+}
+
+#[test]
 fn a_result_is_divided_and_its_finer_vertices_go_to_the_scan() {
     let bench = Bench::new();
     let printed = bench.done(&format!("{FIT} {INPUTS} --subdivide 2 --out fine.obj --report fine.json"));

@@ -825,7 +825,7 @@ fn the_program_finds_a_turned_scan_and_one_inside_out() {
     assert!(search["runner_up"]["loss"].as_f64().unwrap() > search["fit"]["loss"].as_f64().unwrap(), "{search}");
     let run = bench.run(&format!("{fit} inverted.ply"));
     assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(run.stderr.contains("inside out"), "{}", run.stderr);
+    assert!(run.stderr.contains("was turned over"), "{}", run.stderr);
     let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
     assert_eq!(report["scan_facing"]["flipped"], true);
     let run = bench.run(&format!("{fit} inverted.ply --flip no"));
