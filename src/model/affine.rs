@@ -24,7 +24,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{BuiltIn, RegistrationModel, SmoothLevel};
 use super::linear_samples::LinearSamples;
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
@@ -280,26 +280,11 @@ impl RegistrationModel for Affine {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "affine"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/affine.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<AffineOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<AffineOptions>("affine", include_str!("schedules/affine.toml"), |input| {
         let gamma = input.options.read::<AffineOptions>()?.gamma;
         Ok(Box::new(Affine::new(input.rest, 1.0, gamma)?))
-    }
-}
+    });
 
 #[cfg(test)]
 mod tests {

@@ -12,11 +12,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
-use super::on_patch::{PatchFactory, PatchInput};
+use super::factory::BuiltIn;
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
 use super::vertex_model::VertexModel;
-use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use crate::energy::OptionTable;
 use crate::mesh::{MeshError, TriangleMesh};
 
 /// How as-rigid-as-possible surfaces are solved.
@@ -75,42 +74,15 @@ pub struct RigidityOptions {
 
 impl OptionTable for RigidityOptions {}
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "arap"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/arap.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<RigidityOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<RigidityOptions>("arap", include_str!("schedules/arap.toml"), |input| {
         let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
         Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    })
+    .on_patch_by_vertex(|input| {
         // Each edge counts twice.
-        let arap = Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?;
-        Ok(Box::new(arap.with_held_at(input.held, input.places)))
-    }
-}
+        Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?.on_patch(input)
+    });
 
 #[cfg(test)]
 mod tests {
@@ -119,7 +91,7 @@ mod tests {
     use nalgebra::Rotation3;
 
     use super::*;
-    use crate::energy::{DataTerm, Deformation, Samples};
+    use crate::energy::{DataTerm, Deformation, DeformationModel as _, Samples};
     use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;

@@ -2,11 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, OneNodeOptions, PatchFactory, PatchInput,
-    RegistrationModel, RigidMotion, Stiffness, node_options,
-};
-use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use super::factory::BuiltIn;
+use super::{Hybrid, NodeGraph, OneNodeOptions, RigidMotion, Stiffness, node_options};
+use crate::energy::{OptionTable, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -41,41 +39,13 @@ impl OptionTable for BlendshapeLevel {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "blendshape"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/blendshape.toml")
-    }
-
-    fn needs_shapes(&self) -> bool {
-        true
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<OneNodeOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<BlendshapeLevel>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<OneNodeOptions>("blendshape", include_str!("schedules/blendshape.toml"), |input| {
         let model = blendshape(input.rest.positions.clone(), input.shapes.clone(), 0.0);
         node_options::one_node(model, input.options)
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    })
+    .with_level::<BlendshapeLevel>()
+    .needing_shapes()
+    .on_patch(|input| {
         Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), input.shapes.clone(), input.shape_weight())))
-    }
-}
+    });

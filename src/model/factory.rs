@@ -5,7 +5,8 @@ use thiserror::Error;
 
 #[cfg(doc)]
 use super::Autodiff;
-use super::{AutodiffError, PatchFactory};
+use super::AutodiffError;
+use super::on_patch::{BuildOnPatch, BuiltInPatch, PatchFactory};
 use crate::energy::{DeformationModel, NoOptions, OptionTable, Options, OptionsError};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::rig::{Regions, ShapeBasis};
@@ -127,46 +128,65 @@ pub trait ModelFactory: Send + Sync {
     }
 }
 
-/// A model of the table under another name, with a schedule of its own.
-pub(super) struct Scheduled {
+/// A model of the table in `mod.rs`: what [`ModelKind`](super::ModelKind) says of itself.
+pub(super) struct BuiltIn {
     pub name: &'static str,
     pub schedule: &'static str,
-    pub of: &'static dyn ModelFactory,
-    /// Whether the schedule has a `[then]`.
-    pub two_stages: bool,
+    pub uses_shapes: bool,
+    pub needs_shapes: bool,
+    pub needs_second_stage: bool,
+    pub options: fn(&Options) -> Result<Options, OptionsError>,
+    pub level_options: fn(&Options) -> Result<Options, OptionsError>,
+    pub build: fn(&ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError>,
+    pub on_patch: Option<BuiltInPatch>,
 }
 
-impl ModelFactory for Scheduled {
-    fn name(&self) -> &str {
-        self.name
+impl BuiltIn {
+    /// A model with the options `O` and a [`SmoothLevel`], without shapes and not for patches.
+    pub const fn new<O: OptionTable>(
+        name: &'static str,
+        schedule: &'static str,
+        build: fn(&ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError>,
+    ) -> Self {
+        Self {
+            name,
+            schedule,
+            uses_shapes: false,
+            needs_shapes: false,
+            needs_second_stage: false,
+            options: Options::filled::<O>,
+            level_options: Options::filled::<SmoothLevel>,
+            build,
+            on_patch: None,
+        }
     }
 
-    fn default_schedule(&self) -> &str {
-        self.schedule
+    /// With another `[level.model]`.
+    pub const fn with_level<L: OptionTable>(self) -> Self {
+        Self { level_options: Options::filled::<L>, ..self }
     }
 
-    fn uses_shapes(&self) -> bool {
-        self.of.uses_shapes()
+    pub const fn using_shapes(self) -> Self {
+        Self { uses_shapes: true, ..self }
     }
 
-    fn needs_shapes(&self) -> bool {
-        self.of.needs_shapes()
+    pub const fn needing_shapes(self) -> Self {
+        Self { uses_shapes: true, needs_shapes: true, ..self }
     }
 
-    fn needs_second_stage(&self) -> bool {
-        self.two_stages
+    /// For patches too.
+    pub const fn on_patch(self, build: BuildOnPatch) -> Self {
+        Self { on_patch: Some(BuiltInPatch { by_vertex: false, build }), ..self }
     }
 
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        self.of.options(given)
+    /// For patches too, with vertices as parameters.
+    pub const fn on_patch_by_vertex(self, build: BuildOnPatch) -> Self {
+        Self { on_patch: Some(BuiltInPatch { by_vertex: true, build }), ..self }
     }
 
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        self.of.level_options(given)
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        self.of.build(input)
+    /// The same model under another name, with a schedule of its own, and not for patches.
+    pub const fn scheduled(self, name: &'static str, schedule: &'static str) -> Self {
+        Self { name, schedule, on_patch: None, ..self }
     }
 }
 

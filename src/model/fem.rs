@@ -15,11 +15,10 @@ use serde::{Deserialize, Serialize};
 
 use super::corotational::Corotational;
 use super::elements::Elements;
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
-use super::on_patch::{PatchFactory, PatchInput};
+use super::factory::{BuiltIn, ModelError};
 use super::vertex_assembly::VertexAssembly;
 use super::vertex_model::{VertexModel, VertexRegulariser};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
+use crate::energy::{NamedEnergy, OptionTable, OptionsError, Samples};
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3, determinant};
 use crate::nlls::{BlockStructure, NormalEquations};
@@ -182,42 +181,12 @@ impl VertexRegulariser for Tissue {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "fem"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/fem.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<TissueOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        let options: TissueOptions = input.options.read()?;
-        let (none, vertices) = (Regions::default(), input.rest.positions.len());
-        let moduli = input.regions.unwrap_or(&none).products(&options.modulus, vertices);
-        let moduli = moduli.map_err(|e| ModelError::Other(format!("modulus: {e}")))?;
-        let options = TissueOptions { thickness: input.length(options.thickness), ..options };
-        Ok(Box::new(Fem::new(input.rest, options, 1.0)?.with_moduli(&moduli)))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let tissue = Fem::new(input.mesh, TissueOptions::default(), input.gradient_weight())?;
-        Ok(Box::new(tissue.with_held_at(input.held, input.places)))
-    }
-}
+pub(super) const MODEL: BuiltIn = BuiltIn::new::<TissueOptions>("fem", include_str!("schedules/fem.toml"), |input| {
+    let options: TissueOptions = input.options.read()?;
+    let (none, vertices) = (Regions::default(), input.rest.positions.len());
+    let moduli = input.regions.unwrap_or(&none).products(&options.modulus, vertices);
+    let moduli = moduli.map_err(|e| ModelError::Other(format!("modulus: {e}")))?;
+    let options = TissueOptions { thickness: input.length(options.thickness), ..options };
+    Ok(Box::new(Fem::new(input.rest, options, 1.0)?.with_moduli(&moduli)))
+})
+.on_patch_by_vertex(|input| Fem::new(input.mesh, TissueOptions::default(), input.gradient_weight())?.on_patch(input));

@@ -18,9 +18,9 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel, SmoothLevel};
+use super::factory::{BuiltIn, ModelError, RegistrationModel, SmoothLevel};
 use super::linear_samples::LinearSamples;
-use super::on_patch::{PatchFactory, PatchInput};
+use super::on_patch::PatchInput;
 use super::smooth_rows::SmoothRows;
 use super::vertex_assembly::{CHUNK, VertexAssembly, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
@@ -200,50 +200,29 @@ impl RegistrationModel for Ffd {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "ffd"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/ffd.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<LatticeOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        let LatticeOptions { spacing } = input.options.read()?;
-        let options = LatticeOptions { spacing: input.length(spacing) };
-        Ok(Box::new(Ffd::new(input.rest, options, input.reference_vertices, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
+pub(super) const MODEL: BuiltIn = BuiltIn::new::<LatticeOptions>("ffd", include_str!("schedules/ffd.toml"), |input| {
+    let LatticeOptions { spacing } = input.options.read()?;
+    let options = LatticeOptions { spacing: input.length(spacing) };
+    Ok(Box::new(Ffd::new(input.rest, options, input.reference_vertices, 1.0)?))
+})
+.on_patch(build_on_patch);
 
 /// The lattice on a patch is this much finer at most than one with as many cells over the region as a graph has nodes.
 const FINEST: i32 = 8;
 
-impl PatchFactory for Factory {
-    /// As many cells over the region as a graph has nodes; finer where every control point would move a held vertex.
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let cells = input.nodes.min(input.moving.div_ceil(2)).max(1);
-        let widest = (input.vertex_area * input.moving as f64 / cells as f64).sqrt();
-        let area: f64 = face_areas(&input.mesh.positions, &input.mesh.triangles).iter().sum();
-        // With this number of vertices E_smooth is that of the bi-Laplacian: lambda times a vertex' area times the integral.
-        let vertices = (area / input.vertex_area).max(1.0);
-        for finer in 0..=FINEST {
-            let options = LatticeOptions { spacing: widest / 2f64.powi(finer) };
-            let ffd = Ffd::new(input.mesh, options, vertices, input.gradient_weight().powi(2))?.with_held(input.held);
-            if ffd.free_points() > 0 {
-                return Ok(Box::new(ffd));
-            }
+/// As many cells over the region as a graph has nodes; finer where every control point would move a held vertex.
+fn build_on_patch(input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    let cells = input.nodes.min(input.moving.div_ceil(2)).max(1);
+    let widest = (input.vertex_area * input.moving as f64 / cells as f64).sqrt();
+    let area: f64 = face_areas(&input.mesh.positions, &input.mesh.triangles).iter().sum();
+    // With this number of vertices E_smooth is that of the bi-Laplacian: lambda times a vertex' area times the integral.
+    let vertices = (area / input.vertex_area).max(1.0);
+    for finer in 0..=FINEST {
+        let options = LatticeOptions { spacing: widest / 2f64.powi(finer) };
+        let ffd = Ffd::new(input.mesh, options, vertices, input.gradient_weight().powi(2))?.with_held(input.held);
+        if ffd.free_points() > 0 {
+            return Ok(Box::new(ffd));
         }
-        Err(ModelError::Other("no lattice moves the region without what is held: it is too thin".to_owned()))
     }
+    Err(ModelError::Other("no lattice moves the region without what is held: it is too thin".to_owned()))
 }

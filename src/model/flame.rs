@@ -2,11 +2,6 @@
 //! points, with Tikhonov priors and no motion but the shapes'. No model of its own but a schedule of [`blendshape`].
 
 use super::blendshape;
-use super::factory::Scheduled;
+use super::factory::BuiltIn;
 
-pub(super) const FACTORY: Scheduled = Scheduled {
-    name: "flame",
-    schedule: include_str!("schedules/flame.toml"),
-    of: &blendshape::Factory,
-    two_stages: false,
-};
+pub(super) const MODEL: BuiltIn = blendshape::MODEL.scheduled("flame", include_str!("schedules/flame.toml"));

@@ -20,12 +20,11 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
-use super::on_patch::{PatchFactory, PatchInput};
+use super::factory::BuiltIn;
 use super::smooth_rows::SmoothRows;
 use super::vertex_assembly::VertexAssembly;
 use super::vertex_model::{VertexModel, VertexRegulariser};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
+use crate::energy::{NamedEnergy, OptionTable, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -177,52 +176,25 @@ pub struct SmoothOptions {
 
 impl OptionTable for SmoothOptions {}
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "free"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/free.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<SmoothOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        let SmoothOptions { kind, weights } = input.options.read()?;
-        let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
-        Ok(Box::new(Free::new(input.rest, options, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let (kind, weights) = (input.smoothness, EdgeWeights::Cotangent);
-        let options = FreeOptions { kind, weights, reference_vertices: input.mesh.positions.len() as f64 };
-        let lambda = match kind {
-            Smoothness::Laplacian => input.gradient_weight(),
-            Smoothness::BiLaplacian => input.gradient_weight().powi(2),
-        };
-        Ok(Box::new(Free::new(input.mesh, options, lambda)?.with_held_at(input.held, input.places)))
-    }
-}
+pub(super) const MODEL: BuiltIn = BuiltIn::new::<SmoothOptions>("free", include_str!("schedules/free.toml"), |input| {
+    let SmoothOptions { kind, weights } = input.options.read()?;
+    let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
+    Ok(Box::new(Free::new(input.rest, options, 1.0)?))
+})
+.on_patch_by_vertex(|input| {
+    let (kind, weights) = (input.smoothness, EdgeWeights::Cotangent);
+    let options = FreeOptions { kind, weights, reference_vertices: input.mesh.positions.len() as f64 };
+    let lambda = match kind {
+        Smoothness::Laplacian => input.gradient_weight(),
+        Smoothness::BiLaplacian => input.gradient_weight().powi(2),
+    };
+    Free::new(input.mesh, options, lambda)?.on_patch(input)
+});
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::energy::{DataTerm, Deformation};
+    use crate::energy::{DataTerm, Deformation, DeformationModel as _};
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;
     use crate::nlls::{Minimizer, Options};

@@ -20,11 +20,12 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::factory::BuiltIn;
 use super::{
-    Blendshape, BlendshapeLevel, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, PatchFactory, PatchInput,
-    RegistrationModel, Stiffness, blendshape_in_place,
+    Blendshape, BlendshapeLevel, Hybrid, ModelError, ModelInput, NodeGraph, PatchInput, RegistrationModel, Stiffness,
+    blendshape_in_place,
 };
-use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use crate::energy::{DeformationModel, OptionTable, OptionsError};
 use crate::mesh::normals::vertex_areas;
 use crate::mesh::{MeshError, TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::rig::{Family, Shape, ShapeBasis};
@@ -198,53 +199,32 @@ pub fn gpmm(
     Ok(model)
 }
 
-/// With a rig or without.
-pub(super) struct Factory {
-    pub with_rig: bool,
+/// The process alone.
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<GpmmOptions>("gpmm", include_str!("schedules/gpmm.toml"), |input| build(input, &ShapeBasis::none()))
+        .with_level::<BlendshapeLevel>()
+        .on_patch(build_on_patch);
+
+/// The process and the blendshapes.
+pub(super) const WITH_RIG: BuiltIn =
+    BuiltIn::new::<GpmmOptions>("gpmm_rig", include_str!("schedules/gpmm_rig.toml"), |input| {
+        build(input, input.shapes)
+    })
+    .with_level::<BlendshapeLevel>()
+    .needing_shapes();
+
+fn build(input: &ModelInput<'_>, rig: &ShapeBasis) -> Result<Box<dyn RegistrationModel>, ModelError> {
+    Ok(Box::new(gpmm(input.rest, &input.options.read()?, input.unit, rig, 0.0)?))
 }
 
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        if self.with_rig { "gpmm_rig" } else { "gpmm" }
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        if self.with_rig { include_str!("schedules/gpmm_rig.toml") } else { include_str!("schedules/gpmm.toml") }
-    }
-
-    fn needs_shapes(&self) -> bool {
-        self.with_rig
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<GpmmOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<BlendshapeLevel>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        let none = ShapeBasis::none();
-        let rig = if self.with_rig { input.shapes } else { &none };
-        Ok(Box::new(gpmm(input.rest, &input.options.read()?, input.unit, rig, 0.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        (!self.with_rig).then_some(self as &dyn PatchFactory)
-    }
-}
-
-impl PatchFactory for Factory {
-    /// Smooth shapes within the mask, of kernels half and a quarter as long as the patch.
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let options = GpmmOptions::default();
-        let longest = options.kernels.iter().map(|k| k.length).fold(f64::MIN_POSITIVE, f64::max);
-        let unit = 0.5 * bounding_box_diagonal(&input.mesh.positions) / longest;
-        let all: Vec<u32> = (0..input.mask.len() as u32).collect();
-        let smooth = options.basis(input.mesh, unit)?.masked(&all, input.mask);
-        Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), smooth, input.shape_weight())))
-    }
+/// Smooth shapes within the mask, of kernels half and a quarter as long as the patch.
+fn build_on_patch(input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    let options = GpmmOptions::default();
+    let longest = options.kernels.iter().map(|k| k.length).fold(f64::MIN_POSITIVE, f64::max);
+    let unit = 0.5 * bounding_box_diagonal(&input.mesh.positions) / longest;
+    let all: Vec<u32> = (0..input.mask.len() as u32).collect();
+    let smooth = options.basis(input.mesh, unit)?.masked(&all, input.mask);
+    Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), smooth, input.shape_weight())))
 }
 
 #[cfg(test)]

@@ -1,11 +1,9 @@
 //! The embedded deformation graph of Sumner et al. 2007 with rigid nodes, eqs. (6) and (7) of Klimov 2020.
 //! With the paper's own affine nodes: [`sumner`](super::sumner()).
 
-use super::{
-    GraphLevel, GraphOptions, Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, NodeTransform, PatchFactory,
-    PatchInput, RegistrationModel, RigidMotion, Stiffness, node_options,
-};
-use crate::energy::{DeformationModel, Options, OptionsError};
+use super::factory::BuiltIn;
+use super::{GraphLevel, GraphOptions, Hybrid, NodeGraph, NodeTransform, RigidMotion, Stiffness, node_options};
+use crate::energy::{Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -29,47 +27,28 @@ pub fn graph_of<T: NodeTransform<W>, const W: usize>(
     Hybrid::named("graph", rest, nodes, ShapeBasis::none(), stiffness)
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "graph"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/graph.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        let options = given.read::<GraphOptions>()?;
-        for (key, given) in [
-            ("smooth_shapes", options.smooth_shapes > 0),
-            ("proportions", options.proportions > 0.0),
-            ("distrust", options.distrust > 0.0),
-        ] {
-            if given {
-                return Err(OptionsError::Conflict { key, reason: "the graph has no shapes; the hybrid has" });
-            }
-        }
-        given.filled::<GraphOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<GraphLevel>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn = BuiltIn {
+    options,
+    ..BuiltIn::new::<GraphOptions>("graph", include_str!("schedules/graph.toml"), |input| {
         node_options::build("graph", input, &ShapeBasis::none())
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    })
+    .with_level::<GraphLevel>()
+    .on_patch(|input| {
         let (nodes, lambda) = node_options::on_patch(input)?;
         Ok(Box::new(graph(input.mesh.positions.clone(), nodes, lambda)))
+    })
+};
+
+fn options(given: &Options) -> Result<Options, OptionsError> {
+    let options = given.read::<GraphOptions>()?;
+    for (key, given) in [
+        ("smooth_shapes", options.smooth_shapes > 0),
+        ("proportions", options.proportions > 0.0),
+        ("distrust", options.distrust > 0.0),
+    ] {
+        if given {
+            return Err(OptionsError::Conflict { key, reason: "the graph has no shapes; the hybrid has" });
+        }
     }
+    Ok(Options::of(&options))
 }

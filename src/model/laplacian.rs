@@ -21,13 +21,12 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, WeightedEdges};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
+use super::factory::BuiltIn;
 use super::free::take_out_slope;
-use super::on_patch::{PatchFactory, PatchInput};
 use super::star_similarity::{Frames, Star, StarFit};
 use super::vertex_assembly::{CHUNK, VertexAssembly};
 use super::vertex_model::{VertexModel, VertexRegulariser};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
+use crate::energy::{NamedEnergy, OptionTable, Samples};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{Assembly, BlockStructure, NormalEquations};
 
@@ -211,41 +210,14 @@ impl VertexRegulariser for Differentials {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "laplacian"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/laplacian.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<LaplacianOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<LaplacianOptions>("laplacian", include_str!("schedules/laplacian.toml"), |input| {
         Ok(Box::new(Laplacian::new(input.rest, input.options.read()?, input.reference_vertices, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    })
+    .on_patch_by_vertex(|input| {
         let (options, lambda) = (LaplacianOptions::default(), input.gradient_weight().powi(2));
-        let surface = Laplacian::new(input.mesh, options, input.mesh.positions.len() as f64, lambda)?;
-        Ok(Box::new(surface.with_held_at(input.held, input.places)))
-    }
-}
+        Laplacian::new(input.mesh, options, input.mesh.positions.len() as f64, lambda)?.on_patch(input)
+    });
 
 #[cfg(test)]
 mod tests {
@@ -254,7 +226,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector, Rotation3};
 
     use super::*;
-    use crate::energy::{DataTerm, Deformation};
+    use crate::energy::{DataTerm, Deformation, DeformationModel as _};
     use crate::mesh::adjacency::EdgeGraph;
     use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::model::vertex_assembly::testing::pins;

@@ -21,11 +21,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::elements::Elements;
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
-use super::on_patch::{PatchFactory, PatchInput};
+use super::factory::BuiltIn;
 use super::vertex_assembly::{CHUNK, VertexAssembly};
 use super::vertex_model::{VertexModel, VertexRegulariser};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, Samples};
+use crate::energy::{NamedEnergy, OptionTable, OptionsError, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{face_areas, vertex_areas};
 use crate::mesh::{InnerLayer, MeshError, TriangleMesh, Vec3};
@@ -198,39 +197,12 @@ impl VertexRegulariser for Springs {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "mass_spring"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/mass_spring.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<SpringOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<SpringOptions>("mass_spring", include_str!("schedules/mass_spring.toml"), |input| {
         let SpringOptions { thickness } = input.options.read()?;
         let options = SpringOptions { thickness: input.length(thickness) };
         Ok(Box::new(MassSpring::new(input.rest, options, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let tissue = MassSpring::new(input.mesh, SpringOptions::default(), input.gradient_weight())?;
-        Ok(Box::new(tissue.with_held_at(input.held, input.places)))
-    }
-}
+    })
+    .on_patch_by_vertex(|input| {
+        MassSpring::new(input.mesh, SpringOptions::default(), input.gradient_weight())?.on_patch(input)
+    });

@@ -1,4 +1,4 @@
-//! Deformation models, one file each, with the options that it reads from a schedule and its factory; a new one is a line of the
+//! Deformation models, one file each, with the options that it reads from a schedule and what builds it; a new one is a line of the
 //! table below besides. Those of nodes and blendshapes are the hybrid with one node or without shapes; those of
 //! vertices state a regulariser each, the rest is `vertex_model.rs`; and `autodiff` makes a model of any formula for vertex positions. All are assembled by
 //! [`nlls::Assembly`](crate::nlls::Assembly).
@@ -68,12 +68,13 @@ pub use vertex_model::{VertexModel, VertexRegulariser};
 
 use serde::{Deserialize, Serialize};
 
+use self::factory::BuiltIn;
 use crate::energy::{Options, OptionsError};
 use crate::mesh::Vec3;
 
-/// The models that come with the crate, one line each: name in Rust, and what builds it.
+/// The models that come with the crate, one line each: name in Rust, and what it is.
 macro_rules! models {
-    ($($(#[$doc:meta])* $kind:ident => $factory:expr,)+) => {
+    ($($(#[$doc:meta])* $kind:ident => $built_in:expr,)+) => {
         /// The models that come with the crate.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
@@ -85,9 +86,9 @@ macro_rules! models {
             /// All of them.
             pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
 
-            fn factory(self) -> &'static dyn ModelFactory {
+            fn built_in(self) -> &'static BuiltIn {
                 match self {
-                    $(Self::$kind => &$factory,)+
+                    $(Self::$kind => &$built_in,)+
                 }
             }
         }
@@ -96,43 +97,43 @@ macro_rules! models {
 
 models! {
     /// Blendshapes inside a deformation graph (Klimov 2020).
-    Hybrid => hybrid::Factory,
+    Hybrid => hybrid::MODEL,
     /// The hybrid with the energy of Klimov 2020 and nothing else.
-    Klimov2020 => klimov2020::FACTORY,
+    Klimov2020 => klimov2020::MODEL,
     /// Blendshapes, then what the schedule's `[then]` names, from the shape that they have found (Bhat et al. 2013).
-    Sequential => sequential::FACTORY,
+    Sequential => sequential::MODEL,
     /// Blendshapes under one rigid motion.
-    Blendshape => blendshape::Factory,
+    Blendshape => blendshape::MODEL,
     /// Blendshapes as users of linear head models fit them: landmarks, then robust closest points (Li et al. 2017, FLAME).
-    Flame => flame::FACTORY,
+    Flame => flame::MODEL,
     /// Gaussian process of smooth displacements as shapes, under one rigid motion (Luethi et al. 2018).
-    Gpmm => gpmm::Factory { with_rig: false },
+    Gpmm => gpmm::MODEL,
     /// The same and the blendshapes: the sum of a learnt kernel and a smooth one.
-    GpmmRig => gpmm::Factory { with_rig: true },
+    GpmmRig => gpmm::WITH_RIG,
     /// Deformation graph, rigid nodes unless the schedule says otherwise.
-    Graph => graph::Factory,
+    Graph => graph::MODEL,
     /// Deformation graph with affine nodes (Sumner et al. 2007).
-    Sumner => sumner::Factory,
+    Sumner => sumner::MODEL,
     /// As-rigid-as-possible surface (Sorkine and Alexa 2007).
-    Arap => arap::Factory,
+    Arap => arap::MODEL,
     /// Gradient-domain surface: every patch of triangles keeps its gradients but for a turn (Yu et al. 2004).
-    Poisson => poisson::Factory,
+    Poisson => poisson::MODEL,
     /// Surface that keeps its differential coordinates up to similarities (Sorkine et al. 2004).
-    Laplacian => laplacian::Factory,
+    Laplacian => laplacian::MODEL,
     /// Per-vertex affine maps: optimal-step N-ICP (Amberg et al. 2007).
-    Affine => affine::Factory,
+    Affine => affine::MODEL,
     /// Springs along the edges and through a layer of tissue (Balaniuk, Costa and Melo 2006; Van Gelder 1998).
-    MassSpring => mass_spring::Factory,
+    MassSpring => mass_spring::MODEL,
     /// Soft tissue of corotational finite elements under the skin (Mueller and Gross 2004).
-    Fem => fem::Factory,
+    Fem => fem::MODEL,
     /// A lattice of control points round the surface (Sederberg and Parry 1986; Rueckert et al. 1999).
-    Ffd => ffd::Factory,
+    Ffd => ffd::MODEL,
     /// Every vertex by itself, its displacement smooth.
-    Free => free::Factory,
+    Free => free::MODEL,
     /// Rigid motion.
-    Rigid => rigid::Factory,
+    Rigid => rigid::MODEL,
     /// Similarity.
-    Similarity => similarity::Factory,
+    Similarity => similarity::MODEL,
 }
 
 impl ModelKind {
@@ -167,39 +168,39 @@ impl std::str::FromStr for ModelKind {
 
 impl ModelFactory for ModelKind {
     fn name(&self) -> &str {
-        self.factory().name()
+        self.built_in().name
     }
 
     fn default_schedule(&self) -> &str {
-        self.factory().default_schedule()
+        self.built_in().schedule
     }
 
     fn uses_shapes(&self) -> bool {
-        self.factory().uses_shapes()
+        self.built_in().uses_shapes
     }
 
     fn needs_shapes(&self) -> bool {
-        self.factory().needs_shapes()
+        self.built_in().needs_shapes
     }
 
     fn needs_second_stage(&self) -> bool {
-        self.factory().needs_second_stage()
+        self.built_in().needs_second_stage
     }
 
     fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        self.factory().options(given)
+        (self.built_in().options)(given)
     }
 
     fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        self.factory().level_options(given)
+        (self.built_in().level_options)(given)
     }
 
     fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
-        self.factory().build(input)
+        (self.built_in().build)(input)
     }
 
     fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        self.factory().on_patch()
+        self.built_in().on_patch.as_ref().map(|patch| patch as &dyn PatchFactory)
     }
 }
 

@@ -304,7 +304,7 @@ mod tests {
     use super::*;
     use crate::energy::DeformationModel as _;
     use crate::mesh::testing::{noise, sheet};
-    use crate::model::{ModelFactory as _, graph, hybrid};
+    use crate::model::{ModelFactory as _, ModelKind};
     use crate::rig::Shape;
 
     #[test]
@@ -318,9 +318,9 @@ mod tests {
         let smooth = |count: i64| Options::new().with("nodes", 9).with("smooth_shapes", count);
         let proportions = |share: f64| Options::new().with("nodes", 9).with("proportions", share);
         let build = |shapes: &ShapeBasis, options: &Options| {
-            let options = &hybrid::Factory.options(options).unwrap();
+            let options = &ModelKind::Hybrid.options(options).unwrap();
             let input = ModelInput { rest: &rest, shapes, options, reference_vertices: 81.0, unit: 1.0, regions: None };
-            hybrid::Factory.build(&input).unwrap()
+            ModelKind::Hybrid.build(&input).unwrap()
         };
         let without = build(&rig, &smooth(0));
         let names = |model: &dyn RegistrationModel| model.named_weights(&model.rest_parameters());
@@ -338,7 +338,7 @@ mod tests {
             (proportions(-0.1), "proportions"),
         ];
         for (options, start) in bad {
-            let error = hybrid::Factory.options(&options).err().unwrap().to_string();
+            let error = ModelKind::Hybrid.options(&options).err().unwrap().to_string();
             assert!(error.starts_with(start), "{error}");
         }
         let none = ShapeBasis::none();
@@ -348,7 +348,7 @@ mod tests {
             (proportions(0.02), "proportions"),
             (Options::new().with("distrust", 5.0), "distrust"),
         ] {
-            let error = graph::Factory.options(&options).err().unwrap().to_string();
+            let error = ModelKind::Graph.options(&options).err().unwrap().to_string();
             assert!(error.starts_with(&format!("{key}: the graph has no shapes")), "{error}");
         }
     }

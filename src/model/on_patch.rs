@@ -59,3 +59,21 @@ pub trait PatchFactory: Send + Sync {
     /// When the geometry does not do.
     fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError>;
 }
+
+pub(super) type BuildOnPatch = fn(&PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError>;
+
+/// How a model of the crate is made on a patch.
+pub(super) struct BuiltInPatch {
+    pub by_vertex: bool,
+    pub build: BuildOnPatch,
+}
+
+impl PatchFactory for BuiltInPatch {
+    fn by_vertex(&self) -> bool {
+        self.by_vertex
+    }
+
+    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        (self.build)(input)
+    }
+}

@@ -27,11 +27,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::edge_weights::{EdgeWeights, LARGEST_COTANGENT, WeightedEdges, cotangents};
-use super::factory::{ModelError, ModelFactory, ModelInput, RegistrationModel};
-use super::on_patch::{PatchFactory, PatchInput};
+use super::factory::BuiltIn;
 use super::rigid_cells::{ArapSolver, CellKind, Cells, RigidCells};
 use super::vertex_model::VertexModel;
-use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use crate::energy::OptionTable;
 use crate::mesh::adjacency::{EdgeGraph, vertex_triangles};
 use crate::mesh::{MeshError, TriangleMesh, Vec3};
 
@@ -140,40 +139,13 @@ fn gradient_weights(rest: &[Vec3], triangle: [u32; 3]) -> [f64; 3] {
     if thin { EQUILATERAL } else { cotangents.map(|c| 0.5 * c) }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "poisson"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/poisson.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<PoissonOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<PoissonOptions>("poisson", include_str!("schedules/poisson.toml"), |input| {
         Ok(Box::new(Poisson::new(input.rest, input.options.read()?, 1.0)?))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn by_vertex(&self) -> bool {
-        true
-    }
-
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let surface = Poisson::new(input.mesh, PoissonOptions::default(), input.gradient_weight())?;
-        Ok(Box::new(surface.with_held_at(input.held, input.places)))
-    }
-}
+    })
+    .on_patch_by_vertex(|input| {
+        Poisson::new(input.mesh, PoissonOptions::default(), input.gradient_weight())?.on_patch(input)
+    });
 
 #[cfg(test)]
 mod tests {

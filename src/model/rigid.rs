@@ -1,10 +1,8 @@
 //! Rigid motion, SE(3) about the centroid: one node, no shapes, no regulariser.
 
-use super::{
-    Hybrid, ModelError, ModelFactory, ModelInput, NodeGraph, OneNodeOptions, RegistrationModel, RigidMotion, Stiffness,
-    node_options,
-};
-use crate::energy::{NoOptions, Options, OptionsError};
+use super::factory::BuiltIn;
+use super::{Hybrid, NodeGraph, OneNodeOptions, RigidMotion, Stiffness, node_options};
+use crate::energy::NoOptions;
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -18,26 +16,8 @@ pub fn rigid(rest: Vec<Vec3>) -> Rigid {
     Hybrid::named("rigid", rest, graph, ShapeBasis::none(), Stiffness::default())
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "rigid"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/rigid.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<OneNodeOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<NoOptions>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<OneNodeOptions>("rigid", include_str!("schedules/rigid.toml"), |input| {
         node_options::one_node(rigid(input.rest.positions.clone()), input.options)
-    }
-}
+    })
+    .with_level::<NoOptions>();

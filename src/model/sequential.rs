@@ -2,11 +2,9 @@
 //! own but a schedule of two stages.
 
 use super::blendshape;
-use super::factory::Scheduled;
+use super::factory::BuiltIn;
 
-pub(super) const FACTORY: Scheduled = Scheduled {
-    name: "sequential",
-    schedule: include_str!("schedules/sequential.toml"),
-    of: &blendshape::Factory,
-    two_stages: true,
+pub(super) const MODEL: BuiltIn = BuiltIn {
+    needs_second_stage: true,
+    ..blendshape::MODEL.scheduled("sequential", include_str!("schedules/sequential.toml"))
 };

@@ -3,11 +3,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::factory::BuiltIn;
 use super::{
-    AffineMotion, GraphDistance, GraphLevel, GraphOptions, Hybrid, Linearisation, ModelError, ModelFactory, ModelInput,
-    NodeGraph, PatchFactory, PatchInput, RegistrationModel, Stiffness, node_options,
+    AffineMotion, GraphDistance, GraphLevel, GraphOptions, Hybrid, Linearisation, NodeGraph, Stiffness, node_options,
 };
-use crate::energy::{DeformationModel, OptionTable, Options, OptionsError};
+use crate::energy::{OptionTable, OptionsError};
 use crate::mesh::Vec3;
 use crate::rig::ShapeBasis;
 
@@ -55,26 +55,8 @@ impl OptionTable for SumnerOptions {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "sumner"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("schedules/sumner.toml")
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<SumnerOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<GraphLevel>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<SumnerOptions>("sumner", include_str!("schedules/sumner.toml"), |input| {
         let options = input.options.read::<SumnerOptions>()?;
         let counts = [options.nodes, options.coarse_nodes];
         let (nodes, other_graph) = options.distance.graphs(input, counts, options.influences)?;
@@ -83,19 +65,12 @@ impl ModelFactory for Factory {
         model.lambda_unseen = options.lambda_unseen;
         model.other_graph = other_graph;
         Ok(Box::new(model))
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
+    })
+    .with_level::<GraphLevel>()
+    .on_patch(|input| {
+        let (nodes, lambda) = node_options::on_patch(input)?;
+        Ok(Box::new(sumner(input.mesh.positions.clone(), nodes, lambda, PATCH_ROTATION)))
+    });
 
 /// `lambda_rotation` of a patch, as in the schedule.
 const PATCH_ROTATION: f64 = 10.0;
-
-impl PatchFactory for Factory {
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
-        let (nodes, lambda) = node_options::on_patch(input)?;
-        Ok(Box::new(sumner(input.mesh.positions.clone(), nodes, lambda, PATCH_ROTATION)))
-    }
-}

@@ -1,6 +1,7 @@
 //! Models whose parameters are the vertices: all but the regulariser, which each of them states.
 
-use super::factory::{RegistrationModel, SmoothLevel};
+use super::factory::{ModelError, RegistrationModel, SmoothLevel};
+use super::on_patch::PatchInput;
 use super::vertex_assembly::VertexAssembly;
 use crate::energy::{DeformationModel, NamedEnergy, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::Vec3;
@@ -65,6 +66,11 @@ impl<R: VertexRegulariser> VertexModel<R> {
         self.vertices.hold(held, positions);
         self.fitted = Fitted::default();
         self
+    }
+
+    /// The model of a patch, whose rim is held.
+    pub(super) fn on_patch(self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+        Ok(Box::new(self.with_held_at(input.held, input.places)))
     }
 
     /// In how many directions parts of the template can be shifted without any data noticing, at the last linearisation.

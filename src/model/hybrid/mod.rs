@@ -47,12 +47,10 @@ use self::moments::Moments;
 use self::reference::Strided;
 use self::regulariser::GraphRegulariser;
 use self::samples::{Blended, NodeSamples, Structured};
+use super::factory::BuiltIn;
 use super::transform::{AffineMap, NodeTransform, RigidMotion};
-use super::{
-    GraphOptions, ModelError, ModelFactory, ModelInput, NodeGraph, PatchFactory, PatchInput, RegistrationModel,
-    node_options,
-};
-use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
+use super::{GraphOptions, NodeGraph, node_options};
+use crate::energy::{DeformationModel, NamedEnergy, OptionTable, OptionsError, QuadricField, Samples};
 use crate::mesh::Vec3;
 use crate::nlls::dense_kernels::{Tile, padded, sum_of_products, sweep, vectorized};
 use crate::nlls::{Assembly, BlockStructure, Kernel, Manifold, NormalEquations, PointArray, Scalar};
@@ -533,42 +531,14 @@ impl OptionTable for HybridLevel {
     }
 }
 
-pub(super) struct Factory;
-
-impl ModelFactory for Factory {
-    fn name(&self) -> &'static str {
-        "hybrid"
-    }
-
-    fn default_schedule(&self) -> &'static str {
-        include_str!("../schedules/hybrid.toml")
-    }
-
-    fn uses_shapes(&self) -> bool {
-        true
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<GraphOptions>()
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<HybridLevel>()
-    }
-
-    fn build(&self, input: &ModelInput<'_>) -> Result<Box<dyn RegistrationModel>, ModelError> {
+pub(super) const MODEL: BuiltIn =
+    BuiltIn::new::<GraphOptions>("hybrid", include_str!("../schedules/hybrid.toml"), |input| {
         node_options::build("hybrid", input, input.shapes)
-    }
-
-    fn on_patch(&self) -> Option<&dyn PatchFactory> {
-        Some(self)
-    }
-}
-
-impl PatchFactory for Factory {
-    fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {
+    })
+    .with_level::<HybridLevel>()
+    .using_shapes()
+    .on_patch(|input| {
         let (nodes, graph) = node_options::on_patch(input)?;
         let stiffness = Stiffness { graph, blend: input.shape_weight(), ..Stiffness::default() };
         Ok(Box::new(Hybrid::new(input.mesh.positions.clone(), nodes, input.shapes.clone(), stiffness)))
-    }
-}
+    });
