@@ -39,8 +39,12 @@ pub trait DeformationModel: Send {
     /// Adds gradient and Gauss-Newton Hessian of half the regulariser energy to `equations`.
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations);
 
-    /// Writes `x` moved by the tangent `step` to `out`.
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]);
+    /// Writes `x` moved by the tangent `step` to `out`: their sum, unless parameters are more than numbers, such as rotations.
+    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
+        for ((out, x), d) in out.iter_mut().zip(x).zip(step) {
+            *out = x + d;
+        }
+    }
 
     /// Lower and upper bounds of the dense border's coordinates, one each, if they have any. The border must then be the last
     /// parameters of `x` as they are: numbers to which a step adds.

@@ -237,12 +237,6 @@ impl DeformationModel for Affine {
             }
         });
     }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        for ((out, x), d) in out.iter_mut().zip(x).zip(step) {
-            *out = x + d;
-        }
-    }
 }
 
 /// Where block (`i`, `j`) starts in block row `i`.

@@ -22,7 +22,7 @@ use super::factory::{BuiltIn, ModelError, RegistrationModel, SmoothLevel};
 use super::linear_samples::LinearSamples;
 use super::on_patch::PatchInput;
 use super::smooth_rows::SmoothRows;
-use super::vertex_assembly::{CHUNK, VertexAssembly, parameters};
+use super::vertex_assembly::{CHUNK, parameters};
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::normals::face_areas;
 use crate::mesh::surface_lattice::{ACROSS, SurfaceLattice};
@@ -186,10 +186,6 @@ impl DeformationModel for Ffd {
     fn regularise(&mut self, x: &[f64], equations: &mut NormalEquations) {
         self.place(x);
         self.rows.add_to(equations, self.lambda_smooth);
-    }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
     }
 }
 

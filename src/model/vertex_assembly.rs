@@ -224,13 +224,6 @@ impl VertexAssembly {
             }
         });
     }
-
-    /// `out = x + step`.
-    pub fn retract(x: &[f64], step: &[f64], out: &mut [f64]) {
-        for ((o, x), d) in out.iter_mut().zip(x).zip(step) {
-            *o = x + d;
-        }
-    }
 }
 
 /// The three parameters of a block.
@@ -295,11 +288,7 @@ pub(super) mod testing {
         }
 
         fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
-            let mut axis = 0;
-            v.map(|v| {
-                axis += 1;
-                v - self.targets[m][axis - 1]
-            })
+            std::array::from_fn(|a| v[a] - self.targets[m][a])
         }
     }
 

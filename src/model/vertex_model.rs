@@ -131,10 +131,6 @@ impl<R: VertexRegulariser> DeformationModel for VertexModel<R> {
         self.fit(x);
         self.regulariser.add_to(self.lambda_smooth, equations);
     }
-
-    fn retract(&self, x: &[f64], step: &[f64], out: &mut [f64]) {
-        VertexAssembly::retract(x, step, out);
-    }
 }
 
 impl<R: VertexRegulariser> RegistrationModel for VertexModel<R> {
