@@ -196,8 +196,7 @@ impl DeformationModel for Affine {
 
     fn positions(&mut self, x: &[f64], out: &mut Vec<Vec3>) {
         out.resize(self.vertices.len(), Vec3::zeros());
-        let chunks = out.par_chunks_mut(CHUNK).zip(self.vertices.par_chunks(CHUNK));
-        chunks.for_each(|(out, corners)| out.iter_mut().zip(corners).for_each(|(v, c)| *v = c.position(x)));
+        out.par_iter_mut().zip(&self.vertices).with_min_len(CHUNK).for_each(|(v, c)| *v = c.position(x));
     }
 
     fn pull_back(&mut self, _x: &[f64], field: &QuadricField, equations: &mut NormalEquations) {

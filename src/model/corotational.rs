@@ -61,16 +61,13 @@ impl Corotational {
     /// Takes the strains at these nodes.
     pub fn fit(&mut self, nodes: &[Vec3]) {
         let (corners, gradients) = (&self.elements.nodes, &self.gradients);
-        self.states.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, state) in chunk.iter_mut().enumerate() {
-                let e = c * CHUNK + k;
-                let f: Matrix3<f64> =
-                    corners[e].iter().zip(&gradients[e]).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
-                state.turn = closest_rotation(&f, &state.turn);
-                state.rotation = state.turn.to_rotation_matrix().into_inner();
-                let turned_back = state.rotation.tr_mul(&f);
-                state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
-            }
+        self.states.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(e, state)| {
+            let f: Matrix3<f64> =
+                corners[e].iter().zip(&gradients[e]).map(|(v, g)| nodes[*v as usize] * g.transpose()).sum();
+            state.turn = closest_rotation(&f, &state.turn);
+            state.rotation = state.turn.to_rotation_matrix().into_inner();
+            let turned_back = state.rotation.tr_mul(&f);
+            state.strain = (turned_back + turned_back.transpose()) * 0.5 - Matrix3::identity();
         });
     }
 

@@ -172,11 +172,9 @@ impl VertexRegulariser for Springs {
 
     fn fit(&mut self, nodes: &[Vec3]) {
         let (ends, laws) = (&self.ends.nodes, &self.laws);
-        self.now.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, now) in chunk.iter_mut().enumerate() {
-                let [a, b] = ends[c * CHUNK + k].map(|v| nodes[v as usize]);
-                *now = Now { along: a - b, longer: (a - b).norm() - laws[c * CHUNK + k].length };
-            }
+        self.now.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(k, now)| {
+            let [a, b] = ends[k].map(|v| nodes[v as usize]);
+            *now = Now { along: a - b, longer: (a - b).norm() - laws[k].length };
         });
     }
 

@@ -274,18 +274,15 @@ impl<K: CellKind> VertexRegulariser for RigidCells<K> {
         self.nodes.clear();
         self.nodes.extend_from_slice(nodes);
         let (cells, turning) = (&self.cells, self.solver.is_some());
-        let chunks = self.fits.par_chunks_mut(CHUNK).zip(self.rotations.par_chunks_mut(CHUNK)).enumerate();
-        chunks.for_each(|(chunk, (fits, rotations))| {
-            for (k, (fit, rotation)) in fits.iter_mut().zip(rotations).enumerate() {
-                let c = chunk * CHUNK + k;
-                if turning {
-                    let a = cells.at(c, nodes).map(|(edge, e)| e * edge.weight * edge.rest.transpose()).sum();
-                    *rotation = closest_rotation(&a, rotation);
-                    fit.rotation = rotation.to_rotation_matrix().into_inner();
-                }
-                let strain = |(edge, e): (&CellEdge, Vec3)| edge.weight * (e - fit.rotation * edge.rest).norm_squared();
-                fit.energy = cells.at(c, nodes).map(strain).sum();
+        let all = self.fits.par_iter_mut().zip(&mut self.rotations).with_min_len(CHUNK).enumerate();
+        all.for_each(|(c, (fit, rotation))| {
+            if turning {
+                let a = cells.at(c, nodes).map(|(edge, e)| e * edge.weight * edge.rest.transpose()).sum();
+                *rotation = closest_rotation(&a, rotation);
+                fit.rotation = rotation.to_rotation_matrix().into_inner();
             }
+            let strain = |(edge, e): (&CellEdge, Vec3)| edge.weight * (e - fit.rotation * edge.rest).norm_squared();
+            fit.energy = cells.at(c, nodes).map(strain).sum();
         });
     }
 

@@ -65,10 +65,8 @@ impl SmoothRows {
     /// Takes the displacements.
     pub fn place(&mut self, displacement: impl Fn(u32) -> Vec3 + Sync) {
         let mut residuals = std::mem::take(&mut self.residuals);
-        residuals.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, r) in chunk.iter_mut().enumerate() {
-                *r = self.of(c * CHUNK + k).map(|(v, c)| displacement(v) * c).sum();
-            }
+        residuals.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(m, r)| {
+            *r = self.of(m).map(|(v, c)| displacement(v) * c).sum();
         });
         self.residuals = residuals;
     }

@@ -214,14 +214,11 @@ impl VertexAssembly {
     /// Writes all positions, a model's own too.
     pub fn positions(&self, x: &[f64], out: &mut Vec<Vec3>) {
         out.resize(self.rest.len(), Vec3::zeros());
-        out.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
-            for (k, p) in chunk.iter_mut().enumerate() {
-                let v = c * CHUNK + k;
-                *p = match self.blocks[v] {
-                    HELD => self.fixed[v],
-                    block => parameters(x, block as usize),
-                };
-            }
+        out.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(v, p)| {
+            *p = match self.blocks[v] {
+                HELD => self.fixed[v],
+                block => parameters(x, block as usize),
+            };
         });
     }
 }
