@@ -214,16 +214,6 @@ impl Summary {
         self.records.iter().map(|r| r.unobserved_directions).max().unwrap_or(0)
     }
 
-    /// One line: iterations, energies, reason.
-    #[must_use]
-    pub fn brief(&self) -> String {
-        let plural = if self.iterations == 1 { "" } else { "s" };
-        format!(
-            "{} iteration{plural}, energy {:.6e} -> {:.6e}, {}",
-            self.iterations, self.initial_energy, self.final_energy, self.stop
-        )
-    }
-
     /// The full report without wall times: equal runs give equal text.
     #[must_use]
     pub fn deterministic_report(&self) -> String {
