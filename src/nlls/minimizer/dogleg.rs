@@ -24,18 +24,13 @@
 //! M. J. D. Powell, "A hybrid method for nonlinear equations", 1970; J. Nocedal, S. Wright, "Numerical Optimization", section 4.1;
 //! the rules for radius and mu are those of Ceres Solver.
 
-use std::ops::ControlFlow;
-
 use super::run::{DoglegPath, Run, positive};
 use super::{Convergence, Dogleg, IterationRecord, StopReason};
 use crate::nlls::linear::dot;
 use crate::nlls::{LinearError, Problem};
 
-pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogleg) -> StopReason {
-    let mut energy = match run.start() {
-        Ok(energy) => energy,
-        Err(stop) => return stop,
-    };
+pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogleg) -> Result<StopReason, StopReason> {
+    let mut energy = run.start()?;
     run.rescale(options.memory);
     let mut radius = match *run.radius {
         Some(last) if options.reuse_radius => last,
@@ -51,19 +46,16 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
         }
         let gradient_norm = run.gradient_norm();
         if gradient_norm <= run.options.gradient_tolerance {
-            return StopReason::Converged(Convergence::Gradient);
+            return Ok(StopReason::Converged(Convergence::Gradient));
         }
         if !solved {
-            mu = match corners(run, options, mu) {
-                Ok(mu) => mu,
-                Err(error) => return StopReason::LinearSolverFailed(error),
-            };
+            mu = corners(run, options, mu)?;
             solved = true;
         }
         let Blend { length, whole } = blend(run, radius);
         let proposal = run.proposal();
         if proposal.predicted <= f64::EPSILON * energy || proposal.predicted.is_nan() {
-            return run.stuck(energy);
+            return Ok(run.stuck(energy));
         }
         let trial = run.try_step(1.0, whole);
         let gain = (energy - trial) / proposal.predicted;
@@ -94,17 +86,16 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
             accepted,
             ..IterationRecord::default()
         };
-        if run.record(record) == ControlFlow::Break(()) {
-            return StopReason::StoppedByObserver;
-        }
+        run.record(record)?;
         if accepted && decrease <= small && proof {
-            return StopReason::Converged(Convergence::Energy);
+            return Ok(StopReason::Converged(Convergence::Energy));
         }
         if proposal.step_is_small {
-            return if accepted && whole { StopReason::Converged(Convergence::Step) } else { run.stuck(energy) };
+            let whole = accepted && whole;
+            return Ok(if whole { StopReason::Converged(Convergence::Step) } else { run.stuck(energy) });
         }
     }
-    StopReason::MaxIterations
+    Ok(StopReason::MaxIterations)
 }
 
 /// Computes n and c at x, n with a mu that makes H + mu D positive definite; given the last one, returns this one.

@@ -10,31 +10,27 @@
 //! With bounds of the border, d minimises `g'd + d'Hd / 2` between them. As d = 0 is allowed, `g'd <= -d'Hd`: all of this still
 //! holds, and as x and x + d are between the bounds, so is every x + t d.
 
-use std::ops::ControlFlow;
-
 use super::run::{Proposal, Run};
 use super::{Convergence, GaussNewton, IterationRecord, StopReason};
 use crate::nlls::Problem;
 
-pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &GaussNewton) -> StopReason {
-    let mut energy = match run.start() {
-        Ok(energy) => energy,
-        Err(stop) => return stop,
-    };
+pub(super) fn minimize<P: Problem + ?Sized>(
+    run: &mut Run<'_, P>,
+    options: &GaussNewton,
+) -> Result<StopReason, StopReason> {
+    let mut energy = run.start()?;
     for iteration in 1..=run.options.max_iterations {
         if iteration > 1 {
             energy = run.linearize();
         }
         let gradient_norm = run.gradient_norm();
         if gradient_norm <= run.options.gradient_tolerance {
-            return StopReason::Converged(Convergence::Gradient);
+            return Ok(StopReason::Converged(Convergence::Gradient));
         }
-        if let Err(error) = run.solve(0.0) {
-            return StopReason::LinearSolverFailed(error);
-        }
+        run.solve(0.0)?;
         let Proposal { slope, predicted, curvature, step_norm, step_is_small } = run.proposal();
         if predicted <= f64::EPSILON * energy {
-            return run.polish(StopReason::Converged(Convergence::Energy));
+            return Ok(run.polish(StopReason::Converged(Convergence::Energy)));
         }
         let mut accepted = None;
         let mut scale = 1.0;
@@ -50,7 +46,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
         let Some(trial) = accepted else {
             let negligible = predicted <= run.options.energy_tolerance * energy;
             let stop = if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease };
-            return run.polish(stop);
+            return Ok(run.polish(stop));
         };
         run.accept(trial);
         let decrease = energy - trial;
@@ -66,20 +62,18 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Gaus
             accepted: true,
             ..IterationRecord::default()
         };
-        if run.record(record) == ControlFlow::Break(()) {
-            return StopReason::StoppedByObserver;
-        }
+        run.record(record)?;
         // A small decrease after halvings is no proof of convergence unless the model expected no more.
         let small = run.options.energy_tolerance * energy;
         if decrease <= small && (scale == 1.0 || predicted <= small) {
             if run.options.energy_tolerance == 0.0 {
                 run.linearize(); // for `polish`
             }
-            return run.polish(StopReason::Converged(Convergence::Energy));
+            return Ok(run.polish(StopReason::Converged(Convergence::Energy)));
         }
         if step_is_small {
-            return StopReason::Converged(Convergence::Step);
+            return Ok(StopReason::Converged(Convergence::Step));
         }
     }
-    StopReason::MaxIterations
+    Ok(StopReason::MaxIterations)
 }

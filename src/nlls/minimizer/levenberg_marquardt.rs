@@ -18,8 +18,6 @@
 //! O. Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2; M. Transtrum, J. Sethna, "Improvements to the
 //! Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012 ("delayed gratification").
 
-use std::ops::ControlFlow;
-
 use super::run::{Proposal, Run};
 use super::{Convergence, IterationRecord, LevenbergMarquardt, StopReason};
 use crate::nlls::{LinearError, Problem};
@@ -30,11 +28,11 @@ const GROWTH: f64 = 2.0;
 /// So many steps are rejected in a row before that factor doubles with each.
 const PATIENCE: usize = 10;
 
-pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &LevenbergMarquardt) -> StopReason {
-    let mut energy = match run.start() {
-        Ok(energy) => energy,
-        Err(stop) => return stop,
-    };
+pub(super) fn minimize<P: Problem + ?Sized>(
+    run: &mut Run<'_, P>,
+    options: &LevenbergMarquardt,
+) -> Result<StopReason, StopReason> {
+    let mut energy = run.start()?;
     run.rescale(options.memory);
     let mut lambda = options.initial_lambda;
     if let (true, Some(last)) = (options.reuse_lambda, *run.lambda) {
@@ -52,10 +50,10 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
         }
         let gradient_norm = run.gradient_norm();
         if gradient_norm <= run.options.gradient_tolerance {
-            return StopReason::Converged(Convergence::Gradient);
+            return Ok(StopReason::Converged(Convergence::Gradient));
         }
         if lambda > options.max_lambda {
-            return failure.map_or_else(|| run.stuck(energy), StopReason::LinearSolverFailed);
+            return Ok(failure.map_or_else(|| run.stuck(energy), StopReason::LinearSolverFailed));
         }
         let used = lambda;
         let (mut trial, mut gain, mut proposal) = (f64::INFINITY, f64::NAN, Proposal::default());
@@ -64,12 +62,12 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
                 failure = None;
                 proposal = run.proposal();
                 if proposal.predicted <= f64::EPSILON * energy {
-                    return run.stuck(energy);
+                    return Ok(run.stuck(energy));
                 }
                 trial = run.try_step(1.0, true);
                 gain = (energy - trial) / proposal.predicted;
             }
-            Err(error @ LinearError::NonFinite { .. }) => return StopReason::LinearSolverFailed(error),
+            Err(error @ LinearError::NonFinite { .. }) => return Err(error.into()),
             // More damping may help.
             Err(error) => failure = Some(error),
         }
@@ -103,20 +101,18 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Leve
             accepted,
             ..IterationRecord::default()
         };
-        if run.record(record) == ControlFlow::Break(()) {
-            return StopReason::StoppedByObserver;
-        }
+        run.record(record)?;
         if proof && decrease <= small {
-            return StopReason::Converged(Convergence::Energy);
+            return Ok(StopReason::Converged(Convergence::Energy));
         }
         if failure.is_none() && proposal.step_is_small {
             if !accepted {
-                return run.stuck(energy);
+                return Ok(run.stuck(energy));
             }
             if proof {
-                return StopReason::Converged(Convergence::Step);
+                return Ok(StopReason::Converged(Convergence::Step));
             }
         }
     }
-    StopReason::MaxIterations
+    Ok(StopReason::MaxIterations)
 }

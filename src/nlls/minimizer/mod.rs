@@ -113,7 +113,7 @@ impl Minimizer {
             Algorithm::LevenbergMarquardt(options) => levenberg_marquardt::minimize(&mut run, options),
             Algorithm::Dogleg(options) => dogleg::minimize(&mut run, options),
         };
-        run.finish(stop);
+        run.finish(stop.unwrap_or_else(|cut_short| cut_short));
         workspace.summary.total_time = clock.elapsed();
         &workspace.summary
     }

@@ -1,6 +1,5 @@
 //! The parts that all minimisers share: linearise, solve, try, accept, record.
 
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::bounded::Bounds;
@@ -205,8 +204,8 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
                 accepted: true,
                 ..IterationRecord::default()
             };
-            if self.record(record) == ControlFlow::Break(()) {
-                return StopReason::StoppedByObserver;
+            if let Err(stop) = self.record(record) {
+                return stop;
             }
             if step_is_small {
                 return StopReason::Converged(Convergence::Step);
@@ -298,7 +297,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
 
     /// Files an iteration and shows it to the observer. What the run knows itself is filled in: number, energy, weak directions,
     /// times.
-    pub(super) fn record(&mut self, step: IterationRecord) -> ControlFlow<()> {
+    pub(super) fn record(&mut self, step: IterationRecord) -> Result<(), StopReason> {
         self.summary.iterations += 1;
         let times = std::mem::take(&mut self.times);
         self.summary.times += times;
@@ -311,7 +310,7 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
             ..step
         };
         self.summary.records.push(record);
-        self.observer.on_iteration(&record)
+        if self.observer.on_iteration(&record).is_break() { Err(StopReason::StoppedByObserver) } else { Ok(()) }
     }
 
     /// Times spent since the last record.

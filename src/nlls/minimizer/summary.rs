@@ -55,6 +55,12 @@ impl StopReason {
     }
 }
 
+impl From<LinearError> for StopReason {
+    fn from(error: LinearError) -> Self {
+        Self::LinearSolverFailed(error)
+    }
+}
+
 impl fmt::Display for StopReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
