@@ -96,137 +96,86 @@ impl Reliability {
     }
 }
 
-/// A number of the evidence that grows with the risk of an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Risk {
-    /// Loss of the searched start.
-    StartLoss,
-    /// How close another pose comes.
-    StartRival,
-    /// Share of vertices that the scan does not show.
-    Unseen,
-    /// [`Coverage::contradicted`](super::Coverage::contradicted).
-    Contradicted,
-    /// [`Coverage::turn`](super::Coverage::turn).
-    Turn,
-    /// [`Coverage::scan_missed`](super::Coverage::scan_missed).
-    ScanMissed,
-    /// [`Coverage::distance`](super::Coverage::distance).
-    Distance,
-    /// [`Coverage::distance_p90`](super::Coverage::distance_p90).
-    DistanceSpread,
-    /// [`Evidence::landmark_rms`].
-    LandmarkRms,
-    /// [`Evidence::landmark_worst`].
-    LandmarkWorst,
-    /// [`Evidence::landmark_freedom`].
-    LandmarkFreedom,
-    /// [`Evidence::landmark_suspects`].
-    LandmarkSuspects,
-    /// One over one more than the number of landmarks.
-    FewLandmarks,
-    /// One without shapes, else zero.
-    NoShapes,
-    /// [`Evidence::beyond_shapes`].
-    BeyondShapes,
-    /// [`Evidence::beyond_shapes_p95`].
-    BeyondShapesSpread,
-    /// [`Evidence::weight_energy`].
-    WeightEnergy,
-    /// [`Evidence::weight_worst`].
-    WeightWorst,
-    /// [`Evidence::weight_uncertainty`].
-    WeightUncertainty,
-    /// [`Evidence::flipped`].
-    Flipped,
-    /// [`Evidence::intersections`].
-    Intersections,
-    /// [`Evidence::stretch`].
-    Stretch,
-    /// [`Evidence::squeeze`].
-    Squeeze,
-    /// One minus [`Evidence::curvature_kept`].
-    CurvatureLost,
-    /// How far the logarithm of [`Evidence::scale`] is from 0.
-    Scale,
-    /// [`Evidence::last_motion`].
-    LastMotion,
-    /// [`Handedness::against`](super::Handedness::against).
-    Mirrored,
-}
+/// The risks and, each, its number from the evidence.
+macro_rules! risks {
+    ($evidence:ident: $($(#[$doc:meta])* $risk:ident => $value:expr,)+) => {
+        /// A number of the evidence that grows with the risk of an error.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Risk {
+            $($(#[$doc])* $risk,)+
+        }
 
-impl Risk {
-    /// All of them.
-    pub const ALL: [Self; 27] = [
-        Self::StartLoss,
-        Self::StartRival,
-        Self::Unseen,
-        Self::Contradicted,
-        Self::Turn,
-        Self::ScanMissed,
-        Self::Distance,
-        Self::DistanceSpread,
-        Self::LandmarkRms,
-        Self::LandmarkWorst,
-        Self::LandmarkFreedom,
-        Self::LandmarkSuspects,
-        Self::FewLandmarks,
-        Self::NoShapes,
-        Self::BeyondShapes,
-        Self::BeyondShapesSpread,
-        Self::WeightEnergy,
-        Self::WeightWorst,
-        Self::WeightUncertainty,
-        Self::Flipped,
-        Self::Intersections,
-        Self::Stretch,
-        Self::Squeeze,
-        Self::CurvatureLost,
-        Self::Scale,
-        Self::LastMotion,
-        Self::Mirrored,
-    ];
+        impl Risk {
+            /// All of them.
+            pub const ALL: [Self; [$(stringify!($risk)),+].len()] = [$(Self::$risk),+];
 
-    /// The number.
-    #[must_use]
-    pub fn of(self, e: &Evidence) -> f64 {
-        match self {
-            Self::StartLoss => e.start_loss,
-            Self::StartRival => e.start_rival,
-            Self::Unseen => e.coverage.unseen,
-            Self::Contradicted => e.coverage.contradicted,
-            Self::Turn => e.coverage.turn,
-            Self::ScanMissed => e.coverage.scan_missed,
-            Self::Distance => e.coverage.distance,
-            Self::DistanceSpread => e.coverage.distance_p90,
-            Self::LandmarkRms => e.landmark_rms,
-            Self::LandmarkWorst => e.landmark_worst,
-            Self::LandmarkFreedom => e.landmark_freedom,
-            Self::LandmarkSuspects => e.landmark_suspects,
-            Self::FewLandmarks => 1.0 / (1.0 + e.landmarks as f64),
-            Self::NoShapes => {
-                if e.shapes == 0 {
-                    1.0
-                } else {
-                    0.0
+            /// The number.
+            #[must_use]
+            pub fn of(self, $evidence: &Evidence) -> f64 {
+                match self {
+                    $(Self::$risk => $value,)+
                 }
             }
-            Self::BeyondShapes => e.beyond_shapes,
-            Self::BeyondShapesSpread => e.beyond_shapes_p95,
-            Self::WeightEnergy => e.weight_energy,
-            Self::WeightWorst => e.weight_worst,
-            Self::WeightUncertainty => e.weight_uncertainty,
-            Self::Flipped => e.flipped,
-            Self::Intersections => e.intersections,
-            Self::Stretch => e.stretch,
-            Self::Squeeze => e.squeeze,
-            Self::CurvatureLost => 1.0 - e.curvature_kept,
-            Self::Scale => e.scale.max(f64::MIN_POSITIVE).ln().abs(),
-            Self::LastMotion => e.last_motion,
-            Self::Mirrored => e.handedness.against().max(0.0),
         }
-    }
+    };
+}
+
+risks! { e:
+    /// Loss of the searched start.
+    StartLoss => e.start_loss,
+    /// How close another pose comes.
+    StartRival => e.start_rival,
+    /// Share of vertices that the scan does not show.
+    Unseen => e.coverage.unseen,
+    /// [`Coverage::contradicted`](super::Coverage::contradicted).
+    Contradicted => e.coverage.contradicted,
+    /// [`Coverage::turn`](super::Coverage::turn).
+    Turn => e.coverage.turn,
+    /// [`Coverage::scan_missed`](super::Coverage::scan_missed).
+    ScanMissed => e.coverage.scan_missed,
+    /// [`Coverage::distance`](super::Coverage::distance).
+    Distance => e.coverage.distance,
+    /// [`Coverage::distance_p90`](super::Coverage::distance_p90).
+    DistanceSpread => e.coverage.distance_p90,
+    /// [`Evidence::landmark_rms`].
+    LandmarkRms => e.landmark_rms,
+    /// [`Evidence::landmark_worst`].
+    LandmarkWorst => e.landmark_worst,
+    /// [`Evidence::landmark_freedom`].
+    LandmarkFreedom => e.landmark_freedom,
+    /// [`Evidence::landmark_suspects`].
+    LandmarkSuspects => e.landmark_suspects,
+    /// One over one more than the number of landmarks.
+    FewLandmarks => 1.0 / (1.0 + e.landmarks as f64),
+    /// One without shapes, else zero.
+    NoShapes => f64::from(u8::from(e.shapes == 0)),
+    /// [`Evidence::beyond_shapes`].
+    BeyondShapes => e.beyond_shapes,
+    /// [`Evidence::beyond_shapes_p95`].
+    BeyondShapesSpread => e.beyond_shapes_p95,
+    /// [`Evidence::weight_energy`].
+    WeightEnergy => e.weight_energy,
+    /// [`Evidence::weight_worst`].
+    WeightWorst => e.weight_worst,
+    /// [`Evidence::weight_uncertainty`].
+    WeightUncertainty => e.weight_uncertainty,
+    /// [`Evidence::flipped`].
+    Flipped => e.flipped,
+    /// [`Evidence::intersections`].
+    Intersections => e.intersections,
+    /// [`Evidence::stretch`].
+    Stretch => e.stretch,
+    /// [`Evidence::squeeze`].
+    Squeeze => e.squeeze,
+    /// One minus [`Evidence::curvature_kept`].
+    CurvatureLost => 1.0 - e.curvature_kept,
+    /// How far the logarithm of [`Evidence::scale`] is from 0.
+    Scale => e.scale.max(f64::MIN_POSITIVE).ln().abs(),
+    /// [`Evidence::last_motion`].
+    LastMotion => e.last_motion,
+    /// [`Handedness::against`](super::Handedness::against).
+    Mirrored => e.handedness.against().max(0.0),
 }
 
 /// The fitted curves.
@@ -337,12 +286,5 @@ mod tests {
     fn a_ramp_rises_from_knot_to_knot() {
         let curve = RiskCurve { risk: Risk::Turn, knots: vec![1.0, 2.0, 4.0], weights: vec![3.0, 5.0] };
         assert_eq!([0.0, 1.5, 2.0, 3.0, 9.0].map(|x| curve.at(x)), [0.0, 1.5, 3.0, 5.5, 8.0]);
-    }
-
-    #[test]
-    fn every_risk_is_listed_once() {
-        for (i, risk) in Risk::ALL.iter().enumerate() {
-            assert!(!Risk::ALL[..i].contains(risk), "{risk:?}");
-        }
     }
 }
