@@ -77,15 +77,14 @@ pub(super) fn check_geometry(input: &RegistrationInput<'_>) -> Result<(), Regist
     }
     check_numbers(input)?;
     check_normals(input.scan, input.scan_normals)?;
-    if let Some(neutral) = input.neutral.filter(|n| n.len() != vertices) {
-        return Err(RegistrationError::VertexCount { what: "neutral", found: neutral.len(), template: vertices });
-    }
-    if !input.shapes.is_empty() && input.shapes.vertex_count() != vertices {
-        let found = input.shapes.vertex_count();
-        return Err(RegistrationError::VertexCount { what: "rig", found, template: vertices });
-    }
-    if let Some(found) = input.regions.map(Regions::vertex_count).filter(|n| *n != vertices) {
-        return Err(RegistrationError::VertexCount { what: "set of regions", found, template: vertices });
+    for (what, found) in [
+        ("neutral", input.neutral.map(<[Vec3]>::len)),
+        ("rig", (!input.shapes.is_empty()).then(|| input.shapes.vertex_count())),
+        ("set of regions", input.regions.map(Regions::vertex_count)),
+    ] {
+        if let Some(found) = found.filter(|n| *n != vertices) {
+            return Err(RegistrationError::VertexCount { what, found, template: vertices });
+        }
     }
     check_mask("mask", input.mask, vertices)?;
     check_mask("free mask", input.free_mask, vertices)?;

@@ -15,11 +15,9 @@ pub(super) struct Rest {
     pub used: Vec<bool>,
     /// Vertices that the template hides from scanners.
     pub hidden: Vec<bool>,
-    /// Which vertices the scan has a say in, at all and now.
+    /// Which vertices the scan has a say in, at all and, with what the level says of the rim, now.
     all_masks: VertexMasks,
     pub masks: VertexMasks,
-    /// Vertices that take no correspondence at levels that reject the rim.
-    rim: Vec<bool>,
     edges: EdgeGraph,
     /// Surface that each vertex stands for, and by its side that of a sample of the scan, zero before that is known. Vertices finer
     /// than the schedule's reference template are crowded no sooner: they weigh less already.
@@ -47,7 +45,7 @@ impl Rest {
         let edges = EdgeGraph::of(&mesh);
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
         let hidden = hidden(&mesh)?;
-        let masks = VertexMasks::new(input.mask, input.free_mask, rim.clone()).without(|v| !used[v]);
+        let masks = VertexMasks::new(input.mask, input.free_mask, rim).without(|v| !used[v]);
         let density = schedule.reference_vertices / count;
         let areas = vertex_areas(&mesh.positions, &mesh.triangles);
         Ok(Self {
@@ -56,7 +54,6 @@ impl Rest {
             hidden,
             all_masks: masks.clone(),
             masks,
-            rim,
             edges,
             areas,
             sample_area: 0.0,
@@ -93,7 +90,7 @@ impl Rest {
     /// Which vertices take correspondences from now on, and what they weigh.
     pub fn set_level(&mut self, level: &Level) {
         self.masks.share_samples(&self.areas, level.sampling * self.sample_area);
-        self.masks.rim.iter_mut().zip(&self.rim).for_each(|(now, on_rim)| *now = level.reject_rim && *on_rim);
+        self.masks.rim.iter_mut().zip(&self.all_masks.rim).for_each(|(now, on_rim)| *now = level.reject_rim && *on_rim);
         if level.thinned {
             self.masks.thin(&self.edges);
         } else {
