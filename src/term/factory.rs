@@ -119,6 +119,42 @@ pub trait TermFactory: Send + Sync {
     fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError>;
 }
 
+/// A term of the table in `mod.rs`.
+pub(super) struct BuiltIn {
+    pub name: &'static str,
+    pub options: fn(&Options) -> Result<Options, OptionsError>,
+    pub level_options: fn(&Options) -> Result<Options, OptionsError>,
+    pub build: fn(&TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError>,
+}
+
+impl BuiltIn {
+    /// A term without options but the `[level.terms.NAME]` `L`.
+    pub const fn new<L: OptionTable>(
+        name: &'static str,
+        build: fn(&TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError>,
+    ) -> Self {
+        Self { name, options: Options::filled::<NoOptions>, level_options: Options::filled::<L>, build }
+    }
+}
+
+impl TermFactory for BuiltIn {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
+        (self.options)(given)
+    }
+
+    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
+        (self.level_options)(given)
+    }
+
+    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+        (self.build)(input)
+    }
+}
+
 /// Why a term could not be built.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum TermError {

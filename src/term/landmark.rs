@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::UNIT;
-use super::factory::{RegistrationTerm, Scheduled, TermError, TermFactory, TermInput, TermLevel};
-use crate::energy::{OptionTable, Options, OptionsError, Pointwise, SampleResidual};
+use super::factory::{BuiltIn, Scheduled, TermLevel};
+use crate::energy::{OptionTable, OptionsError, Pointwise, SampleResidual};
 use crate::mesh::Vec3;
 use crate::nlls::{Kernel, Scalar};
 
@@ -72,22 +72,10 @@ impl Scheduled<3> for Landmarks {
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "landmarks"
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<LandmarkLevel>()
-    }
-
-    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        let samples = input.landmarks.iter().map(|l| l.sample).collect();
-        let targets = input.landmarks.iter().map(|l| l.target).collect();
-        let weights = input.landmarks.iter().map(|l| l.weight).collect();
-        let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
-        Ok(Box::new(Pointwise::new("landmarks", residuals, Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<LandmarkLevel>("landmarks", |input| {
+    let samples = input.landmarks.iter().map(|l| l.sample).collect();
+    let targets = input.landmarks.iter().map(|l| l.target).collect();
+    let weights = input.landmarks.iter().map(|l| l.weight).collect();
+    let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
+    Ok(Box::new(Pointwise::new("landmarks", residuals, Kernel::None)))
+});

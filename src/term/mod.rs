@@ -1,7 +1,6 @@
 //! Data terms: one file each. Each is a residual of one sample's position; see [`SampleResidual`](crate::energy::SampleResidual).
 
 mod factory;
-mod guess;
 mod landmark;
 mod point_to_plane;
 mod point_to_point;
@@ -9,6 +8,7 @@ mod prediction;
 mod scan_points;
 mod scan_to_template;
 mod seam;
+mod sourced;
 mod symmetric;
 
 pub use factory::{
@@ -24,13 +24,13 @@ pub use symmetric::Symmetric;
 
 /// The terms that come with the crate. Which of them take part is a matter of the schedule's weights.
 pub const TERMS: [&dyn TermFactory; 7] = [
-    &point_to_plane::Factory,
-    &symmetric::Factory,
-    &scan_to_template::Factory,
-    &point_to_point::Factory,
-    &landmark::Factory,
-    &prediction::Factory,
-    &seam::Factory,
+    &point_to_plane::TERM,
+    &symmetric::TERM,
+    &scan_to_template::TERM,
+    &point_to_point::TERM,
+    &landmark::TERM,
+    &prediction::TERM,
+    &seam::TERM,
 ];
 
 use crate::mesh::Vec3;

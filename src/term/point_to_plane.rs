@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::along;
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel};
-use crate::energy::{OptionTable, Options, OptionsError, Pointwise, SampleResidual};
+use super::factory::{BuiltIn, Scheduled, Step, TermLevel};
+use crate::energy::{OptionTable, OptionsError, Pointwise, SampleResidual};
 use crate::mesh::{MeshError, Vec3};
 use crate::nlls::{Kernel, Scalar};
 
@@ -80,18 +80,6 @@ impl Scheduled<1> for PointToPlane {
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "point_to_plane"
-    }
-
-    fn level_options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<PlaneWeight>()
-    }
-
-    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        Ok(Box::new(Pointwise::new("point to plane (3)", PointToPlane::default(), Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<PlaneWeight>("point_to_plane", |_| {
+    Ok(Box::new(Pointwise::new("point to plane (3)", PointToPlane::default(), Kernel::None)))
+});

@@ -1,7 +1,7 @@
 //! Point-to-point distance, eq. (2) of Klimov 2020 (squared, under the kernel): `r = v - c`.
 
 use super::UNIT;
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use super::factory::{BuiltIn, Scheduled, Step, TermLevel, TermWeight};
 use crate::energy::{OptionsError, Pointwise, SampleResidual};
 use crate::mesh::{MeshError, Vec3};
 use crate::nlls::{Kernel, Scalar};
@@ -55,14 +55,6 @@ impl Scheduled<3> for PointToPoint {
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "point_to_point"
-    }
-
-    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        Ok(Box::new(Pointwise::new("point to point (2)", PointToPoint::default(), Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<TermWeight>("point_to_point", |_| {
+    Ok(Box::new(Pointwise::new("point to point (2)", PointToPoint::default(), Kernel::None)))
+});

@@ -3,8 +3,9 @@
 //! For subjects that are rigid as a whole, if at all: a limb that moves is torn off.
 //! [`GraphOptions::lambda_unseen`](crate::model::GraphOptions::lambda_unseen) holds to the form instead.
 
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
-use super::guess::Guess;
+use super::PointToPoint;
+use super::factory::{BuiltIn, Scheduled, Step, TermLevel, TermWeight};
+use super::sourced::{Source, Sourced};
 use crate::energy::{OptionsError, Pointwise};
 use crate::mesh::MeshError;
 use crate::nlls::Kernel;
@@ -13,34 +14,30 @@ use crate::nlls::Kernel;
 #[derive(Debug, Clone, Default)]
 struct Prediction;
 
-impl Scheduled<3> for Guess<Prediction> {
+impl Source for Prediction {
+    const MEASURES: bool = false;
+}
+
+impl Scheduled<3> for Sourced<PointToPoint, Prediction> {
     fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
-        self.pull.scale = level.options.read::<TermWeight>()?.weight * level.density;
+        self.residuals.scale = level.options.read::<TermWeight>()?.weight * level.density;
         Ok(Kernel::None)
     }
 
     fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
         if self.needs_predictions() {
-            self.pull.targets.clear();
-            self.pull.targets.extend_from_slice(step.predictions);
-            self.pull.weights.clone_from(&step.correspondences.unseen);
+            self.residuals.targets.clear();
+            self.residuals.targets.extend_from_slice(step.predictions);
+            self.residuals.weights.clone_from(&step.correspondences.unseen);
         }
         Ok(())
     }
 
     fn needs_predictions(&self) -> bool {
-        self.pull.scale > 0.0
+        self.residuals.scale > 0.0
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "prediction"
-    }
-
-    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        Ok(Box::new(Pointwise::new("prediction", Guess::<Prediction>::default(), Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<TermWeight>("prediction", |_| {
+    Ok(Box::new(Pointwise::new("prediction", Sourced::<PointToPoint, Prediction>::default(), Kernel::None)))
+});

@@ -7,7 +7,8 @@
 //!
 //! What it adds to the other direction: a scan's spike, the tip of a nose, that is no template vertex' closest point.
 
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use super::factory::{BuiltIn, Scheduled, Step, TermLevel, TermWeight};
+use super::sourced::{Source, Sourced};
 use super::{ScanPoints, along};
 use crate::energy::{OptionsError, Pointwise, SampleResidual};
 use crate::mesh::{MeshError, Vec3};
@@ -54,61 +55,29 @@ impl SampleResidual<1> for ScanToTemplate {
     }
 }
 
-/// [`ScanToTemplate`] with the points of the scan that it searches for, spread when a level first weighs them.
-#[derive(Debug, Default)]
-struct FromScan {
-    points: Option<ScanPoints>,
-    found: ScanToTemplate,
+/// The points of the scan, spread when a level first weighs them.
+type SpreadPoints = Option<ScanPoints>;
+
+impl Source for SpreadPoints {
+    const MEASURES: bool = true;
 }
 
-impl SampleResidual<1> for FromScan {
-    fn len(&self) -> usize {
-        self.found.len()
-    }
-
-    fn sample(&self, m: usize) -> usize {
-        self.found.sample(m)
-    }
-
-    fn weight(&self, m: usize) -> f64 {
-        self.found.weight(m)
-    }
-
-    #[inline(always)]
-    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 1] {
-        self.found.residual(m, v)
-    }
-
-    #[inline(always)]
-    fn linearize(&self, m: usize, v: [f64; 3]) -> ([f64; 1], [[f64; 3]; 1]) {
-        self.found.linearize(m, v)
-    }
-}
-
-impl Scheduled<1> for FromScan {
+impl Scheduled<1> for Sourced<ScanToTemplate, SpreadPoints> {
     fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
-        self.found.scale = level.options.read::<TermWeight>()?.weight * level.density;
+        self.residuals.scale = level.options.read::<TermWeight>()?.weight * level.density;
         Ok(level.kernel)
     }
 
     fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
-        if self.found.scale == 0.0 {
+        if self.residuals.scale == 0.0 {
             return Ok(());
         }
-        let points = self.points.get_or_insert_with(|| ScanPoints::new(step.scan, step.rest));
+        let points = self.source.get_or_insert_with(|| ScanPoints::new(step.scan, step.rest));
         let normals = &step.correspondences.template_normals;
-        points.find(step.vertices, normals, step.rest, step.masks, &step.accept, &mut self.found)
+        points.find(step.vertices, normals, step.rest, step.masks, &step.accept, &mut self.residuals)
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "scan_to_template"
-    }
-
-    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        Ok(Box::new(Pointwise::new("scan to template", FromScan::default(), Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<TermWeight>("scan_to_template", |_| {
+    Ok(Box::new(Pointwise::new("scan to template", Sourced::<ScanToTemplate, SpreadPoints>::default(), Kernel::None)))
+});

@@ -11,10 +11,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PointToPoint;
-use super::factory::{
-    RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLandmark, TermLevel, TermWeight,
-};
-use super::guess::Guess;
+use super::factory::{BuiltIn, Scheduled, Step, TermLandmark, TermLevel, TermWeight};
+use super::sourced::{Source, Sourced};
 use crate::correspondence::ScanSurface;
 use crate::energy::{OptionTable, Options, OptionsError, Pointwise};
 use crate::mesh::adjacency::EdgeGraph;
@@ -163,14 +161,18 @@ struct Closing {
     widest: f64,
 }
 
-impl Scheduled<3> for Guess<Closing> {
+impl Source for Closing {
+    const MEASURES: bool = false;
+}
+
+impl Scheduled<3> for Sourced<PointToPoint, Closing> {
     fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
-        self.pull.scale = level.options.read::<TermWeight>()?.weight * level.density;
+        self.residuals.scale = level.options.read::<TermWeight>()?.weight * level.density;
         Ok(Kernel::None)
     }
 
     fn update(&mut self, step: &Step<'_>) -> Result<(), MeshError> {
-        let PointToPoint { targets, weights, scale } = &mut self.pull;
+        let PointToPoint { targets, weights, scale } = &mut self.residuals;
         if *scale > 0.0 {
             let Closing { seams, widest } = &self.source;
             seams.targets(step.scan, step.vertices, *widest, targets, weights);
@@ -180,25 +182,16 @@ impl Scheduled<3> for Guess<Closing> {
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "seam"
-    }
-
-    fn options(&self, given: &Options) -> Result<Options, OptionsError> {
-        given.filled::<SeamOptions>()
-    }
-
-    fn build(&self, input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
+pub(super) const TERM: BuiltIn = BuiltIn {
+    options: Options::filled::<SeamOptions>,
+    ..BuiltIn::new::<TermWeight>("seam", |input| {
         let options = input.options.read::<SeamOptions>()?;
         let mut seams = Seams::find(input.rest, options.width * input.unit)?;
         seams.yield_to(input.landmarks, options.landmark_reach * input.unit, input.rest)?;
         let source = Closing { seams, widest: options.widest * input.unit };
-        Ok(Box::new(Pointwise::new("seams", Guess { pull: PointToPoint::default(), source }, Kernel::None)))
-    }
-}
+        Ok(Box::new(Pointwise::new("seams", Sourced { residuals: PointToPoint::default(), source }, Kernel::None)))
+    })
+};
 
 #[cfg(test)]
 mod tests {

@@ -5,7 +5,7 @@
 //! along a curved surface costs less than with point-to-plane.
 
 use super::along;
-use super::factory::{RegistrationTerm, Scheduled, Step, TermError, TermFactory, TermInput, TermLevel, TermWeight};
+use super::factory::{BuiltIn, Scheduled, Step, TermLevel, TermWeight};
 use crate::energy::{OptionsError, Pointwise, SampleResidual};
 use crate::mesh::{MeshError, Vec3};
 use crate::nlls::{Kernel, Scalar};
@@ -71,17 +71,9 @@ impl Scheduled<1> for Symmetric {
     }
 }
 
-pub(super) struct Factory;
-
-impl TermFactory for Factory {
-    fn name(&self) -> &'static str {
-        "symmetric"
-    }
-
-    fn build(&self, _input: &TermInput<'_>) -> Result<Box<dyn RegistrationTerm>, TermError> {
-        Ok(Box::new(Pointwise::new("symmetric point to plane", Symmetric::default(), Kernel::None)))
-    }
-}
+pub(super) const TERM: BuiltIn = BuiltIn::new::<TermWeight>("symmetric", |_| {
+    Ok(Box::new(Pointwise::new("symmetric point to plane", Symmetric::default(), Kernel::None)))
+});
 
 #[cfg(test)]
 mod tests {
