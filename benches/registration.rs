@@ -5,13 +5,12 @@
 
 mod support;
 
-use std::ops::ControlFlow;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::landmark::{Landmark, TemplatePoint};
-use nonrigid::registration::{ModelKind, RegistrationInput, StepRecord, register};
+use nonrigid::registration::{ModelKind, RegistrationInput, Silent, register};
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use support::short;
 
@@ -50,10 +49,7 @@ fn registration(c: &mut Criterion) {
             ..RegistrationInput::new(&rig.mesh, &case.scan)
         };
         group.bench_function(BenchmarkId::new("triangles", case.scan.triangles.len()), |b| {
-            b.iter(|| {
-                let observer = &mut |_: &StepRecord| ControlFlow::Continue(());
-                register(&input, &ModelKind::Hybrid, &schedule, observer).expect("it succeeds").positions
-            });
+            b.iter(|| register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).expect("it succeeds").positions);
         });
     }
     group.finish();

@@ -4,7 +4,6 @@
 //! `cargo run --release --example own_term`
 
 use std::error::Error;
-use std::ops::ControlFlow;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::energy::{OptionsError, Pointwise, SampleResidual};
@@ -13,7 +12,7 @@ use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::Vec3;
 use nonrigid::nlls::{Kernel, Scalar};
 use nonrigid::registration::{
-    ModelKind, RegistrationInput, RegistrationTerm, StepRecord, TERMS, TermFactory, TermInput, register_with,
+    ModelKind, RegistrationInput, RegistrationTerm, Silent, TERMS, TermFactory, TermInput, register_with,
 };
 use nonrigid::term::{Scheduled, TermError, TermLevel, TermWeight};
 use rand::{Rng, SeedableRng};
@@ -112,8 +111,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 level.set_term("freckles", weight);
             }
         }
-        let mut steps = |_: &StepRecord| ControlFlow::Continue(());
-        let result = register_with(&input, &model, &terms, &schedule, &mut steps)?;
+        let result = register_with(&input, &model, &terms, &schedule, &mut Silent)?;
         let (errors, _) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
         println!(
             "{name} {count} freckles: rmse {:.2} mm, off the surface {:.2} mm, along it {:.2} mm",

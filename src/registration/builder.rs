@@ -1,9 +1,7 @@
 //! A registration of arrays in memory, stated step by step.
 
-use std::ops::ControlFlow;
-
 use super::{
-    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, Schedule, StepRecord,
+    ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, Schedule, Silent,
     WarmStart, register,
 };
 use crate::landmark::Landmark;
@@ -131,7 +129,6 @@ impl<'a> Registration<'a> {
         let unstated = if self.input.shapes.is_empty() { ModelKind::Graph } else { ModelKind::Hybrid };
         let model = self.model.unwrap_or(unstated);
         let schedule = self.schedule.map_or_else(|| model.schedule(), Ok)?;
-        let mut go_on = |_: &StepRecord| ControlFlow::Continue(());
-        register(&self.input, &model, &schedule, self.observer.unwrap_or(&mut go_on))
+        register(&self.input, &model, &schedule, self.observer.unwrap_or(&mut Silent))
     }
 }

@@ -43,4 +43,5 @@ pub use warm_start::WarmStart;
 
 pub use crate::correspondence::{ScanFlip, ScanOptions};
 pub use crate::model::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
+pub use crate::nlls::Silent;
 pub use crate::term::{RegistrationTerm, TERMS, TermFactory, TermInput};

@@ -10,7 +10,7 @@ use crate::correspondence::ScanSurface;
 #[cfg(doc)]
 use crate::energy::Deformation;
 use crate::mesh::{Pose, Vec3};
-use crate::nlls::NormalEquations;
+use crate::nlls::{NormalEquations, Silent};
 
 /// What happened in one step, as an observer sees it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -69,6 +69,12 @@ pub trait RegistrationObserver {
 impl<F: FnMut(&StepRecord) -> ControlFlow<()>> RegistrationObserver for F {
     fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
         self(record)
+    }
+}
+
+impl RegistrationObserver for Silent {
+    fn on_step(&mut self, _: &StepRecord) -> ControlFlow<()> {
+        ControlFlow::Continue(())
     }
 }
 

@@ -1,13 +1,12 @@
 //! A whole registration: five thousand vertices, forty shapes, the hybrid model with its default schedule.
 
 use std::error::Error;
-use std::ops::ControlFlow;
 
 use super::Check;
 use super::face::Face;
 use crate::evaluation::TruthErrors;
 use crate::mesh::Vec3;
-use crate::registration::{ModelKind, RegistrationError, RegistrationInput, StepRecord, register};
+use crate::registration::{ModelKind, RegistrationError, RegistrationInput, Silent, register};
 
 /// Each step chooses closest points anew, and what differs in the last digit may choose another one: of some ten thousands of
 /// choices, one would have to lie within some 1e-13 mm of where it turns. `tests/registration/self_test.rs` moves every
@@ -46,7 +45,7 @@ fn registered(face: &Face) -> Result<Vec<Vec3>, RegistrationError> {
         ..RegistrationInput::new(&face.template, &face.scan)
     };
     let model = ModelKind::Hybrid;
-    let result = register(&input, &model, &model.schedule()?, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
+    let result = register(&input, &model, &model.schedule()?, &mut Silent)?;
     Ok(result.positions)
 }
 

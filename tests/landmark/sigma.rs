@@ -1,6 +1,5 @@
 //! The standard deviation of landmarks: how files state it, and what it does to start and result.
 
-use std::ops::ControlFlow::Continue;
 use std::path::Path;
 
 use crate::support::farthest;
@@ -9,8 +8,8 @@ use nonrigid::landmark::{Landmark, TemplatePoint, parse_landmarks};
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    Doubt, ModelKind, RegistrationError, RegistrationInput, RegistrationResult, Schedule, StepRecord, assess,
-    find_start, register,
+    Doubt, ModelKind, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Silent, assess, find_start,
+    register,
 };
 
 const SIDE: usize = 9;
@@ -57,7 +56,7 @@ fn schedule(start: &str, weight: f64) -> Schedule {
 fn fit(mesh: &PolygonMesh, landmarks: &[Landmark], schedule: &Schedule) -> RegistrationResult {
     let scan = scan(mesh);
     let input = RegistrationInput { landmarks, ..RegistrationInput::new(mesh, &scan) };
-    register(&input, &ModelKind::Free, schedule, &mut |_: &StepRecord| Continue(())).unwrap()
+    register(&input, &ModelKind::Free, schedule, &mut Silent).unwrap()
 }
 
 /// The sheet where its landmarks are.

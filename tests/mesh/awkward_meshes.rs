@@ -1,6 +1,5 @@
 //! Every reader, computation and model on awkward meshes: a correct result, or an error that says what is wrong.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
 use crate::awkward::{awkward, extent, plain};
@@ -16,7 +15,7 @@ use nonrigid::mesh::normals::{NormalWeighting, face_normals, vertex_areas, verte
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
 use nonrigid::model::NodeGraph;
 use nonrigid::registration::{
-    ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, StepRecord, register,
+    ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, Silent, register,
 };
 use nonrigid::render::{ColourScale, View, error_sheet, registration_sheet};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape, ShapeBasis};
@@ -294,7 +293,7 @@ fn landmarks(mesh: &PolygonMesh, truth: &[Vec3]) -> Vec<Landmark> {
 
 fn run(input: &RegistrationInput<'_>, model: ModelKind) -> Result<RegistrationResult, RegistrationError> {
     let schedule = model.schedule().unwrap();
-    register(input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+    register(input, &model, &schedule, &mut Silent)
 }
 
 /// What a registration of these says instead of a result, always or where a start in place leaves it nothing to do: where every

@@ -1,12 +1,10 @@
 //! What a result says of itself.
 
-use std::ops::ControlFlow;
-
 use crate::start::{basis, expressions};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::TriangleMesh;
-use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, StepRecord, assess, register};
+use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, Silent, assess, register};
 use nonrigid::rig::{Family, ShapeBasis};
 
 /// Models of shapes alone make nothing beyond them: what the shapes lack is what they leave of the scan.
@@ -24,7 +22,7 @@ fn a_subject_that_the_shapes_do_not_know_is_doubted_whatever_the_model() {
             let input =
                 RegistrationInput { shapes, landmarks: &landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
             let schedule = model.schedule().unwrap();
-            let result = register(&input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
+            let result = register(&input, &model, &schedule, &mut Silent).unwrap();
             assess(&input, &result).unwrap().1
         };
         let (known, unknown) = (said(&all), said(&expressions));
@@ -59,7 +57,7 @@ fn what_is_hardly_shown_or_mostly_contradicted_is_doubted() {
         let input = RegistrationInput { landmarks: &landmarks, mask, ..RegistrationInput::new(&rig.mesh, scan) };
         let model = ModelKind::Graph;
         let schedule = model.schedule().unwrap();
-        let result = register(&input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
+        let result = register(&input, &model, &schedule, &mut Silent).unwrap();
         assess(&input, &result).unwrap().1.doubts.iter().map(|doubt| doubt.name()).collect()
     };
     assert!(!doubts(&case.scan, None).iter().any(|doubt| ["little_seen", "contradicted"].contains(doubt)));

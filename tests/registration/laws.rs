@@ -20,8 +20,8 @@ use nonrigid::model::{
 use nonrigid::nlls::{Kernel, Minimizer, Options, Problem};
 use nonrigid::registration::{
     Level, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver,
-    RegistrationResult, RegistrationStop, Schedule, ScheduleError, Stage, StageModel, StepAlgorithm, StepRecord,
-    StopOptions, TERMS, register,
+    RegistrationResult, RegistrationStop, Schedule, ScheduleError, Silent, Stage, StageModel, StepAlgorithm,
+    StepRecord, StopOptions, TERMS, register,
 };
 use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
@@ -79,8 +79,7 @@ impl Task {
     }
 
     fn fit_by(&self, model: ModelKind, schedule: &Schedule) -> RegistrationResult {
-        register(&self.input(), &model, schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
-            .unwrap_or_else(|e| panic!("{model}: {e}"))
+        register(&self.input(), &model, schedule, &mut Silent).unwrap_or_else(|e| panic!("{model}: {e}"))
     }
 
     /// The scan and its landmarks in another place.
@@ -533,7 +532,7 @@ fn what_is_not_seen_goes_where_what_is_seen_beside_it_goes() {
         .collect();
     let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&template, &scan) };
     let fit = |schedule: &Schedule| {
-        let result = register(&input, &ModelKind::Hybrid, schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&input, &ModelKind::Hybrid, schedule, &mut Silent);
         let triangles = template.triangulate().triangles;
         TruthErrors::new(&result.unwrap().positions, &truth, &seen, &triangles).unwrap().0
     };
@@ -589,8 +588,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     let pouch: Vec<bool> = (0..truth.len()).map(|v| v < 48 * 17).collect();
     let fit = |schedule: &Schedule| {
         let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&polygons, &scan) };
-        let observer = &mut |_: &StepRecord| ControlFlow::Continue(());
-        let result = register(&input, &ModelKind::Hybrid, schedule, observer).unwrap();
+        let result = register(&input, &ModelKind::Hybrid, schedule, &mut Silent).unwrap();
         let errors = TruthErrors::new(&result.positions, &truth, &pouch, &template.triangles).unwrap().0;
         (result, errors)
     };
@@ -638,8 +636,7 @@ fn what_a_bend_brings_to_light_follows_the_scan() {
     let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&polygons, &scan) };
     let mut schedule = ModelKind::Hybrid.schedule().unwrap();
     let fit = |schedule: &Schedule| {
-        let observer = &mut |_: &StepRecord| ControlFlow::Continue(());
-        let result = register(&input, &ModelKind::Hybrid, schedule, observer).unwrap();
+        let result = register(&input, &ModelKind::Hybrid, schedule, &mut Silent).unwrap();
         let hidden = result.hidden.iter().filter(|hidden| **hidden).count();
         let accepted = result.hidden.iter().zip(&result.accepted).filter(|(hidden, found)| **hidden && **found).count();
         (hidden, accepted)
@@ -774,10 +771,7 @@ fn failures_name_the_level_of_their_stage() {
     let task = small_task();
     let level = Level::default().with_model("lambda_graph", 1.0);
     let blind = Level { distance_cap: 1e-9, ..level.clone() };
-    let run = |schedule: &Schedule| {
-        let none = &mut |_: &StepRecord| ControlFlow::Continue(());
-        register(&task.input(), &ModelKind::Sequential, schedule, none).unwrap_err()
-    };
+    let run = |schedule: &Schedule| register(&task.input(), &ModelKind::Sequential, schedule, &mut Silent).unwrap_err();
     let error = run(&sequential(graph_stage(vec![level.clone(), blind])));
     assert_eq!(error, RegistrationError::NoOverlap { level: "then.level 2".into(), cap: 1e-9 });
     assert!(error.to_string().starts_with("then.level 2: no vertex"), "{error}");
@@ -823,7 +817,7 @@ fn the_reference_linearisation_gives_the_same_registration_and_is_refused_where_
     for model in ModelKind::ALL {
         let mut schedule = model.schedule().unwrap();
         schedule.model.set("linearisation", "reference");
-        let result = register(&task.input(), &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&task.input(), &model, &schedule, &mut Silent);
         if !model.options(&nonrigid::energy::Options::new()).unwrap().keys().any(|key| key == "linearisation") {
             let error = result.unwrap_err().to_string();
             assert!(error.contains("model: unknown field `linearisation`"), "{model}: {error}");
@@ -840,7 +834,6 @@ fn the_reference_linearisation_gives_the_same_registration_and_is_refused_where_
 #[test]
 fn a_schedule_chooses_the_rotations_parameters_where_there_are_rotations() {
     let task = small_task();
-    let none = &mut |_: &StepRecord| ControlFlow::Continue(());
     for model in [ModelKind::Hybrid, ModelKind::Graph] {
         let mut schedule = model.schedule().unwrap();
         let expected = task.fit_by(model, &schedule).positions;
@@ -865,7 +858,7 @@ fn a_schedule_chooses_the_rotations_parameters_where_there_are_rotations() {
     // Sumner's nodes are always affine.
     staged.then.as_mut().unwrap().model =
         StageModel { name: ModelKind::Sumner, options: nonrigid::energy::Options::new().with("rotation", "matrix") };
-    let error = register(&task.input(), &ModelKind::Graph, &staged, none).unwrap_err().to_string();
+    let error = register(&task.input(), &ModelKind::Graph, &staged, &mut Silent).unwrap_err().to_string();
     assert!(error.contains("then.model: unknown field `rotation`"), "{error}");
 }
 

@@ -3,8 +3,6 @@
 //!
 //! The cases come from a fixed seed; `NONRIGID_CASES` says how many there are, 2000 without it.
 
-use std::ops::ControlFlow;
-
 use crate::awkward::{extent, sheet};
 use nonrigid::energy::Options;
 use nonrigid::landmark::{Landmark, TemplatePoint};
@@ -13,8 +11,8 @@ use nonrigid::model::GraphLevel;
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
     BoundsOptions, KernelScale, Level, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
-    RegistrationResult, ScanFlip, ScanOptions, Schedule, SigmaOptions, SolverOptions, Stage, StageModel, StartOptions,
-    StepAlgorithm, StepRecord, TERMS, WarmStartOptions, register,
+    RegistrationResult, ScanFlip, ScanOptions, Schedule, SigmaOptions, Silent, SolverOptions, Stage, StageModel,
+    StartOptions, StepAlgorithm, TERMS, WarmStartOptions, register,
 };
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::{LandmarkLevel, SeamOptions};
@@ -271,7 +269,7 @@ fn run(
     model: ModelKind,
     schedule: &Schedule,
 ) -> Result<RegistrationResult, RegistrationError> {
-    register(input, &model, schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+    register(input, &model, schedule, &mut Silent)
 }
 
 /// What every result has to be.

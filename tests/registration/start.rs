@@ -12,7 +12,8 @@ use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
     LandmarkStart, Level, ModelKind, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
-    RegistrationStop, ScanFacing, ScanFlip, Schedule, StartOptions, StartSearch, StepRecord, find_start, register,
+    RegistrationStop, ScanFacing, ScanFlip, Schedule, Silent, StartOptions, StartSearch, StepRecord, find_start,
+    register,
 };
 use nonrigid::rig::{Family, Population, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng, SeedableRng};
@@ -244,7 +245,7 @@ fn no_right_landmark_of_an_open_mouth_is_suspect() {
         });
         let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&rig.mesh, &scan) };
         let schedule = ModelKind::Rigid.schedule().unwrap();
-        let result = register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&input, &ModelKind::Rigid, &schedule, &mut Silent);
         let suspects = result.unwrap().start_landmarks.unwrap().suspects;
         assert_eq!(suspects.first().map(|s| s.name.clone()), name);
         assert!(suspects.len() <= 1, "{suspects:?}");
@@ -316,7 +317,7 @@ fn a_registration_turns_the_scan_over_with_landmarks_and_without_unless_told_not
             let mut schedule = ModelKind::Rigid.schedule().unwrap();
             schedule.scan.flip = flip;
             let input = RegistrationInput { landmarks: marks, ..RegistrationInput::new(&rig.mesh, scan) };
-            register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+            register(&input, &ModelKind::Rigid, &schedule, &mut Silent)
         };
         let right = fit(&case.scan, ScanFlip::Auto).unwrap();
         assert_eq!(right.scan_facing, ScanFacing::default());
@@ -382,7 +383,7 @@ fn register_by(
 ) -> Result<RegistrationResult, RegistrationError> {
     let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
     let schedule = ModelKind::Rigid.schedule().unwrap();
-    register(&input, &ModelKind::Rigid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))
+    register(&input, &ModelKind::Rigid, &schedule, &mut Silent)
 }
 
 /// Ends a run by its flag alone.
@@ -439,7 +440,7 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
 fn hybrid_by(rig: &FaceRig, shapes: &ShapeBasis, case: &ScanCase, landmarks: &[Landmark]) -> (f64, LandmarkStart) {
     let input = RegistrationInput { landmarks, shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
     let schedule = ModelKind::Hybrid.schedule().unwrap();
-    let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+    let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
     let result = result.unwrap();
     (error(case, &result.positions), result.start_landmarks.unwrap())
 }
@@ -510,8 +511,7 @@ fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
         [0.0, StartOptions::default().expression].map(|expression| {
             let mut schedule = ModelKind::Hybrid.schedule().unwrap();
             schedule.search.expression = expression;
-            let result =
-                register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+            let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
             let result = result.unwrap();
             (error(&case, &result.positions), result.start_expression)
         })
@@ -541,8 +541,7 @@ fn shut_mouths_of_real_scans_stay_shut() {
         let scan = read_scan(&scans.join(format!("{name}.ply"))).unwrap();
         let shapes = rig.select(ShapeSelection { identity_modes, ..ShapeSelection::default() }).unwrap();
         let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(rig.mesh().unwrap(), &scan.mesh) };
-        let found =
-            register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
+        let found = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap();
         assert_eq!(found.start_expression, None, "{name}");
     }
 }
@@ -559,7 +558,7 @@ fn a_real_face_lies_where_it_lies_with_any_number_of_modes() {
         let shapes = rig.select(ShapeSelection { identity_modes, ..ShapeSelection::default() }).unwrap();
         let input = RegistrationInput { shapes: &shapes, ..RegistrationInput::new(rig.mesh().unwrap(), &scan) };
         let schedule = ModelKind::Hybrid.schedule().unwrap();
-        register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap()
+        register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap()
     });
     let squares = some.positions.iter().zip(&many.positions).map(|(a, b)| (a - b).norm_squared());
     let apart = (squares.sum::<f64>() / some.positions.len() as f64).sqrt();
@@ -610,7 +609,7 @@ fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
             schedule.closed.as_mut().unwrap().bend.clear();
         }
         let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&template, &scan) };
-        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
         let result = result.unwrap();
         let square: f64 = result.positions.iter().zip(&truth).map(|(a, b)| (a - b).norm_squared()).sum();
         let suspects: Vec<String> =
@@ -645,7 +644,7 @@ fn the_best_way_of_bending_is_kept_whatever_comes_before_and_after_it() {
     let run = |ways: &[&Level]| {
         let mut schedule = default.clone();
         schedule.closed.as_mut().unwrap().bend = [&lead].into_iter().chain(ways.iter().copied()).cloned().collect();
-        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
         let result = result.unwrap();
         (result.start_bent, result.history, result.positions)
     };
@@ -671,7 +670,7 @@ fn a_rejected_trial_leaves_nothing_behind() {
             let mut schedule = ModelKind::Hybrid.schedule().unwrap();
             schedule.search.expression = expression;
             schedule.levels.truncate(levels);
-            register(&input, &ModelKind::Hybrid, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap()
+            register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap()
         });
         assert_eq!(with.start_expression, None, "{levels} levels");
         assert_eq!((&without.positions, &without.history), (&with.positions, &with.history), "{levels} levels");
