@@ -3,7 +3,7 @@
 use std::any::{Any, TypeId};
 
 use super::block::Block;
-use super::family::{AnyFamily, GRAIN, Setting};
+use super::family::{AnyFamily, Common, GRAIN};
 use super::{AnalyticResidual, BlockId};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{Kernel, RobustKernel};
@@ -11,9 +11,7 @@ use crate::nlls::{Kernel, RobustKernel};
 /// Residuals with Jacobians of their own that share a kernel and a weight: see [`AnalyticResidual`].
 pub struct AnalyticFamily<F, const K: usize> {
     residuals: Vec<F>,
-    blocks: Vec<BlockId>,
-    block_lists: usize,
-    setting: Setting,
+    common: Common,
     slots: Vec<Slot>,
 }
 
@@ -34,31 +32,25 @@ impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
     #[must_use]
     pub fn new(residuals: Vec<F>, blocks: &[[BlockId; K]]) -> Self {
         const { assert!(K > 0, "a residual reads one block at least") };
-        Self {
-            residuals,
-            blocks: blocks.as_flattened().to_vec(),
-            block_lists: blocks.len(),
-            setting: Setting::default(),
-            slots: Vec::new(),
-        }
+        Self { residuals, common: Common::new(blocks), slots: Vec::new() }
     }
 
     /// The same residuals under one of the [`Kernel`]s. Default: plain squares.
     #[must_use]
     pub fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { setting: self.setting.with_kernel(kernel), ..self }
+        Self { common: self.common.with_kernel(kernel), ..self }
     }
 
     /// The same residuals under a kernel of your own.
     #[must_use]
     pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { setting: self.setting.with_robust_kernel(kernel), ..self }
+        Self { common: self.common.with_robust_kernel(kernel), ..self }
     }
 
     /// The same residuals with the weight alpha >= 0. Default 1.
     #[must_use]
     pub fn with_weight(self, alpha: f64) -> Self {
-        Self { setting: Setting { weight: alpha, ..self.setting }, ..self }
+        Self { common: Common { weight: alpha, ..self.common }, ..self }
     }
 
     /// Calls `work` for every residual with its points, in parallel, and adds up the energies that it leaves.
@@ -66,12 +58,12 @@ impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
         &mut self,
         x: &[f64],
         ambient: &[std::ops::Range<usize>],
-        work: impl Fn(&F, [&[f64]; K], &Setting, &mut Slot) + Sync,
+        work: impl Fn(&F, [&[f64]; K], &Common, &mut Slot) + Sync,
     ) -> f64 {
-        let Self { residuals, blocks, setting, slots, .. } = self;
-        let ids = blocks.as_chunks::<K>().0;
+        let Self { residuals, common, slots } = self;
+        let ids = common.blocks.as_chunks::<K>().0;
         for_each(slots, GRAIN, &|m, slot: &mut Slot| {
-            work(&residuals[m], ids[m].map(|id| &x[ambient[id.0].clone()]), setting, slot);
+            work(&residuals[m], ids[m].map(|id| &x[ambient[id.0].clone()]), common, slot);
         });
         slots.iter().map(|slot| slot.energy).sum()
     }
@@ -86,28 +78,20 @@ impl<F: AnalyticResidual<K>, const K: usize> AnyFamily for AnalyticFamily<F, K> 
         self.residuals.len()
     }
 
-    fn block_lists(&self) -> usize {
-        self.block_lists
+    fn common(&self) -> &Common {
+        &self.common
     }
 
-    fn blocks(&self) -> &[BlockId] {
-        &self.blocks
+    fn common_mut(&mut self) -> &mut Common {
+        &mut self.common
     }
 
     /// Those of the first residual's blocks: all others must be like these.
     fn manifolds(&self, blocks: &[Block]) -> Vec<(TypeId, &'static str, usize)> {
         let missing = (TypeId::of::<()>(), "missing", 0);
         let of = |id: &BlockId| blocks.get(id.0).map_or(missing, |b| (b.manifold, b.name, b.tangent));
-        let first = self.blocks.first_chunk::<K>();
+        let first = self.common.blocks.first_chunk::<K>();
         first.map_or_else(|| vec![missing; K], |ids| ids.iter().map(of).collect())
-    }
-
-    fn setting(&self) -> &Setting {
-        &self.setting
-    }
-
-    fn setting_mut(&mut self) -> &mut Setting {
-        &mut self.setting
     }
 
     fn prepare(&mut self, width: usize) {
@@ -119,17 +103,17 @@ impl<F: AnalyticResidual<K>, const K: usize> AnyFamily for AnalyticFamily<F, K> 
     }
 
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        self.each(x, ambient, |residual, points, setting, slot| {
+        self.each(x, ambient, |residual, points, common, slot| {
             residual.evaluate(points, &mut slot.trial, None);
-            [slot.energy, _] = setting.judge(&slot.trial);
+            [slot.energy, _] = common.judge(&slot.trial);
         })
     }
 
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        self.each(x, ambient, |residual, points, setting, slot| {
+        self.each(x, ambient, |residual, points, common, slot| {
             slot.jacobian.fill(0.0);
             residual.evaluate(points, &mut slot.residual, Some(&mut slot.jacobian));
-            [slot.energy, slot.weight] = setting.judge(&slot.residual);
+            [slot.energy, slot.weight] = common.judge(&slot.residual);
         })
     }
 

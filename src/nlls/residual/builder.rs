@@ -171,7 +171,7 @@ impl ResidualProblemBuilder {
         let sparse: usize = sizes.iter().sum();
         let mut pairs = Vec::new();
         for family in &families {
-            for ids in family.blocks().chunks_exact(family.block_count()) {
+            for ids in family.common().blocks.chunks_exact(family.block_count()) {
                 let indices = ids.iter().map(|id| &blocks[id.0]).filter(|b| b.place == Place::Sparse).map(|b| b.index);
                 let indices: Vec<usize> = indices.collect();
                 pairs.extend(indices.iter().flat_map(|&i| indices.iter().map(move |&j| (i, j))));
@@ -254,16 +254,16 @@ fn border_bounds(blocks: &[Block]) -> Option<[Vec<f64>; 2]> {
 }
 
 fn check_family(f: usize, family: &dyn AnyFamily, blocks: &[Block]) -> Result<(), ProblemError> {
-    let (residuals, block_lists) = (family.residual_count(), family.block_lists());
+    let (residuals, block_lists) = (family.residual_count(), family.common().block_lists);
     if residuals != block_lists {
         return Err(ProblemError::LengthMismatch { family: f, residuals, block_lists });
     }
-    let alpha = family.setting().weight;
+    let alpha = family.common().weight;
     OptionError::require(alpha >= 0.0 && alpha.is_finite(), "weight", alpha, "finite and not negative")
-        .and(family.setting().kernel_error.clone().map_or(Ok(()), Err))
+        .and(family.common().kernel_error.clone().map_or(Ok(()), Err))
         .map_err(|source| ProblemError::Setting { family: f, source })?;
     let manifolds = family.manifolds(blocks);
-    for (m, ids) in family.blocks().chunks_exact(family.block_count()).enumerate() {
+    for (m, ids) in family.common().blocks.chunks_exact(family.block_count()).enumerate() {
         for (place, (id, &(manifold, expected, _))) in ids.iter().zip(&manifolds).enumerate() {
             let Some(block) = blocks.get(id.0) else {
                 return Err(ProblemError::BlockOutOfRange {
@@ -301,7 +301,7 @@ fn gather(blocks: &[Block], families: &[Box<dyn AnyFamily>], s: &BlockStructure,
     let mut lists: Vec<Vec<Contribution>> = vec![Vec::new(); rows];
     let mut targets = Vec::new();
     for (f, family) in families.iter().enumerate() {
-        for (m, ids) in family.blocks().chunks_exact(family.block_count()).enumerate() {
+        for (m, ids) in family.common().blocks.chunks_exact(family.block_count()).enumerate() {
             for (a, id) in ids.iter().enumerate() {
                 let row = &blocks[id.0];
                 if row.place != part {

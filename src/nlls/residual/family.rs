@@ -16,9 +16,7 @@ where
     F: Residual<R, T>,
 {
     residuals: Vec<F>,
-    blocks: Vec<BlockId>,
-    block_lists: usize,
-    setting: Setting,
+    common: Common,
     slots: Vec<Slot<R, T>>,
     tangents: PhantomData<[(); T]>,
 }
@@ -40,49 +38,50 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
     #[must_use]
     pub fn new(residuals: Vec<F>, blocks: &[<F::Blocks as BlockList>::Ids]) -> Self {
         const { Self::WIDTH };
-        Self {
-            residuals,
-            blocks: blocks.iter().flat_map(|ids| ids.as_ref().iter().copied()).collect(),
-            block_lists: blocks.len(),
-            setting: Setting::default(),
-            slots: Vec::new(),
-            tangents: PhantomData,
-        }
+        Self { residuals, common: Common::new(blocks), slots: Vec::new(), tangents: PhantomData }
     }
 
     /// The same residuals under one of the [`Kernel`]s. Default: plain squares.
     #[must_use]
     pub fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { setting: self.setting.with_kernel(kernel), ..self }
+        Self { common: self.common.with_kernel(kernel), ..self }
     }
 
     /// The same residuals under a kernel of your own.
     #[must_use]
     pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { setting: self.setting.with_robust_kernel(kernel), ..self }
+        Self { common: self.common.with_robust_kernel(kernel), ..self }
     }
 
     /// The same residuals with the weight alpha >= 0. Default 1.
     #[must_use]
     pub fn with_weight(self, alpha: f64) -> Self {
-        Self { setting: Setting { weight: alpha, ..self.setting }, ..self }
+        Self { common: Common { weight: alpha, ..self.common }, ..self }
     }
 }
 
-/// Kernel and weight of a family.
-pub(super) struct Setting {
+/// What a family is besides its residuals: the blocks that they read, kernel and weight.
+pub(super) struct Common {
+    pub blocks: Vec<BlockId>,
+    /// For how many residuals there are blocks.
+    pub block_lists: usize,
     pub kernel: Box<dyn RobustKernel>,
     pub kernel_error: Option<OptionError>,
     pub weight: f64,
 }
 
-impl Default for Setting {
-    fn default() -> Self {
-        Self { kernel: Box::new(Kernel::None), kernel_error: None, weight: 1.0 }
+impl Common {
+    /// Plain squares of weight one.
+    pub(super) fn new(blocks: &[impl AsRef<[BlockId]>]) -> Self {
+        Self {
+            blocks: blocks.iter().flat_map(|ids| ids.as_ref().iter().copied()).collect(),
+            block_lists: blocks.len(),
+            kernel: Box::new(Kernel::None),
+            kernel_error: None,
+            weight: 1.0,
+        }
     }
-}
 
-impl Setting {
     pub(super) fn with_kernel(self, kernel: Kernel) -> Self {
         Self { kernel: Box::new(kernel), kernel_error: kernel.validate().err(), ..self }
     }
@@ -102,12 +101,10 @@ impl Setting {
 pub(super) trait AnyFamily: Send + Sync {
     fn block_count(&self) -> usize;
     fn residual_count(&self) -> usize;
-    fn block_lists(&self) -> usize;
-    fn blocks(&self) -> &[BlockId];
+    fn common(&self) -> &Common;
+    fn common_mut(&mut self) -> &mut Common;
     /// Type, name and tangent dimension of the blocks that its residuals read, in order; `blocks` are all of the problem.
     fn manifolds(&self, blocks: &[Block]) -> Vec<(TypeId, &'static str, usize)>;
-    fn setting(&self) -> &Setting;
-    fn setting_mut(&mut self) -> &mut Setting;
     /// Allocates the slots for Jacobians of `width` columns.
     fn prepare(&mut self, width: usize);
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64;
@@ -129,24 +126,16 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
         self.residuals.len()
     }
 
-    fn block_lists(&self) -> usize {
-        self.block_lists
+    fn common(&self) -> &Common {
+        &self.common
     }
 
-    fn blocks(&self) -> &[BlockId] {
-        &self.blocks
+    fn common_mut(&mut self) -> &mut Common {
+        &mut self.common
     }
 
     fn manifolds(&self, _blocks: &[Block]) -> Vec<(TypeId, &'static str, usize)> {
         F::Blocks::manifolds()
-    }
-
-    fn setting(&self) -> &Setting {
-        &self.setting
-    }
-
-    fn setting_mut(&mut self) -> &mut Setting {
-        &mut self.setting
     }
 
     fn prepare(&mut self, _width: usize) {
@@ -155,27 +144,27 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
     }
 
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        let Self { residuals, blocks, setting, slots, .. } = self;
+        let Self { residuals, common, slots, .. } = self;
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
-            let ids = &blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
+            let ids = &common.blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
             let points = F::Blocks::load(|k| &x[ambient[ids[k].0].clone()]);
-            [slot.energy, _] = setting.judge(&residuals[m].evaluate(&points));
+            [slot.energy, _] = common.judge(&residuals[m].evaluate(&points));
         });
         slots.iter().map(|slot| slot.energy).sum()
     }
 
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
-        let Self { residuals, blocks, setting, slots, .. } = self;
+        let Self { residuals, common, slots, .. } = self;
         let seeds: [DualSVec64<T>; T] = std::array::from_fn(|i| DualSVec64::from_re(0.0).derivative(i));
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
-            let ids = &blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
+            let ids = &common.blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
             let points = F::Blocks::plus(|k| &x[ambient[ids[k].0].clone()], &seeds);
             let dual = residuals[m].evaluate(&points);
             for (i, value) in dual.into_iter().enumerate() {
                 slot.residual[i] = value.re;
                 slot.jacobian[i] = value.eps.0.map_or([0.0; T], |eps| eps.data.0[0]);
             }
-            [slot.energy, slot.weight] = setting.judge(&slot.residual);
+            [slot.energy, slot.weight] = common.judge(&slot.residual);
         });
         slots.iter().map(|slot| slot.energy).sum()
     }

@@ -83,7 +83,7 @@ impl ResidualProblem {
     /// If it is negative or not finite.
     pub fn set_weight(&mut self, family: FamilyId, alpha: f64) -> Result<(), OptionError> {
         OptionError::require(alpha >= 0.0 && alpha.is_finite(), "weight", alpha, "finite and not negative")?;
-        self.families[family.0].setting_mut().weight = alpha;
+        self.families[family.0].common_mut().weight = alpha;
         Ok(())
     }
 
@@ -93,7 +93,7 @@ impl ResidualProblem {
     /// If its scale or exponent is out of bounds.
     pub fn set_kernel(&mut self, family: FamilyId, kernel: Kernel) -> Result<(), OptionError> {
         kernel.validate()?;
-        self.families[family.0].setting_mut().kernel = Box::new(kernel);
+        self.families[family.0].common_mut().kernel = Box::new(kernel);
         Ok(())
     }
 
@@ -112,7 +112,7 @@ impl ResidualProblem {
         let mut residuals = Vec::with_capacity(rows);
         for (family, layout) in self.families.iter().zip(&self.layouts) {
             let width = layout.width();
-            for (m, ids) in family.blocks().chunks_exact(family.block_count()).enumerate() {
+            for (m, ids) in family.common().blocks.chunks_exact(family.block_count()).enumerate() {
                 let (r, j, weight) = family.row(m);
                 let root = weight.sqrt();
                 for (r, row) in r.iter().zip(j.chunks_exact(width)) {
