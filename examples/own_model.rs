@@ -37,16 +37,12 @@ impl OptionTable for LatticeOptions {
 
 /// Softer from level to level; `lambda_smooth` weighs the second differences.
 const SCHEDULE: &str = r#"
-start = "rigid"
-reference_size = 67.0
-reference_vertices = 6706
 model = { cells = 20.0 }
 scan = { template_rim = 2.0 }
 
 [[level]]
 steps = 5
 distance_cap = 25.0
-normal_angle = 60.0
 kernel = { huber = { delta = 3.0 } }
 model = { lambda_smooth = 30.0 }
 terms.landmarks = { weight = 5.0 }
@@ -54,7 +50,6 @@ terms.landmarks = { weight = 5.0 }
 [[level]]
 steps = 5
 distance_cap = 12.0
-normal_angle = 60.0
 kernel = { huber = { delta = 2.0 } }
 model = { lambda_smooth = 0.7 }
 terms.landmarks = { weight = 2.4 }
@@ -62,7 +57,6 @@ terms.landmarks = { weight = 2.4 }
 [[level]]
 steps = 5
 distance_cap = 12.0
-normal_angle = 60.0
 kernel = { huber = { delta = 1.0 } }
 model = { lambda_smooth = 0.15 }
 terms.landmarks = { weight = 1.8 }
@@ -70,7 +64,6 @@ terms.landmarks = { weight = 1.8 }
 [[level]]
 steps = 15
 distance_cap = 8.0
-normal_angle = 60.0
 kernel = { huber = { delta = 0.4 } }
 model = { lambda_smooth = 0.03 }
 terms.landmarks = { weight = 1.0 }

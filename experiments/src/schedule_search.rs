@@ -115,9 +115,7 @@ pub fn schedule_text(model: ModelKind, at: &HashMap<&'static str, f64>) -> Strin
         "# Default schedule of the model '{model}', as `experiments dev search-schedules` found it: the same ladder, cases and\n\
          # budget for every model (experiments/src/schedule_search.rs).\n\
          #\n\
-         # Lengths are millimetres on a template of `reference_size` and scale with the template; weights are per vertex on a\n\
-         # template of `reference_vertices` and scale with theirs. Every key is described at `registration::Schedule`.\n\n\
-         start = \"rigid\"\nreference_size = 67.0\nreference_vertices = 6706\n\n"
+         # For a template of the default `reference_size` and `reference_vertices`. Every key is described at `registration::Schedule`.\n\n"
     );
     if matches!(model, ModelKind::Rigid | ModelKind::Similarity) {
         text += "# Steps are cheap without deformation, and a pose is wanted to the micrometre.\n[stop]\nenergy = 1e-4\nmotion = 0.001\n\n";
@@ -164,7 +162,7 @@ fn levels_text(table: &str, rungs: &[Rung], keys: &[&str], at: &HashMap<&'static
         let cap = rung.distance_cap.max(at["cap"]);
         let _ = write!(
             text,
-            "\n[[{table}]]\nsteps = {}\ndistance_cap = {cap:?}\nnormal_angle = 60.0\nkernel = {{ huber = {{ delta = {:?} }} }}\n",
+            "\n[[{table}]]\nsteps = {}\ndistance_cap = {cap:?}\nkernel = {{ huber = {{ delta = {:?} }} }}\n",
             rung.steps, rung.huber
         );
         if !model.is_empty() {

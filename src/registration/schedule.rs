@@ -37,9 +37,11 @@ pub struct Schedule {
     #[serde(default)]
     pub search: StartOptions,
     /// Root-mean-square distance of the template's vertices from their centroid that the lengths below are meant for,
-    /// millimetres.
+    /// millimetres; 67 by default, as of the face that the schedules of the crate are for.
+    #[serde(default = "reference_size")]
     pub reference_size: f64,
-    /// Number of template vertices that the weights below are meant for.
+    /// Number of template vertices that the weights below are meant for; 6706 by default, as of that face.
+    #[serde(default = "reference_vertices")]
     pub reference_vertices: f64,
     /// What the model is told, as its own documentation has it: `GraphOptions` and the like of [`model`](crate::model).
     #[serde(default)]
@@ -74,7 +76,7 @@ pub struct Schedule {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bend: Vec<Level>,
     /// The levels, stiff to soft.
-    #[serde(rename = "level")]
+    #[serde(rename = "level", default)]
     pub levels: Vec<Level>,
     /// What comes after the last level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -96,7 +98,7 @@ pub struct ClosedSubject {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bend: Vec<Level>,
     /// The levels, stiff to soft.
-    #[serde(rename = "level")]
+    #[serde(rename = "level", default)]
     pub levels: Vec<Level>,
 }
 
@@ -108,7 +110,7 @@ pub struct Stage {
     /// The model; one without blendshapes, for these have had their turn.
     pub model: StageModel,
     /// The levels, stiff to soft.
-    #[serde(rename = "level")]
+    #[serde(rename = "level", default)]
     pub levels: Vec<Level>,
     /// What comes after the last level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -123,6 +125,14 @@ pub struct StageModel {
     /// Its options.
     #[serde(flatten)]
     pub options: Options,
+}
+
+fn reference_size() -> f64 {
+    67.0
+}
+
+fn reference_vertices() -> f64 {
+    6706.0
 }
 
 /// Greatest count that a schedule may ask for.
@@ -384,6 +394,26 @@ mod tests {
         let last = text.rfind("steps = 3").unwrap();
         let error = Schedule::from_toml(&format!("{}steps = 0{}", &text[..last], &text[last + 9..])).unwrap_err();
         assert!(error.to_string().starts_with("closed: level 6: steps"), "{error}");
+    }
+
+    #[test]
+    fn what_has_a_default_may_be_left_out_and_what_has_none_is_asked_for() {
+        let lines = ["steps = 5\n", "distance_cap = 12.0\n", "kernel = \"none\"\n"];
+        let level = format!("[[level]]\n{}", lines.concat());
+        let schedule = Schedule::from_toml(&level).unwrap();
+        let stated = "start = \"rigid\"\nreference_size = 67.0\nreference_vertices = 6706\n";
+        assert_eq!(Schedule::from_toml(&format!("{stated}{level}normal_angle = 60.0\n")).unwrap(), schedule);
+        let written = toml::to_string(&schedule).unwrap();
+        assert!(written.contains("reference_size = 67.0\n") && written.contains("normal_angle = 60.0\n"), "{written}");
+        for line in lines {
+            let key = line.split(' ').next().unwrap();
+            let message = Schedule::from_toml(&level.replace(line, "")).unwrap_err().to_string();
+            assert!(message.contains(&format!("missing field `{key}`\nevery level ")), "{message}");
+            assert!(message.contains(&format!(": {key} = ")), "{message}");
+        }
+        let message = |text: &str| Schedule::from_toml(text).unwrap_err().to_string();
+        assert_eq!(message(""), "the schedule has no [[level]]");
+        assert!(message(&format!("{level}[then]\n")).ends_with("[then.model] name = \"graph\""));
     }
 
     #[test]

@@ -67,7 +67,8 @@ const ROWS: &[Row] = &[
     ("register", "--unit landmarks=m", LOADING, &["the landmarks span", "--unit landmarks="]),
     // the schedule
     ("register", "--config missing.toml", LOADING, &["missing.toml"]),
-    ("register", "--config empty.toml", LOADING, &["empty.toml", "reference_size"]),
+    ("register", "--config empty.toml", LOADING, &["empty.toml", "no [[level]]"]),
+    ("register", "--config no_cap.toml", LOADING, &["no_cap.toml", "missing field `distance_cap`", "distance_cap = 12.0"]),
     ("register", "--config garbage.toml", LOADING, &["garbage.toml"]),
     ("register", "--config unknown_key.toml", LOADING, &["unknown_key.toml", "stepps"]),
     ("register", "--config unknown_table.toml", LOADING, &["unknown_table.toml", "modle", "did you mean `model`?"]),

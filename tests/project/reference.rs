@@ -317,7 +317,7 @@ fn the_reference_of_schedules_is_that_of_the_code() {
 fn the_reference_of_default_schedules_shows_every_model() {
     let mut page = format!(
         "{NOTE}# Default schedules\n\nWhat a model does without `--config`. Save one as a file, change what you must, and give it with \
-         `--config`. [Keys of a schedule](schedule.md) says what each key is.\n"
+         `--config`. [Keys of a schedule](schedule.md) says what each key is and what holds without it.\n"
     );
     for model in ModelKind::ALL {
         write!(page, "\n## {}\n\n```toml\n{}```\n", model.name(), model.default_schedule()).unwrap();

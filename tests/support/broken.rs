@@ -289,6 +289,7 @@ pub fn broken() -> Bench {
         ("no_steps", "steps = 2", "steps = 0"),
         ("huge_steps", "steps = 2", "steps = 1000001"),
         ("huge_influences", "nodes = 60", "influences = 9000000000000000000"),
+        ("no_cap", "distance_cap = 25.0\n", ""),
         ("nan_cap", "distance_cap = 25.0", "distance_cap = nan"),
         ("negative_sampling", "distance_cap = 25.0", "distance_cap = 25.0\nsampling = -1.0"),
         ("infinite_weight", "point_to_plane = { weight = 1.0 }", "point_to_plane = { weight = inf }"),

@@ -117,11 +117,25 @@ const FORMER_KEYS: [(&str, &str); 19] = [
     ("linearisation", "it is an option of the model now: [model] linearisation = \"reference\""),
 ];
 
+/// Keys that have no default, and what to write.
+const NEEDED_KEYS: [(&str, &str); 5] = [
+    ("steps", "every level says how many steps it takes at most: steps = 5"),
+    ("distance_cap", "every level says how long a correspondence may be, millimetres: distance_cap = 12.0"),
+    (
+        "kernel",
+        "every level has a robust kernel of the data terms: kernel = { huber = { delta = 1.0 } }, or kernel = \"none\"",
+    ),
+    ("model", "a later stage has a model: [then.model] name = \"graph\""),
+    ("name", "a later stage's model has a name: [then.model] name = \"graph\""),
+];
+
 /// What is wrong with a text, and what to write instead of an unknown key.
 pub(super) fn syntax_error(error: &toml::de::Error) -> ScheduleError {
     let mut message = error.to_string().trim_end().to_owned();
-    let unknown = error.message().strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
-    if let Some((_, advice)) = FORMER_KEYS.iter().find(|(former, _)| Some(*former) == unknown) {
+    let quoted = |start: &str| error.message().strip_prefix(start).and_then(|rest| rest.split('`').next());
+    let advice = |key: Option<&str>, of: &[(&str, &'static str)]| of.iter().find(|a| Some(a.0) == key).map(|a| a.1);
+    let former = advice(quoted("unknown field `"), &FORMER_KEYS);
+    if let Some(advice) = former.or(advice(quoted("missing field `"), &NEEDED_KEYS)) {
         message += &format!("\n{advice}");
     } else if error.message().contains("expected struct StageModel") {
         message += "\na later stage's model is a table: [then.model] name = \"graph\", and its options beside";

@@ -16,7 +16,8 @@ pub struct Level {
     pub steps: usize,
     /// Longest correspondence, millimetres.
     pub distance_cap: f64,
-    /// Largest angle between the normals of a correspondence, degrees.
+    /// Largest angle between the normals of a correspondence, degrees; 60 by default.
+    #[serde(default = "normal_angle")]
     pub normal_angle: f64,
     /// Whether the template's rim (`scan.template_rim`) stays out of the correspondences; true by default. Levels that begin near the
     /// scan gain by it.
@@ -44,6 +45,10 @@ pub struct Level {
     pub terms: BTreeMap<String, Options>,
 }
 
+fn normal_angle() -> f64 {
+    60.0
+}
+
 fn yes() -> bool {
     true
 }
@@ -54,7 +59,7 @@ impl Default for Level {
         Self {
             steps: 1,
             distance_cap: 5.0,
-            normal_angle: 60.0,
+            normal_angle: normal_angle(),
             reject_rim: true,
             thinned: false,
             sampling: 0.0,
