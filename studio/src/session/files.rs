@@ -11,7 +11,17 @@ use crate::vault::OpenCase;
 use crate::{plan, store, wrap};
 
 impl Window {
+    /// Files join the case. Joined or refused, they wait no longer; only for their unit they do.
     pub(super) fn add(&mut self, role: Role, files: &[Upload], unit: Option<Unit>) -> Result<(), Problem> {
+        let outcome = self.join(role, files, unit);
+        if !matches!(outcome, Ok(true)) {
+            self.hub.forget(files);
+        }
+        outcome.map(drop)
+    }
+
+    /// Whether they wait for their unit.
+    fn join(&mut self, role: Role, files: &[Upload], unit: Option<Unit>) -> Result<bool, Problem> {
         let hub = self.hub.clone();
         let (Some(first), true) = (files.first(), files.len() <= crate::vault::MOST_FILES) else {
             return Err(problem("choose between one file and two thousand"));
@@ -20,9 +30,9 @@ impl Window {
         let path = gathered.folder.join(&first.name);
         if role == Role::Case {
             let id = crate::archive::import(&hub.vault, &path)?;
-            hub.forget(files);
             self.list("")?;
-            return self.open_case(id);
+            self.open_case(id)?;
+            return Ok(false);
         }
         let id = self.case()?.id;
         let main = match role {
@@ -40,7 +50,7 @@ impl Window {
                     Ok(unit) => unit,
                     Err((text, units)) => {
                         self.say(ServerMessage::UnitWanted { role, files: files.to_vec(), text, units });
-                        return Ok(());
+                        return Ok(true);
                     }
                 }
             }
@@ -137,8 +147,7 @@ impl Window {
             }
             Role::Case => {}
         }
-        hub.forget(files);
-        Ok(())
+        Ok(false)
     }
 
     pub(super) fn paint(&mut self, weights: Option<Vec<f32>>) -> Result<(), Problem> {

@@ -113,6 +113,7 @@ impl Hub {
         Ok(folder)
     }
 
+    /// Removes uploads that wait.
     fn forget(&self, files: &[Upload]) {
         lock(&self.uploads).retain(|(id, _)| !files.iter().any(|f| f.id == *id));
     }

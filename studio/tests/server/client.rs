@@ -100,6 +100,11 @@ impl Running {
         self.hub.vault.add_case(&case).unwrap()
     }
 
+    /// How many uploads the vault keeps that have joined no case.
+    pub fn waiting(&self) -> usize {
+        std::fs::read_dir(self.folder.path().join("incoming")).unwrap().count()
+    }
+
     pub fn upload(&self, name: &str, bytes: &[u8]) -> String {
         let origin = format!("{}Origin: http://{}\r\n", self.cookie(), self.host);
         let (status, _, body) = self.http("POST", &format!("/upload?name={name}"), &origin, bytes);

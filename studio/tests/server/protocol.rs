@@ -147,6 +147,8 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
     page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": null }));
     let wanted = page.wait("unit_wanted");
     assert!(wanted["units"].as_array().unwrap().len() >= 2, "{wanted}");
+    page.wait("idle");
+    assert_eq!(server.waiting(), 1);
     page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": "mm" }));
     assert_eq!(page.wait("case")["case"]["scans"][0]["unit"], "mm");
     for (name, bytes) in [
@@ -163,6 +165,7 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
         let text = page
             .refused(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": name }], "unit": "mm" }));
         assert!(text.contains(name) && !text.contains("incoming"), "{name}: {text}");
+        assert_eq!(server.waiting(), 0, "{name} is refused and stays");
     }
 }
 
