@@ -267,7 +267,7 @@ async fn receive(hub: &Arc<Hub>, name: &str, body: Body) -> Result<String, Probl
         file.write_all(&chunk).await?;
     }
     file.flush().await?;
-    hub.keep_upload(incoming)
+    Ok(hub.keep_upload(incoming))
 }
 
 async fn socket(State(gate): State<Arc<Gate>>, upgrade: WebSocketUpgrade) -> Response {

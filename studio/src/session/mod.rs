@@ -60,8 +60,8 @@ pub enum Outgoing {
 /// The way to the page. A page that reads too slowly holds its own window up, nobody else.
 pub type ToPage = tokio::sync::mpsc::Sender<Outgoing>;
 
-/// Most files that wait to join a case.
-const MOST_UPLOADS: usize = 4000;
+/// Most files that wait to join a case; beyond, the one that has waited longest goes.
+pub const MOST_UPLOADS: usize = 4000;
 
 impl Hub {
     /// A hub of this vault.
@@ -84,17 +84,14 @@ impl Hub {
     }
 
     /// Keeps a file until it joins a case: what it is called here.
-    ///
-    /// # Errors
-    /// When too many wait.
-    pub fn keep_upload(&self, incoming: Incoming) -> Result<String, Problem> {
+    pub fn keep_upload(&self, incoming: Incoming) -> String {
         let name = incoming.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mut uploads = lock(&self.uploads);
         if uploads.len() >= MOST_UPLOADS {
-            return Err(problem("too many files wait to be added; reload the page"));
+            uploads.remove(0);
         }
         uploads.push((name.clone(), incoming));
-        Ok(name)
+        name
     }
 
     /// The files of these uploads in one folder, under their own names. They go on waiting until [`forget`](Self::forget).

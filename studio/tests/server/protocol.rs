@@ -1,6 +1,7 @@
 //! What messages come to, friendly and hostile.
 
 use serde_json::{Value, json};
+use studio::session::MOST_UPLOADS;
 
 use crate::client::{Running, no_file, scaled_sheet, sheet};
 
@@ -167,6 +168,25 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
         assert!(text.contains(name) && !text.contains("incoming"), "{name}: {text}");
         assert_eq!(server.waiting(), 0, "{name} is refused and stays");
     }
+}
+
+#[test]
+fn uploads_that_nobody_uses_make_room_for_new_ones() {
+    let server = Running::start();
+    let mut page = server.page();
+    page.send(&json!({ "type": "new_case", "name": "A" }));
+    page.wait("case");
+    let add =
+        |id: &str| json!({ "type": "add", "role": "photo", "files": [{ "id": id, "name": "a.png" }], "unit": null });
+    let first = server.upload("a.png", b"first");
+    for _ in 0..MOST_UPLOADS - 1 {
+        server.hub.keep_upload(server.hub.vault.incoming().unwrap());
+    }
+    let last = server.upload("a.png", b"last");
+    assert_eq!(server.waiting(), MOST_UPLOADS);
+    assert!(page.refused(&add(&first)).contains("add it again"));
+    page.send(&add(&last));
+    assert_eq!(page.wait("case")["case"]["photos"][0]["name"], "a.png");
 }
 
 #[test]
