@@ -1,6 +1,7 @@
 //! A client's case: what a person has made of one face. Everything in it is the user's; each change is an [`Edit`], applied to the
 //! document and nothing else, so that undo, several windows and a crash are matters of the vault alone.
 
+use nonrigid::io::LengthUnit;
 use nonrigid::registration::{ModelFactory as _, ModelKind};
 use nonrigid::rig::IDENTITY_MODES;
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,18 @@ impl Unit {
             Self::Cm => "cm",
             Self::M => "m",
             Self::In => "in",
+        }
+    }
+
+    /// For the library.
+    #[must_use]
+    pub fn length(self) -> LengthUnit {
+        match self {
+            Self::Um => LengthUnit::Micrometre,
+            Self::Mm => LengthUnit::Millimetre,
+            Self::Cm => LengthUnit::Centimetre,
+            Self::M => LengthUnit::Metre,
+            Self::In => LengthUnit::Inch,
         }
     }
 }
@@ -133,11 +146,12 @@ pub struct Wrapped {
 }
 
 impl Wrapped {
-    /// Whether it was wrapped onto this scan, by its file and not by its name: many scans are called `scan.ply`.
+    /// Whether it was wrapped onto this scan in its unit, by its file and not by its name: many scans are called `scan.ply`.
     #[must_use]
     pub fn is_of(&self, scan: &Source) -> bool {
         let target = format!("asset:{}/{}", scan.at.asset, scan.at.file);
-        self.command.contains(&target)
+        let unit = format!("target={}", scan.unit.name());
+        self.command.contains(&target) && self.command.iter().any(|word| word.split(',').any(|part| part == unit))
     }
 }
 
@@ -488,7 +502,13 @@ impl Case {
                     Which::Rig => self.rig.as_mut(),
                     Which::Scan => scan.and_then(|k| self.scans.get_mut(k as usize)),
                 };
-                source.ok_or_else(|| gone("file"))?.unit = *unit;
+                let before = std::mem::replace(&mut source.ok_or_else(|| gone("file"))?.unit, *unit);
+                if *which == Which::Scan {
+                    // what lay on the scan lies on it still
+                    let times = unit.length().millimetres() / before.length().millimetres();
+                    let places = self.wrap.pairs.iter_mut().filter_map(|pair| pair.target.as_mut());
+                    places.flatten().for_each(|x| *x *= times);
+                }
             }
             Edit::UseScan { index } => {
                 self.scans.get(*index as usize).ok_or_else(|| gone("scan"))?;
@@ -607,4 +627,27 @@ fn check_pair(pair: &Pair) -> Result<(), Problem> {
         return Err(problem(format!("landmark {:?} is nowhere: its coordinates are not finite", pair.name)));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, from_value, json};
+
+    use super::*;
+
+    #[test]
+    fn a_result_is_one_of_its_scan_in_its_unit() {
+        let at = |asset: &str| json!({ "asset": asset, "file": "scan.ply" });
+        let command = ["register", "--target", "asset:a/scan.ply", "--unit", "template=cm,target=mm"];
+        let summary =
+            json!({ "within": 1, "median": 0, "p95": 0, "flipped": 0, "probability": 0, "steps": 1, "doubts": [] });
+        let wrapped: Wrapped = from_value(json!({
+            "mesh": at("b"), "state": at("b"), "report": at("b"), "command": command, "model": "rigid", "scan": "scan.ply",
+            "summary": summary,
+        }))
+        .unwrap();
+        let scan = |at: Value, unit: &str| from_value(json!({ "at": at, "name": "scan.ply", "unit": unit })).unwrap();
+        assert!(wrapped.is_of(&scan(at("a"), "mm")));
+        assert!(!wrapped.is_of(&scan(at("c"), "mm")) && !wrapped.is_of(&scan(at("a"), "cm")));
+    }
 }

@@ -91,18 +91,6 @@ impl<K: Clone + Eq + Hash, V> Shelf<K, V> {
     }
 }
 
-/// The unit for the library.
-#[must_use]
-pub fn length_unit(unit: Unit) -> LengthUnit {
-    match unit {
-        Unit::Um => LengthUnit::Micrometre,
-        Unit::Mm => LengthUnit::Millimetre,
-        Unit::Cm => LengthUnit::Centimetre,
-        Unit::M => LengthUnit::Metre,
-        Unit::In => LengthUnit::Inch,
-    }
-}
-
 fn unit_of(unit: LengthUnit) -> Unit {
     match unit {
         LengthUnit::Micrometre => Unit::Um,
@@ -115,7 +103,7 @@ fn unit_of(unit: LengthUnit) -> Unit {
 
 /// What the lengths of a file, as read, are multiplied by: readers have brought formats that state a unit to millimetres by it.
 fn factor(path: &Path, unit: Unit) -> f64 {
-    length_unit(unit).millimetres() / LengthUnit::of_format(path).map_or(1.0, LengthUnit::millimetres)
+    unit.length().millimetres() / LengthUnit::of_format(path).map_or(1.0, LengthUnit::millimetres)
 }
 
 /// The unit of points in a file, or the units that it may be in.

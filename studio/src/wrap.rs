@@ -419,7 +419,7 @@ fn read_pairs(
 /// When it cannot be read.
 pub fn scan_places(path: &Path, unit: Unit, scan: &LoadedScan) -> Result<Vec<(String, [f64; 3])>, Problem> {
     let mut set = nonrigid::landmark::read_scan_landmark_set(path)?;
-    set.assume(crate::store::length_unit(unit));
+    set.assume(unit.length());
     let mesh = PolygonMesh::from(scan.scan.mesh.clone());
     let points = set.positions_on(path, &mesh)?;
     Ok(set.landmarks.iter().zip(points).map(|(l, p)| (l.name.clone(), p.into())).collect())

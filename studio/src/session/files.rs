@@ -97,7 +97,7 @@ impl Window {
                 let source = case.template.as_ref().ok_or_else(|| problem("add the template before its landmarks"))?;
                 let mesh = hub.store.mesh(&hub.vault, source)?;
                 let mut set = nonrigid::landmark::read_landmark_set(&at_file)?;
-                set.assume(store::length_unit(source.unit));
+                set.assume(source.unit.length());
                 let points = set.on_template(&at_file, &mesh).map_err(|e| without_folder(&e.into(), &gathered))?;
                 self.change(&format!("{} landmarks of {main}", points.len()), |case| {
                     for (name, point) in points {

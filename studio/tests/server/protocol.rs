@@ -85,6 +85,30 @@ fn malformed_messages_are_answered_and_end_nothing() {
 }
 
 #[test]
+fn landmarks_stay_on_a_scan_whose_unit_is_corrected() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    page.send(&json!({ "type": "place", "name": "nose", "side": "scan", "point": [51.0, 70.0, 5.0] }));
+    let place = |case: &Value| -> Vec<f64> {
+        serde_json::from_value(case["case"]["wrap"]["pairs"][0]["target"].clone()).unwrap()
+    };
+    let placed = page.wait("case");
+    page.send(&json!({ "type": "edit", "edit": { "edit": "set_unit", "which": "scan", "unit": "cm" } }));
+    let other = page.wait("case");
+    assert_eq!(place(&other), place(&placed).iter().map(|x| 10.0 * x).collect::<Vec<_>>());
+    // that of the template is no matter of places on the scan
+    page.send(&json!({ "type": "edit", "edit": { "edit": "set_unit", "which": "template", "unit": "cm" } }));
+    assert_eq!(place(&page.wait("case")), place(&other));
+    page.send(&json!({ "type": "undo" }));
+    page.wait("case");
+    page.send(&json!({ "type": "undo" }));
+    let back = page.wait("case");
+    assert_eq!((place(&back), &back["case"]["scans"][0]["unit"]), (place(&placed), &json!("mm")));
+}
+
+#[test]
 fn a_preview_keeps_nothing() {
     let server = Running::start();
     let id = server.add_sheet();

@@ -23,11 +23,13 @@ function pairs(): Pair[] {
   return settings()?.pairs ?? [];
 }
 
-/** Whether the template is wrapped onto the scan in work. */
+/** The result, if it is that of the scan in work, in its unit. */
 function result() {
   const open = app.open?.case;
-  const at = open && open.scan !== null ? open.scans[open.scan]?.at : undefined;
-  return at && open?.wrapped?.command.includes(`asset:${at.asset}/${at.file}`) ? open.wrapped : null;
+  const scan = open && open.scan !== null ? open.scans[open.scan] : undefined;
+  const command = open?.wrapped?.command ?? [];
+  const own = scan && command.includes(`asset:${scan.at.asset}/${scan.at.file}`) && command.some((word) => word.split(",").includes(`target=${scan.unit}`));
+  return own ? (open?.wrapped ?? null) : null;
 }
 
 /** What the scan says at each template vertex counts so much; none for 1. */
