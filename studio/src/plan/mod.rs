@@ -5,6 +5,7 @@
 
 mod drawn;
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use nonrigid::morph::{Recipe, preset_names, preset_text};
@@ -50,7 +51,7 @@ pub struct StepChange {
 pub struct StepView {
     /// Its name.
     pub name: String,
-    /// The ready operation that it is.
+    /// The ready operation that it is, whose slider moves it; of a second one like it, none.
     pub preset: Option<String>,
     /// What its displacements are multiplied by; of a ready operation, millimetres.
     pub amount: f64,
@@ -252,7 +253,19 @@ fn set_side(step: &mut Table, side: Side) {
     }
 }
 
-/// A plan with a ready operation: added, changed, or with 0 mm taken away.
+/// The step of a ready operation, with its name.
+fn preset_step(name: &str) -> Option<Table> {
+    let preset = parse(&preset_text(name)?).ok()?;
+    steps(&preset).first()?.as_table().cloned()
+}
+
+/// The ready operation that a step is: its masks tell it, the name may be anyone's.
+fn preset_of(step: &Value) -> Option<String> {
+    let name = step.get("name").and_then(Value::as_str)?;
+    (step.get("mask")? == preset_step(name)?.get("mask")?).then(|| name.to_owned())
+}
+
+/// A plan with a ready operation: added, changed, or with 0 mm taken away. Of steps that are this operation, the first is meant.
 ///
 /// # Errors
 /// When there is none of this name.
@@ -260,31 +273,24 @@ pub fn with_preset(text: &str, preset: &str, amount: f64, side: Side) -> Result<
     if !amount.is_finite() {
         return Err(problem(format!("{preset}: give millimetres")));
     }
-    let known = preset_text(preset).ok_or_else(|| {
+    let known = preset_step(preset).ok_or_else(|| {
         problem(format!("there is no ready operation {preset:?}; there are {}", preset_names().join(", ")))
     })?;
     edited(text, |table, steps| {
-        let at = steps.iter().position(|s| s.get("name").and_then(Value::as_str) == Some(preset));
+        let at = steps.iter().position(|step| preset_of(step).as_deref() == Some(preset));
         if amount == 0.0 {
-            steps.retain(|s| s.get("name").and_then(Value::as_str) != Some(preset));
+            at.map(|at| steps.remove(at));
             return Ok(());
         }
-        let at = match at {
-            Some(at) => at,
-            None => {
-                let own = parse(&known)?;
-                for step in self::steps(&own) {
-                    let mut step = step.as_table().cloned().unwrap_or_default();
-                    into_frame(table, steps.is_empty(), &mut step);
-                    steps.push(Value::Table(step));
-                }
-                steps.len() - 1
-            }
-        };
-        if let Some(step) = steps[at].as_table_mut() {
-            step.insert("amount".to_owned(), amount.into());
-            set_side(step, side);
-        }
+        let at = at.unwrap_or_else(|| {
+            let mut step = known;
+            into_frame(table, steps.is_empty(), &mut step);
+            steps.push(Value::Table(step));
+            steps.len() - 1
+        });
+        let step = step_at(steps, at)?;
+        step.insert("amount".to_owned(), amount.into());
+        set_side(step, side);
         Ok(())
     })
 }
@@ -398,7 +404,9 @@ pub fn without(text: &str, index: usize) -> Result<String, Problem> {
 pub fn view(text: &str) -> Vec<StepView> {
     let Ok(table) = parse(text) else { return Vec::new() };
     let amount = table.get("amount").map_or(1.0, number);
+    let mut presets = HashSet::new();
     let of = |step: &Value| {
+        let preset = preset_of(step).filter(|name| presets.insert(name.clone()));
         let step = step.as_table()?;
         let masks = step.get("mask").and_then(Value::as_array);
         let mask = masks.and_then(|m| m.first()).and_then(Value::as_table).cloned().unwrap_or_default();
@@ -407,7 +415,7 @@ pub fn view(text: &str) -> Vec<StepView> {
         let displacement = mask.get("displacement").and_then(Value::as_array).filter(|d| d.len() == 3);
         let side = side_of(step);
         Some(StepView {
-            preset: Some(text("name")).filter(|name| preset_names().contains(&name.as_str())),
+            preset,
             name: text("name"),
             amount: amount * step.get("amount").map_or(1.0, number),
             side,
@@ -486,6 +494,28 @@ mod tests {
         let plan = with_preset(&plan, "thin-face", 0.0, Side::Both).unwrap();
         assert_eq!(plan, empty("A"));
         assert!(with_preset(&plan, "nose", 1.0, Side::Both).is_err());
+    }
+
+    #[test]
+    fn a_slider_moves_the_step_that_it_made_and_no_namesake() {
+        let own =
+            "[[step]]\nname = 'nose-bridge'\namount = 0.5\n[[step.mask]]\nparts = ['lips']\ndisplacement = [0, 0, 1]\n";
+        let slid = |text: &str, amount: f64| with_preset(text, "nose-bridge", amount, Side::Both).unwrap();
+        let seen = |text: &str| view(text).into_iter().map(|s| (s.preset.is_some(), s.amount)).collect::<Vec<_>>();
+        let plan = slid(own, 2.0);
+        assert_eq!(seen(&plan), [(false, 0.5), (true, 2.0)]);
+        let one_side = with_preset(&plan, "nose-bridge", 3.0, Side::Left).unwrap();
+        assert_eq!(seen(&one_side), [(false, 0.5), (true, 3.0)]);
+        assert_eq!(seen(&slid(&one_side, 0.0)), [(false, 0.5)]);
+        // the same operation twice, as in a recipe that was loaded: the second is none of the slider's
+        let single = slid(&empty("A"), 1.0);
+        let twice = edited(&single, |_, steps| {
+            steps.push(steps[0].clone());
+            Ok(())
+        });
+        let twice = twice.unwrap();
+        assert_eq!(seen(&slid(&twice, 2.0)), [(true, 2.0), (false, 1.0)]);
+        assert_eq!(seen(&slid(&twice, 0.0)), [(true, 1.0)]);
     }
 
     #[test]
