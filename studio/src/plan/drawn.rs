@@ -1,6 +1,6 @@
 //! What is drawn on a face, as tables of a recipe.
 
-use nonrigid::morph::MorphModel;
+use nonrigid::morph::{Blur, MorphModel};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use ts_rs::TS;
@@ -12,8 +12,6 @@ use crate::error::{Problem, problem};
 pub(super) const MOST_BLURS: usize = 2000;
 /// Pixels of a drawing to a millimetre.
 const PIXELS_PER_MM: f64 = 2.0;
-/// Pixels of a blur's kernel: 13, the paper's.
-const KERNEL: f64 = 13.0;
 
 /// A shape or a combination of shapes, as recipes write it. Lengths are millimetres of the face's frame, or pixels of a camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, TS)]
@@ -128,10 +126,11 @@ pub struct DrawnStep {
     pub pins: Vec<u32>,
 }
 
-/// Blurs that make a rim of this standard deviation at so many pixels to a millimetre.
-pub(super) fn blurs(soft: f64, pixels_per_mm: f64) -> i64 {
-    let once = (KERNEL * KERNEL - 1.0) / 12.0;
-    ((soft * pixels_per_mm).powi(2) / once).round().clamp(0.0, MOST_BLURS as f64) as i64
+/// How often this blur makes a rim of so many pixels' standard deviation.
+pub(super) fn times(blur: Blur, pixels: f64) -> i64 {
+    let once = Blur { iterations: 1, ..blur }.deviation();
+    // a half is rounded up, also where the root of a variance has cost its last bit
+    ((pixels / once).powi(2) + 1e-9).round().clamp(0.0, MOST_BLURS as f64) as i64
 }
 
 pub(super) fn table(entries: impl IntoIterator<Item = (&'static str, Value)>) -> Value {
@@ -161,7 +160,7 @@ pub(super) fn mask_table(mask: &Mask, soft: f64, through: bool) -> Result<Table,
             };
             out.insert("region".to_owned(), Value::try_from(drawing).map_err(problem)?);
             out.insert("view".to_owned(), view);
-            out.insert("blur".to_owned(), table([("iterations", blurs(soft, pixels_per_mm).into())]));
+            out.insert("blur".to_owned(), table([("iterations", times(Blur::default(), soft * pixels_per_mm).into())]));
             if through {
                 out.insert("visibility".to_owned(), "through".into());
             }
@@ -189,8 +188,12 @@ pub(super) fn pixels_per_mm(mask: &Table) -> f64 {
     of_frame.or(of_camera).unwrap_or(4.0)
 }
 
-/// The standard deviation, mm, of the rim that a mask's blurs make: what [`blurs`] starts from.
+/// How a mask is blurred.
+pub(super) fn blur_of(mask: &Table) -> Blur {
+    mask.get("blur").and_then(|blur| blur.clone().try_into().ok()).unwrap_or_default()
+}
+
+/// The standard deviation, mm, of the rim that a mask's blurs make.
 pub(super) fn soft(mask: &Table) -> f64 {
-    let iterations = mask.get("blur").and_then(|b| b.get("iterations")).map_or(20.0, number);
-    (iterations * (KERNEL * KERNEL - 1.0) / 12.0).sqrt() / pixels_per_mm(mask)
+    blur_of(mask).deviation() / pixels_per_mm(mask)
 }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use ts_rs::TS;
 
-use self::drawn::{MOST_BLURS, blurs, known_model, mask_table, pixels_per_mm, protect_tables, soft, table};
+use self::drawn::{MOST_BLURS, blur_of, known_model, mask_table, pixels_per_mm, protect_tables, soft, table, times};
 use crate::case::Side;
 use crate::error::{Problem, problem};
 
@@ -362,8 +362,11 @@ pub fn with_change(text: &str, index: usize, change: &StepChange) -> Result<Stri
                 mask.insert("displacement".to_owned(), Value::try_from(displacement).map_err(problem)?);
             }
             if let Some(soft) = change.soft.filter(|_| !mask.contains_key("parts")) {
-                let iterations = blurs(soft, pixels_per_mm(mask));
-                mask.insert("blur".to_owned(), table([("iterations", iterations.into())]));
+                let iterations = times(blur_of(mask), soft * pixels_per_mm(mask)).into();
+                match mask.get_mut("blur").and_then(Value::as_table_mut) {
+                    Some(blur) => drop(blur.insert("iterations".to_owned(), iterations)),
+                    None => drop(mask.insert("blur".to_owned(), table([("iterations", iterations)]))),
+                }
             }
             if let Some(mirror) = change.mirror {
                 mask.insert("mirror".to_owned(), mirror.into());
@@ -477,6 +480,8 @@ pub fn frame_spec() -> Option<nonrigid::morph::FrameSpec> {
 
 #[cfg(test)]
 mod tests {
+    use nonrigid::morph::Blur;
+
     use super::*;
 
     #[test]
@@ -546,6 +551,26 @@ mod tests {
         assert_eq!((steps[0].soft, steps[0].side, steps[0].protects), (0.0, Side::Right, 1));
         assert!(with_change(&plan, 1, &change).is_err());
         assert!(with_step(&plan, &DrawnStep { model: "magic".to_owned(), ..step }).is_err());
+    }
+
+    #[test]
+    fn a_soft_rim_is_as_wide_whatever_the_kernel() {
+        let mask = "[[step]]\n[[step.mask]]\nregion = { circle = { centre = [0, 0], radius = 9 } }\ndisplacement = [0, 0, 1]\n";
+        for (blur, iterations) in [
+            ("{ kernel = 5, iterations = 3 }", 128),
+            ("{ kernel = 31, iterations = 3 }", 3),
+            ("{ kind = { gaussian = { sigma = 4.0 } }, border = 'zero' }", 16),
+        ] {
+            let plan = format!("{mask}blur = {blur}\n");
+            let change = StepChange { soft: Some(4.0), ..StepChange::default() };
+            let changed = with_change(&plan, 0, &change).unwrap();
+            let [before, after] =
+                [&plan, &changed].map(|text| read(text).unwrap().step[0].get_ref().mask[0].get_ref().blur);
+            let (before, after) = (before.unwrap(), after.unwrap());
+            assert_eq!(after, Blur { iterations, ..before }, "{blur}");
+            assert!((view(&changed)[0].soft - 4.0).abs() < 0.3, "{blur}: {}", view(&changed)[0].soft);
+            assert!((view(&plan)[0].soft - before.deviation() / 4.0).abs() < 1e-12, "{blur}");
+        }
     }
 
     #[test]
