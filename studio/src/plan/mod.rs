@@ -8,7 +8,7 @@ mod drawn;
 use std::collections::HashSet;
 use std::path::Path;
 
-use nonrigid::morph::{Recipe, preset_names, preset_text};
+use nonrigid::morph::{FrameSpec, Recipe, preset_names, preset_text};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use ts_rs::TS;
@@ -44,6 +44,14 @@ pub struct StepChange {
     pub side: Option<Side>,
     /// What is protected, in place of what was.
     pub protect: Option<Vec<Mask>>,
+}
+
+impl StepChange {
+    /// Whether it takes knowing the face's left from its right.
+    #[must_use]
+    pub fn needs_sides(&self) -> bool {
+        self.mirror == Some(true) || self.side.is_some_and(|side| side != Side::Both)
+    }
 }
 
 /// A step as the page lists it.
@@ -335,10 +343,16 @@ fn step_at(steps: &mut [Value], index: usize) -> Result<&mut Table, Problem> {
 /// A plan with a step changed.
 ///
 /// # Errors
-/// When there is no such step, or it would be none of a recipe.
+/// When there is no such step, it would be none of a recipe, or has no frame in which left and right are told.
 pub fn with_change(text: &str, index: usize, change: &StepChange) -> Result<String, Problem> {
-    edited(text, |_, steps| {
+    edited(text, |recipe, steps| {
         let step = step_at(steps, index)?;
+        if change.needs_sides() && !step.contains_key("frame") && !recipe.contains_key("frame") {
+            return Err(problem(
+                "this step was drawn where nothing told the face's left from its right, so it has no side and no mirror \
+                 image: give the face its landmarks and draw the step again",
+            ));
+        }
         if let Some(name) = &change.name {
             step.insert("name".to_owned(), name.as_str().into());
         }
@@ -472,10 +486,18 @@ pub fn only_step(recipe: &Recipe, step: usize) -> Recipe {
     single
 }
 
-/// The frame of the ready operations.
+/// The frame of the ready operations, and of what is drawn.
 #[must_use]
-pub fn frame_spec() -> Option<nonrigid::morph::FrameSpec> {
+pub fn frame_spec() -> Option<FrameSpec> {
     preset_frame().try_into().ok()
+}
+
+/// The frame of a step: its own, or else the recipe's.
+#[must_use]
+pub fn frame_of(text: &str, index: usize) -> Option<FrameSpec> {
+    let table = parse(text).ok()?;
+    let frame = steps(&table).get(index)?.get("frame").or_else(|| table.get("frame"))?;
+    frame.clone().try_into().ok()
 }
 
 #[cfg(test)]

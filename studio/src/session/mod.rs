@@ -407,6 +407,7 @@ impl Window {
                 self.list("")
             }
             ClientMessage::Edit { edit } => {
+                self.check_sides(&edit)?;
                 let open = hub.vault.edit(self.case()?.id, &edit)?;
                 self.made(open)
             }

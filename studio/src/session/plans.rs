@@ -4,11 +4,13 @@ use std::time::Instant;
 
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{PolygonMesh, Vec3};
-use nonrigid::morph::{FrameSpec, LandmarkFrame, LiveStep, Recipe, ReplayOptions, StepOutcome, Subject, replay};
+use nonrigid::morph::{
+    FrameSpec, LandmarkFrame, LiveStep, MorphError, Recipe, ReplayOptions, StepOutcome, Subject, replay,
+};
 use nonrigid::rig::{Regions, ShapeBasis};
 
 use super::{Hub, Window};
-use crate::case::{Case, Pair, Source};
+use crate::case::{Case, Edit, Pair, Side, Source};
 use crate::error::{Problem, problem};
 use crate::protocol::{FrameView, ServerMessage, StepResult};
 use crate::store::{self, clear_frame, positions_frame, values_frame};
@@ -160,6 +162,28 @@ impl Window {
         Ok(())
     }
 
+    /// Refuses one side, or a mirror image, on a face of which nothing tells left from right.
+    pub(super) fn check_sides(&self, edit: &Edit) -> Result<(), Problem> {
+        let case = &self.case()?.case;
+        let spec = match edit {
+            Edit::SetPreset { side, amount, .. } if *side != Side::Both && *amount != 0.0 => plan::frame_spec(),
+            Edit::AddStep { step } if step.mirror => plan::frame_spec(),
+            Edit::ChangeStep { index, change } if change.needs_sides() => {
+                plan::frame_of(&case.plan_in_work()?.recipe, *index as usize)
+            }
+            _ => None,
+        };
+        // a plan may be made before there is a face
+        let (Some(spec), true) = (spec, store::face_source(case).is_ok()) else { return Ok(()) };
+        let face = self.hub.store.face(&self.hub.vault, case)?;
+        frame_on(&spec, &plan_landmarks(&self.hub, case)?, &face.positions).map(drop).map_err(|error| {
+            problem(format!(
+                "nothing tells this face's left from its right ({error}): add a rig with 68 landmarks, or place these \
+                 landmarks on the template under their names, and try again"
+            ))
+        })
+    }
+
     pub(super) fn plan_positions(&mut self, id: u32) -> Result<(String, Vec<Vec3>), Problem> {
         let case = self.case()?.case.clone();
         let plan = case.plan_of(id)?;
@@ -248,11 +272,19 @@ fn plan_landmarks(hub: &Hub, case: &Case) -> Result<Vec<(String, TemplatePoint)>
     Ok(case.wrap.pairs.iter().filter_map(placed).filter(on_face).collect())
 }
 
+/// A frame on a face.
+fn frame_on(
+    spec: &FrameSpec,
+    landmarks: &[(String, TemplatePoint)],
+    positions: &[Vec3],
+) -> Result<LandmarkFrame, MorphError> {
+    let places: Vec<(String, Vec3)> = landmarks.iter().map(|(name, p)| (name.clone(), p.position(positions))).collect();
+    LandmarkFrame::new(spec, &places)
+}
+
 /// The frame of the ready operations on a face, if it has their landmarks.
 fn frame_view(landmarks: &[(String, TemplatePoint)], positions: &[Vec3]) -> Option<FrameView> {
-    let spec: FrameSpec = plan::frame_spec()?;
-    let places: Vec<(String, Vec3)> = landmarks.iter().map(|(name, p)| (name.clone(), p.position(positions))).collect();
-    let frame = LandmarkFrame::new(&spec, &places).ok()?;
+    let frame = frame_on(&plan::frame_spec()?, landmarks, positions).ok()?;
     let unit = frame.vector([1.0, 0.0, 0.0]).norm();
     Some(FrameView { origin: frame.origin().into(), axes: frame.axes().map(Into::into), unit })
 }

@@ -108,19 +108,23 @@ fn landmarks_stay_on_a_scan_whose_unit_is_corrected() {
     assert_eq!((place(&back), &back["case"]["scans"][0]["unit"]), (place(&placed), &json!("mm")));
 }
 
+/// A step that was drawn on the sheet by a camera.
+fn bump(mirror: bool) -> Value {
+    json!({
+        "name": "bump", "model": "direct", "soft": 3.0, "displacement": [0.0, 0.0, 2.0], "mirror": mirror, "through": true,
+        "protect": [], "pins": [],
+        "mask": { "drawn": { "from": { "camera": { "eye": [50.0, 70.0, 500.0], "target": [50.0, 70.0, 0.0], "up": [0.0, 1.0, 0.0], "height": 200.0, "size": [400, 400] } },
+            "drawing": { "circle": { "centre": [200.0, 200.0], "radius": 60.0 } } } },
+    })
+}
+
 #[test]
 fn a_preview_keeps_nothing() {
     let server = Running::start();
     let id = server.add_sheet();
     let mut page = server.page();
     page.wait("case");
-    let step = json!({
-        "name": "bump", "model": "direct", "soft": 3.0, "displacement": [0.0, 0.0, 2.0], "mirror": false, "through": true,
-        "protect": [], "pins": [],
-        "mask": { "drawn": { "from": { "camera": { "eye": [50.0, 70.0, 500.0], "target": [50.0, 70.0, 0.0], "up": [0.0, 1.0, 0.0], "height": 200.0, "size": [400, 400] } },
-            "drawing": { "circle": { "centre": [200.0, 200.0], "radius": 60.0 } } } },
-    });
-    let edit = json!({ "edit": "add_step", "step": step });
+    let edit = json!({ "edit": "add_step", "step": bump(false) });
     page.wait("plan");
     page.send(&json!({ "type": "preview", "edit": edit }));
     let plan = page.wait("plan");
@@ -132,6 +136,34 @@ fn a_preview_keeps_nothing() {
     assert_eq!(plan["preview"], false);
     assert!(plan["command"].as_str().unwrap().starts_with("nonrigid morph --mesh "), "{plan}");
     assert_eq!(server.hub.vault.case(id).unwrap().revision, 2);
+}
+
+#[test]
+fn a_face_without_left_and_right_has_no_sides() {
+    let server = Running::start();
+    let id = server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
+    let preset =
+        |side: &str| edit(json!({ "edit": "set_preset", "preset": "nose-bridge", "amount": 1.0, "side": side }));
+    for message in [preset("left"), edit(json!({ "edit": "add_step", "step": bump(true) }))] {
+        let text = page.refused(&message);
+        assert!(text.contains("left from its right") && text.contains("add a rig with 68 landmarks"), "{text}");
+    }
+    page.send(&edit(json!({ "edit": "add_step", "step": bump(false) })));
+    page.wait("case");
+    for change in [json!({ "mirror": true }), json!({ "side": "right" })] {
+        let text = page.refused(&edit(json!({ "edit": "change_step", "index": 0, "change": change })));
+        assert!(text.contains("draw the step again"), "{text}");
+    }
+    // nor has a step that another recipe states in a frame of landmarks that are not there
+    let framed = "[frame]\norigin = ['a']\nright = ['a', 'b']\nup = ['a', 'c']\n[[step]]\n[[step.mask]]\nparts = ['lips']\ndisplacement = [0, 0, 1]\n";
+    page.send(&edit(json!({ "edit": "set_recipe", "recipe": framed })));
+    page.wait("case");
+    let text = page.refused(&edit(json!({ "edit": "change_step", "index": 0, "change": { "side": "right" } })));
+    assert!(text.contains("left from its right"), "{text}");
+    assert_eq!(server.hub.vault.case(id).unwrap().revision, 3);
 }
 
 #[test]
