@@ -7,19 +7,20 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Parser;
+use nonrigid::console::{Failure, Stage, answer};
 use studio::case::{Case, Edit, FileRef, Source, Unit};
-use studio::error::{Problem, problem};
+use studio::demo;
 use studio::server::Server;
 use studio::session::Hub;
 use studio::store::{guess_unit, points_of_mesh, points_of_rig};
 use studio::vault::Vault;
-use studio::{demo, plan};
 
 /// Wrap templates onto scans, plan and measure changes of faces, and keep clients' files, in a browser.
 ///
 /// Without files it opens the case that was changed last, or in a new vault a demo.
 #[derive(Debug, Parser)]
 #[command(name = "nonrigid-studio", version, max_term_width = 110)]
+#[command(after_help = "Exit codes: 0 done, 1 arguments, 2 computation, 3 writing, 4 loading.")]
 struct Arguments {
     /// Template of a new case (any mesh that `nonrigid register` reads)
     #[arg(long, value_name = "MESH")]
@@ -56,24 +57,25 @@ fn unit(text: &str) -> Result<Unit, String> {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return answer(&error),
+    };
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(2)
-        }
+        Err(failure) => failure.report(),
     }
 }
 
-fn run(arguments: &Arguments) -> Result<(), Problem> {
+fn run(arguments: &Arguments) -> Result<(), Failure> {
     let folder = arguments.vault.clone().map_or_else(data_folder, Ok)?;
-    let vault = Vault::open(&folder)?;
+    let known = folder.join("vault.sqlite").exists();
+    let vault = Vault::open(&folder).map_err(|e| if known { Failure::loading(e) } else { Failure::writing(e) })?;
     let first = if arguments.template.is_some() || arguments.rig.is_some() || !arguments.scan.is_empty() {
         Some(new_case(&vault, arguments)?)
-    } else if vault.cases("")?.is_empty() {
+    } else if vault.cases("").map_err(Failure::loading)?.is_empty() {
         eprintln!("a new vault, {}: making the demo", folder.display());
-        Some(demo::add(&vault)?)
+        Some(demo::add(&vault).map_err(Failure::writing)?)
     } else {
         None
     };
@@ -81,17 +83,20 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
     if let (Some(id), Ok(mut case)) = (first, hub.first_case.lock()) {
         *case = Some(id);
     }
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    let runtime = runtime.map_err(Failure::computation)?;
     runtime.block_on(async {
-        let server = Server::bind(hub, arguments.host, arguments.port).await?;
+        let bound = Server::bind(hub, arguments.host, arguments.port).await;
+        let server = bound.map_err(|e| Failure::new(Stage::Arguments, e.0))?;
         let address = server.address();
         let mut out = std::io::stdout();
-        writeln!(out, "{address}").and_then(|()| out.flush()).map_err(|e| problem(format!("standard output: {e}")))?;
+        let said = writeln!(out, "{address}").and_then(|()| out.flush());
+        said.map_err(|e| Failure::writing(format!("standard output: {e}")))?;
         if !arguments.no_open {
             open_browser(&address);
         }
         tokio::select! {
-            outcome = server.run() => outcome,
+            outcome = server.run() => outcome.map_err(Failure::computation),
             _ = tokio::signal::ctrl_c() => Ok(()),
         }
     })?;
@@ -101,7 +106,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
 }
 
 /// `$XDG_DATA_HOME`, or where the system keeps such things.
-fn data_folder() -> Result<PathBuf, Problem> {
+fn data_folder() -> Result<PathBuf, Failure> {
     let of = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
     let home = || {
         of("HOME").map(|home| {
@@ -109,17 +114,18 @@ fn data_folder() -> Result<PathBuf, Problem> {
         })
     };
     let folder = of("XDG_DATA_HOME").or_else(|| of("APPDATA")).or_else(home);
-    folder.map(|f| f.join("nonrigid-studio")).ok_or_else(|| problem("no home folder is known: say --vault DIR"))
+    let unknown = || Failure::new(Stage::Arguments, "no home folder is known: say --vault DIR");
+    folder.map(|f| f.join("nonrigid-studio")).ok_or_else(unknown)
 }
 
 /// A file or folder, copied into the vault.
-fn taken(vault: &Vault, path: &Path, rig: bool, unit: Option<Unit>) -> Result<Source, Problem> {
-    let unreadable = |e: std::io::Error| problem(format!("{}: {e}", path.display()));
-    let points = if rig { points_of_rig(path) } else { points_of_mesh(path) }?;
+fn taken(vault: &Vault, path: &Path, rig: bool, unit: Option<Unit>) -> Result<Source, Failure> {
+    let unreadable = |e: std::io::Error| Failure::loading(format!("{}: {e}", path.display()));
+    let points = if rig { points_of_rig(path) } else { points_of_mesh(path) }.map_err(Failure::loading)?;
     let unit = unit
         .map_or_else(|| guess_unit(path, &points), Ok)
-        .map_err(|(text, _)| problem(format!("{text} Say --unit")))?;
-    let incoming = vault.incoming()?;
+        .map_err(|(text, _)| Failure::loading(format!("{text} Say --unit")))?;
+    let incoming = vault.incoming().map_err(Failure::writing)?;
     let files: Vec<PathBuf> = if path.is_dir() {
         let entries = std::fs::read_dir(path).map_err(unreadable)?;
         let all = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
@@ -136,10 +142,10 @@ fn taken(vault: &Vault, path: &Path, rig: bool, unit: Option<Unit>) -> Result<So
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let file = if path.is_dir() { String::new() } else { name.clone() };
-    Ok(Source { at: FileRef { asset: vault.take(&incoming)?, file }, name, unit })
+    Ok(Source { at: FileRef { asset: vault.take(&incoming).map_err(Failure::writing)?, file }, name, unit })
 }
 
-fn new_case(vault: &Vault, arguments: &Arguments) -> Result<u32, Problem> {
+fn new_case(vault: &Vault, arguments: &Arguments) -> Result<u32, Failure> {
     let Arguments { template, rig, scan, recipe, unit, .. } = arguments;
     let take = |path: &PathBuf, is_rig| taken(vault, path, is_rig, *unit);
     let mut case = Case {
@@ -155,16 +161,15 @@ fn new_case(vault: &Vault, arguments: &Arguments) -> Result<u32, Problem> {
         case.template = Some(Source { at, name: "template.obj".to_owned(), unit: rig.unit });
     }
     if let Some(path) = recipe {
-        let recipe = nonrigid::io::read_text(path)?;
-        plan::check(&recipe)?;
-        case.apply(&Edit::SetRecipe { recipe })?;
+        let recipe = nonrigid::io::read_text(path).map_err(Failure::loading)?;
+        case.apply(&Edit::SetRecipe { recipe }).map_err(Failure::loading)?;
     }
     case.scan = (!case.scans.is_empty()).then_some(0);
     let named = scan.first().or(template.as_ref()).or(rig.as_ref());
     if let Some(name) = named.and_then(|p| p.file_stem()) {
         case.name = name.to_string_lossy().into_owned();
     }
-    vault.add_case(&case)
+    vault.add_case(&case).map_err(Failure::writing)
 }
 
 /// Asks the desktop to show an address. Where there is none, the address is printed all the same.

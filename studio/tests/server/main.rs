@@ -1,10 +1,11 @@
-//! The server without a browser: who gets in, what hostile messages and files come to, and what the vault keeps.
+//! The server without a browser: who gets in, what hostile messages and files come to, what the vault keeps, and the command line.
 
 #![allow(missing_docs)]
 
 mod archive;
 mod big;
 mod client;
+mod program;
 mod protocol;
 mod rewrap;
 mod sculpting;
