@@ -335,6 +335,8 @@ pub enum Edit {
         name: String,
         /// The plan it begins as a copy of.
         copy_of: Option<u32>,
+        /// Or else its recipe, TOML; without either it is empty.
+        recipe: Option<String>,
     },
     /// Another plan comes to work.
     UsePlan {
@@ -574,11 +576,13 @@ impl Case {
                 let schedule = schedule.filter(|_| settings.schedule.is_some());
                 self.wrap = WrapSettings { pairs, mask, schedule, ..settings.clone() };
             }
-            Edit::NewPlan { name, copy_of } => {
+            Edit::NewPlan { name, copy_of, recipe } => {
                 let name = named("the plan", name)?;
-                let recipe = match copy_of {
-                    Some(id) => self.plan_of(*id)?.recipe.clone(),
-                    None => plan::empty(&name),
+                recipe.as_deref().map_or(Ok(()), plan::check)?;
+                let recipe = match (copy_of, recipe) {
+                    (Some(id), _) => self.plan_of(*id)?.recipe.clone(),
+                    (None, Some(recipe)) => recipe.clone(),
+                    (None, None) => plan::empty(&name),
                 };
                 let id = self.plans.iter().map(|plan| plan.id).max().unwrap_or(0) + 1;
                 self.plans.push(Plan { id, name, recipe });

@@ -100,8 +100,12 @@ pub enum ClientMessage {
         /// Which.
         id: u32,
     },
-    /// Changes the open case.
+    /// Changes the open case. What was made on a plan or revision that is not there any more is refused.
     Edit {
+        /// The plan in work.
+        plan: u32,
+        /// The revision that the page shows.
+        revision: u32,
         /// How.
         edit: Edit,
     },

@@ -291,6 +291,18 @@ impl Vault {
         self.change(id, &edit.label(), |case| case.apply(edit))
     }
 
+    /// The same for a change that was made on this revision: refused when the case is at another one by now.
+    ///
+    /// # Errors
+    /// As [`edit`](Self::edit).
+    pub fn edit_on(&self, id: u32, revision: u32, edit: &Edit) -> Result<OpenCase, Problem> {
+        self.changed(
+            id,
+            &edit.label(),
+            |open| if open.revision == revision { open.case.apply(edit) } else { Err(stale()) },
+        )
+    }
+
     /// Applies any change; `label` is what undo calls it. One that changes nothing leaves no revision.
     ///
     /// # Errors
@@ -301,23 +313,31 @@ impl Vault {
         label: &str,
         change: impl FnOnce(&mut Case) -> Result<(), Problem>,
     ) -> Result<OpenCase, Problem> {
+        self.changed(id, label, |open| change(&mut open.case))
+    }
+
+    fn changed(
+        &self,
+        id: u32,
+        label: &str,
+        change: impl FnOnce(&mut OpenCase) -> Result<(), Problem>,
+    ) -> Result<OpenCase, Problem> {
         let mut database = self.database();
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let open = read(&transaction, id)?;
-        let mut case = open.case.clone();
-        change(&mut case)?;
-        if case == open.case {
+        let before = read(&transaction, id)?;
+        let mut open = before.clone();
+        change(&mut open)?;
+        if open == before {
             return Ok(open);
         }
-        let number = open.revision + 1;
-        let undone = assets_of(&transaction, "case_id = ?1 AND number >= ?2", params![id, number])?;
+        // a number that an undone revision had is not given again: a revision's number says what is in it
+        let number = "SELECT max(number) + 1 FROM revisions WHERE case_id = ?1";
+        let number: u32 = transaction.query_row(number, [id], |row| row.get(0))?;
+        let undone = assets_of(&transaction, "case_id = ?1 AND number > ?2", params![id, open.revision])?;
         undone.iter().try_for_each(|asset| leave(&transaction, id, asset))?;
-        transaction.execute("DELETE FROM revisions WHERE case_id = ?1 AND number >= ?2", params![id, number])?;
-        write_revision(&transaction, id, number, label, &case)?;
-        transaction.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
-        let open = read(&transaction, id)?;
-        transaction.commit()?;
-        Ok(open)
+        transaction.execute("DELETE FROM revisions WHERE case_id = ?1 AND number > ?2", params![id, open.revision])?;
+        write_revision(&transaction, id, number, label, &open.case)?;
+        come_to(transaction, id, number)
     }
 
     /// Goes one revision back, or forth.
@@ -328,16 +348,9 @@ impl Vault {
         let mut database = self.database();
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let open = read(&transaction, id)?;
-        let number = match (forth, &open.undo, &open.redo) {
-            (true, _, Some(_)) => open.revision + 1,
-            (false, Some(_), _) => open.revision - 1,
-            (true, ..) => return Err(problem("nothing was undone")),
-            (false, ..) => return Err(problem("this is where the case began")),
-        };
-        transaction.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
-        let open = read(&transaction, id)?;
-        transaction.commit()?;
-        Ok(open)
+        let none = || problem(if forth { "nothing was undone" } else { "this is where the case began" });
+        let (number, _) = next_to(&transaction, id, open.revision, forth)?.ok_or_else(none)?;
+        come_to(transaction, id, number)
     }
 
     /// Notes a file that was made of a case and that none of its revisions has, such as an export: it goes with the case. Where the case is
@@ -592,12 +605,32 @@ fn read(database: &Connection, id: u32) -> Result<OpenCase, Problem> {
     let row = database.query_row(sql, [id], |row| Ok((row.get::<_, u32>(0)?, row.get(1)?, row.get::<_, String>(2)?)));
     let (revision, label, document): (u32, String, String) =
         row.optional()?.ok_or_else(|| problem("this case is not there any more; choose another one"))?;
-    let exists = |number: u32| -> Result<Option<String>, Problem> {
-        let sql = "SELECT label FROM revisions WHERE case_id = ?1 AND number = ?2";
-        Ok(database.query_row(sql, params![id, number], |row| row.get(0)).optional()?)
-    };
-    let undo = exists(revision.wrapping_sub(1))?.map(|_| label);
-    Ok(OpenCase { id, revision, case: parse(id, &document)?, undo, redo: exists(revision + 1)? })
+    let undo = next_to(database, id, revision, false)?.map(|_| label);
+    let redo = next_to(database, id, revision, true)?.map(|(_, label)| label);
+    Ok(OpenCase { id, revision, case: parse(id, &document)?, undo, redo })
+}
+
+/// The revision before or after one: its number and label.
+fn next_to(database: &Connection, id: u32, revision: u32, forth: bool) -> Result<Option<(u32, String)>, Problem> {
+    let next = if forth { "number > ?2 ORDER BY number" } else { "number < ?2 ORDER BY number DESC" };
+    let sql = format!("SELECT number, label FROM revisions WHERE case_id = ?1 AND {next} LIMIT 1");
+    Ok(database.query_row(&sql, [id, revision], |row| Ok((row.get(0)?, row.get(1)?))).optional()?)
+}
+
+/// Ends a change at this revision.
+fn come_to(change: Transaction<'_>, id: u32, number: u32) -> Result<OpenCase, Problem> {
+    change.execute("UPDATE cases SET head = ?2, touched = ?3 WHERE id = ?1", params![id, number, now()])?;
+    let open = read(&change, id)?;
+    change.commit()?;
+    Ok(open)
+}
+
+/// What a change comes to that was made on what is not there any more.
+pub(crate) fn stale() -> Problem {
+    problem(
+        "the case has changed meanwhile, in another window or by a run that has ended, and is shown as it is now; nothing was \
+         done: look at it, and do it again",
+    )
 }
 
 fn write_revision(change: &Transaction<'_>, id: u32, number: u32, label: &str, case: &Case) -> Result<(), Problem> {

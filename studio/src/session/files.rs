@@ -63,8 +63,7 @@ impl Window {
                 plan::check(&text).map_err(|e| without_folder(&e, &gathered))?;
                 let name = main.trim_end_matches(".toml").to_owned();
                 self.change(&format!("recipe {name}"), |case| {
-                    case.apply(&Edit::NewPlan { name, copy_of: None })?;
-                    case.apply(&Edit::SetRecipe { recipe: text })
+                    case.apply(&Edit::NewPlan { name, copy_of: None, recipe: Some(text) })
                 })?;
             }
             Role::Schedule => {

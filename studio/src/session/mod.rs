@@ -20,7 +20,7 @@ use crate::case::{Case, Edit, FileRef, Pair, Source};
 use crate::error::{Problem, problem};
 use crate::protocol::{ClientMessage, LandmarkSide, ServerMessage, Upload};
 use crate::store::{self, Store, clear_frame, mesh_frame, positions_frame, scan_frame, values_frame};
-use crate::vault::{Incoming, OpenCase, Vault, check_name};
+use crate::vault::{Incoming, OpenCase, Vault, check_name, stale};
 use crate::{plan, wrap};
 
 /// What all windows share.
@@ -130,6 +130,7 @@ pub fn open(hub: &Arc<Hub>, page: ToPage) -> Sender<Inbox> {
         page,
         me: sender.clone(),
         open: None,
+        since: 0,
         shown: Shown::default(),
         base: None,
         dragged: None,
@@ -164,6 +165,8 @@ struct Window {
     page: ToPage,
     me: Sender<Inbox>,
     open: Option<OpenCase>,
+    /// The revision since which this window alone has changed the case: from there on, what the page shows is its own.
+    since: u32,
     shown: Shown,
     base: Option<Base>,
     dragged: Option<Dragged>,
@@ -287,6 +290,25 @@ impl Window {
         }
     }
 
+    /// A change of the page's, on the plan and revision that it shows. What is refused leaves the case shown as it is.
+    fn edit(&mut self, plan: u32, revision: u32, edit: &Edit) -> Result<(), Problem> {
+        let open = self.case()?;
+        let (id, newest) = (open.id, open.revision);
+        let made = if (self.since..=newest).contains(&revision) && open.case.plan == plan {
+            self.check_sides(edit).and_then(|()| self.hub.vault.edit_on(id, newest, edit))
+        } else {
+            Err(stale())
+        };
+        if made.is_err() {
+            self.guarded(|window| window.changed(window.hub.vault.case(id)?));
+        }
+        let (made, since) = (made?, self.since);
+        let outcome = self.made(made);
+        // the page may have sent more before it has seen this one
+        self.since = since;
+        outcome
+    }
+
     /// A change that this window has made.
     fn made(&mut self, open: OpenCase) -> Result<(), Problem> {
         let id = open.id;
@@ -304,6 +326,7 @@ impl Window {
     fn changed(&mut self, open: OpenCase) -> Result<(), Problem> {
         let OpenCase { id, revision, case, undo, redo } = open.clone();
         self.open = Some(open);
+        self.since = revision;
         let hub = self.hub.clone();
         let template = case.template.as_ref().map(|source| hub.store.mesh(&hub.vault, source));
         let regions = match &template {
@@ -406,11 +429,7 @@ impl Window {
                 hub.tell(Some(id));
                 self.list("")
             }
-            ClientMessage::Edit { edit } => {
-                self.check_sides(&edit)?;
-                let open = hub.vault.edit(self.case()?.id, &edit)?;
-                self.made(open)
-            }
+            ClientMessage::Edit { plan, revision, edit } => self.edit(plan, revision, &edit),
             ClientMessage::Preview { edit } => {
                 let mut case = self.case()?.case.clone();
                 edit.as_ref().map_or(Ok(()), |edit| case.apply(edit))?;
@@ -491,8 +510,8 @@ impl Window {
                 pair.doubt = None;
             }
         }
-        let open = hub.vault.edit(self.case()?.id, &Edit::SetPair { pair })?;
-        self.made(open)
+        let (plan, revision) = (case.plan, self.case()?.revision);
+        self.edit(plan, revision, &Edit::SetPair { pair })
     }
 }
 

@@ -76,7 +76,7 @@ impl Running {
             request = request.header(*name, *value);
         }
         match tungstenite::client(request.body(()).unwrap(), stream) {
-            Ok((socket, _)) => Ok(Page(socket)),
+            Ok((socket, _)) => Ok(Page(socket, Value::Null)),
             Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
                 Err(answer.status().as_u16())
             }
@@ -139,11 +139,17 @@ pub fn no_file() -> FileRef {
     FileRef { asset: "0".repeat(64), file: "x.obj".to_owned() }
 }
 
-/// A page without a browser.
-pub struct Page(WebSocket<TcpStream>);
+/// A page without a browser, and the case that it was shown last.
+pub struct Page(WebSocket<TcpStream>, Value);
 
 impl Page {
+    /// Sends a message; an edit is made on what is shown.
     pub fn send(&mut self, message: &Value) {
+        let mut message = message.clone();
+        if message["type"] == "edit" {
+            message["plan"] = self.1["case"]["plan"].clone();
+            message["revision"] = self.1["revision"].clone();
+        }
         self.text(&message.to_string());
     }
 
@@ -158,11 +164,9 @@ impl Page {
     /// The next message of this type.
     pub fn wait(&mut self, kind: &str) -> Value {
         loop {
-            if let Message::Text(text) = self.0.read().unwrap() {
-                let message: Value = serde_json::from_str(&text).unwrap();
-                if message["type"] == kind {
-                    return message;
-                }
+            let message = self.next();
+            if message["type"] == kind {
+                return message;
             }
         }
     }
@@ -171,7 +175,11 @@ impl Page {
     pub fn next(&mut self) -> Value {
         loop {
             if let Message::Text(text) = self.0.read().unwrap() {
-                return serde_json::from_str(&text).unwrap();
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["type"] == "case" {
+                    self.1.clone_from(&message);
+                }
+                return message;
             }
         }
     }

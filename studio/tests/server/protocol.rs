@@ -167,6 +167,39 @@ fn a_face_without_left_and_right_has_no_sides() {
 }
 
 #[test]
+fn an_edit_of_what_another_window_has_changed_is_refused() {
+    let server = Running::start();
+    let id = server.add_sheet();
+    let [mut one, mut two] = [server.page(), server.page()];
+    one.wait("case");
+    two.wait("case");
+    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
+    let rename = |name: &str| edit(json!({ "edit": "rename_plan", "name": name }));
+    let names =
+        || -> Vec<String> { server.hub.vault.case(id).unwrap().case.plans.into_iter().map(|p| p.name).collect() };
+    // one's plan is not in work any more, which it has not seen
+    two.send(&edit(json!({ "edit": "new_plan", "name": "theirs", "copy_of": null })));
+    assert_eq!(two.wait("case")["case"]["plan"], 2);
+    let text = one.refused(&rename("mine"));
+    assert!(text.contains("in another window") && text.contains("nothing was done"), "{text}");
+    assert_eq!(names(), ["Plan A", "theirs"]);
+    // by now it has, and may; several in a row need not wait for each other
+    one.send(&rename("x"));
+    one.send(&rename("y"));
+    one.send(&rename("z"));
+    while names() != ["Plan A", "z"] {
+        assert_eq!(one.wait("case")["type"], "case");
+    }
+    // the same number of revisions, but others
+    two.send(&json!({ "type": "undo" }));
+    while two.wait("case")["redo"] != "plan's name z" {}
+    two.send(&rename("w"));
+    two.wait("case");
+    one.refused(&rename("v"));
+    assert_eq!(names(), ["Plan A", "w"]);
+}
+
+#[test]
 fn a_failing_job_ends_alone() {
     let server = Running::start();
     server.add_sheet();

@@ -52,8 +52,12 @@ fn undo_and_redo_go_through_everything_and_survive_a_restart() {
     }
     let open = vault.case(id).unwrap();
     assert_eq!((open.undo.as_deref(), open.redo.as_deref()), (Some("landmark 29"), Some("landmark 30")));
-    // a new change ends what could be done again
-    assert_eq!(vault.edit(id, &pair("new".to_owned())).unwrap().redo, None);
+    // a new change ends what could be done again, and its number was that of no other
+    let new = vault.edit(id, &pair("new".to_owned())).unwrap();
+    assert_eq!((new.undo.as_deref(), new.redo, new.revision), (Some("landmark new"), None, 52));
+    assert_eq!(vault.step(id, false).unwrap(), vault.case(id).unwrap());
+    assert_eq!(vault.step(id, true).unwrap().case, new.case);
+    assert!(vault.edit_on(id, 51, &pair("late".to_owned())).unwrap_err().0.contains("meanwhile"));
     assert!(vault.step(id, true).is_err());
     // a change that fails leaves no trace
     let before = vault.case(id).unwrap();

@@ -69,8 +69,14 @@ export function send(message: ClientMessage) {
   else toast("The server does not answer: is the program still running? Nothing was changed.", "error");
 }
 
-export function edit(change: Edit) {
-  send({ type: "edit", edit: change });
+/** What a change is made on: the plan and the revision that are shown. */
+export function shown() {
+  return { plan: app.open?.case.plan ?? 0, revision: app.open?.revision ?? 0 };
+}
+
+/** Changes the case; what another window has changed since `on` was shown, the server does not let be changed unseen. */
+export function edit(change: Edit, on = shown()) {
+  send({ type: "edit", ...on, edit: change });
 }
 
 export function preview(change: Edit | null) {

@@ -37,7 +37,11 @@ export function page(go: (mode: string) => void): HTMLElement {
 
 function details(go: (mode: string) => void): HTMLElement {
   const { case: c, id } = app.open!;
-  const describe = (part: object) => edit({ edit: "describe", name: c.name, date: c.date, notes: c.notes, ...part });
+  // the page is not drawn anew while a text is written: the rest of them is what it is by now
+  const describe = (part: object) => {
+    const { name, date, notes } = app.open!.case;
+    edit({ edit: "describe", name, date, notes, ...part });
+  };
   const field = (label: string, value: string, change: (value: string) => void) => {
     const input = h("input", { value, "data-key": `client-${label}` });
     input.onchange = () => change(input.value);

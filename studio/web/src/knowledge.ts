@@ -76,10 +76,7 @@ function read(article: Article, redraw: () => void, go: (mode: string) => void):
       article.recipe &&
         button("Use in plan", () => {
           if (preset) edit({ edit: "set_preset", preset: preset.name, amount: preset.amount, side: "both" });
-          else {
-            edit({ edit: "new_plan", name: article.title, copy_of: null });
-            edit({ edit: "set_recipe", recipe: article.recipe });
-          }
+          else edit({ edit: "new_plan", name: article.title, copy_of: null, recipe: article.recipe });
           go("plan");
         }, { class: "main", disabled: app.open === null, title: preset ? "Adds it to the plan in work" : "A new plan of this recipe" }),
       button("Change", () => {

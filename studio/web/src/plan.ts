@@ -1,6 +1,6 @@
 // The panel of a plan: ready operations as sliders, fine sculpting, the steps in their order, several plans beside each other.
 
-import { app, copy, preview, send, toast } from "./app";
+import { app, copy, preview, send, shown, toast } from "./app";
 import { ask, button, dialog, h, section, select, slider, sure, toggle } from "./dom";
 import type { Edit, Mask, Preset, Side, StepResult } from "./protocol";
 import { options } from "./scene";
@@ -38,6 +38,7 @@ function torn(r: StepResult | undefined): boolean {
 function plansSection(): HTMLElement {
   const c = app.open!.case;
   const current = c.plans.find((p) => p.id === c.plan);
+  const on = shown();
   const plans: [string, string][] = c.plans.map((p) => [String(p.id), p.name]);
   const blend = () => send({ type: "blend", from: state.from === "before" ? null : Number(state.from), to: c.plan, share: state.share, difference: state.difference });
   return section(
@@ -46,10 +47,10 @@ function plansSection(): HTMLElement {
       "div",
       { class: "row" },
       select(plans, String(c.plan), (id) => edit({ edit: "use_plan", id: Number(id) }), { class: "grow", "aria-label": "plan in work" }),
-      button("New", () => void ask("Name of the new plan", `Plan ${String.fromCharCode(65 + (c.plans.length % 26))}`).then((name) => name && edit({ edit: "new_plan", name, copy_of: null }))),
-      button("Copy", () => void ask("Name of the copy", `${current?.name} 2`).then((name) => name && edit({ edit: "new_plan", name, copy_of: c.plan }))),
-      button("Name", () => void ask("Name of the plan", current?.name).then((name) => name && edit({ edit: "rename_plan", name }))),
-      button("×", () => void sure(`Remove ${current?.name}? Undo brings it back.`, "Remove").then((yes) => yes && edit({ edit: "remove_plan", id: c.plan })), { disabled: c.plans.length < 2, title: "Remove this plan", "aria-label": "remove plan" }),
+      button("New", () => void ask("Name of the new plan", `Plan ${String.fromCharCode(65 + (c.plans.length % 26))}`).then((name) => name && edit({ edit: "new_plan", name, copy_of: null, recipe: null }))),
+      button("Copy", () => void ask("Name of the copy", `${current?.name} 2`).then((name) => name && edit({ edit: "new_plan", name, copy_of: c.plan, recipe: null }))),
+      button("Name", () => void ask("Name of the plan", current?.name).then((name) => name && edit({ edit: "rename_plan", name }, on))),
+      button("×", () => void sure(`Remove ${current?.name}? Undo brings it back.`, "Remove").then((yes) => yes && edit({ edit: "remove_plan", id: c.plan }, on)), { disabled: c.plans.length < 2, title: "Remove this plan", "aria-label": "remove plan" }),
     ),
     h(
       "div",
@@ -291,8 +292,9 @@ function saveSection(): HTMLElement {
 
 async function editRecipe() {
   const c = app.open!.case;
+  const on = shown();
   const text = h("textarea", { rows: 24, cols: 90, spellcheck: "false", "data-key": "recipe" });
   text.value = c.plans.find((p) => p.id === c.plan)?.recipe ?? "";
   const recipe = await dialog("The plan as a recipe", [text], "Use", () => text.value);
-  if (recipe !== null) edit({ edit: "set_recipe", recipe });
+  if (recipe !== null) edit({ edit: "set_recipe", recipe }, on);
 }

@@ -272,7 +272,11 @@ name: string,
 /**
  * The plan it begins as a copy of.
  */
-copy_of: number | null, } | { "edit": "use_plan", 
+copy_of: number | null, 
+/**
+ * Or else its recipe, TOML; without either it is empty.
+ */
+recipe: string | null, } | { "edit": "use_plan", 
 /**
  * Its number.
  */
@@ -488,7 +492,7 @@ export type StepView = {
  */
 name: string, 
 /**
- * The ready operation that it is.
+ * The ready operation that it is, whose slider moves it; of a second one like it, none.
  */
 preset: string | null, 
 /**
@@ -631,6 +635,14 @@ id: number, } | { "type": "delete_case",
  * Which.
  */
 id: number, } | { "type": "edit", 
+/**
+ * The plan in work.
+ */
+plan: number, 
+/**
+ * The revision that the page shows.
+ */
+revision: number, 
 /**
  * How.
  */

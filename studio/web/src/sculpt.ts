@@ -1,7 +1,7 @@
 // A plan on the face: what is shown of it, the region that is being drawn, and its handle.
 
 import * as THREE from "three";
-import { app, edit as kept, preview, toast } from "./app";
+import { app, edit as kept, preview, shown, toast } from "./app";
 import { svg } from "./dom";
 import { Sketch, planeOf, type Shape } from "./draw";
 import type { Drawing, DrawnStep, Edit, Mask, Side } from "./protocol";
@@ -118,9 +118,9 @@ export function ahead(change: Edit) {
 }
 
 /** Changes the plan; a preview that still waits would be of the plan before. */
-export function edit(change: Edit) {
+export function edit(change: Edit, on = shown()) {
   again = null;
-  kept(change);
+  kept(change, on);
 }
 
 export function answered() {
