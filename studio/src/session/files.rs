@@ -1,6 +1,7 @@
 //! Files that join a case, and files that are written for the user.
 
 use nonrigid::io;
+use nonrigid::mesh::PolygonMesh;
 
 use super::{Window, nearest_vertex};
 use crate::case::{Edit, FileRef, Pair, Photo, Source, Unit};
@@ -113,15 +114,20 @@ impl Window {
                 let at = FileRef { asset, file: main.clone() };
                 let name = if main.is_empty() { "rig".to_owned() } else { main.clone() };
                 let source = Source { at: at.clone(), name: name.clone(), unit };
-                let before = self.case()?.case.template.as_ref().filter(|_| role == Role::Template);
-                let count = |source: &Source| Ok::<_, Problem>(hub.store.mesh(&hub.vault, source)?.positions.len());
-                let vertices = before.map(|before| Ok::<_, Problem>([count(before)?, count(&source)?])).transpose()?;
+                let mesh = |source: &Source| hub.store.mesh(&hub.vault, source);
+                // a template whose file is gone can be replaced too
+                let alike = match self.case()?.case.template.as_ref().filter(|_| role == Role::Template) {
+                    Some(before) => {
+                        mesh(before).is_ok_and(|before| mesh(&source).is_ok_and(|now| same_vertices(&before, &now)))
+                    }
+                    None => true,
+                };
                 let label = name.clone();
                 let open = hub.vault.change(id, &label, |case| {
                     match role {
                         Role::Template => {
                             // Vertices and mask of another template mean nothing on this one.
-                            if vertices.is_some_and(|[before, now]| before != now) {
+                            if !alike {
                                 case.wrap.mask = None;
                                 case.wrap.pairs.iter_mut().for_each(|pair| pair.vertex = None);
                             }
@@ -231,6 +237,12 @@ impl Window {
         self.say(ServerMessage::Exported { at });
         Ok(())
     }
+}
+
+/// Whether a number means the same vertex of both meshes: the polygons join the same ones, or where there are none, all lie where they did.
+fn same_vertices(a: &PolygonMesh, b: &PolygonMesh) -> bool {
+    let polygons = a.positions.len() == b.positions.len() && a.starts == b.starts && a.corners == b.corners;
+    polygons && (!a.corners.is_empty() || a.positions == b.positions)
 }
 
 /// A message about a file that waits, without the folder where it waits.

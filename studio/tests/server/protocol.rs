@@ -260,6 +260,37 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
 }
 
 #[test]
+fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    page.send(&json!({ "type": "place", "name": "nose", "side": "template", "point": [51.0, 70.0, 5.0] }));
+    page.wait("case");
+    page.send(&json!({ "type": "paint_mask", "weights": vec![0.5; 441] }));
+    assert!(page.wait("case")["case"]["wrap"]["mask"].is_object());
+    let mut replaced = |text: &str| {
+        let id = server.upload("new.obj", text.as_bytes());
+        page.send(
+            &json!({ "type": "add", "role": "template", "files": [{ "id": id, "name": "new.obj" }], "unit": "mm" }),
+        );
+        let wrap = page.wait("case")["case"]["wrap"].clone();
+        (wrap["pairs"][0]["vertex"].clone(), wrap["mask"].is_object())
+    };
+    // another shape of the same vertices keeps both
+    assert_eq!(replaced(&sheet().replace("v 0 0 0\n", "v 0 0 1\n")), (json!(220), true));
+    // the same shape with the vertices in another order does not
+    let (vertices, faces): (Vec<_>, Vec<_>) =
+        sheet().lines().map(str::to_owned).partition(|line| line.starts_with('v'));
+    let turned = |face: &String| {
+        let corners = face.split(' ').skip(1).map(|v| (442 - v.parse::<u32>().unwrap()).to_string());
+        format!("f {}", corners.collect::<Vec<_>>().join(" "))
+    };
+    let lines: Vec<String> = vertices.into_iter().rev().chain(faces.iter().map(turned)).collect();
+    assert_eq!(replaced(&lines.join("\n")), (Value::Null, false));
+}
+
+#[test]
 fn uploads_that_nobody_uses_make_room_for_new_ones() {
     let server = Running::start();
     let mut page = server.page();
