@@ -70,6 +70,18 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await panel.getByRole("button", { name: "remove the schedule" }).click();
   await until("the model's own again", () => heard.case.case.wrap.schedule === null);
 
+  // a result is shown on its own scan, in its own unit, alone
+  const result = panel.getByRole("heading", { name: "Result" });
+  const none = panel.getByText("No result on this scan yet.");
+  await result.waitFor();
+  for (const [list, other, own] of [["scan in work", "1", "0"], ["unit of Scan", "cm", "mm"]]) {
+    await panel.getByLabel(list).selectOption(other);
+    await none.waitFor();
+    check((await result.count()) === 0, `no result with another ${list}`);
+    await panel.getByLabel(list).selectOption(own);
+    await result.waitFor();
+  }
+
   await mode(page, "Plan");
   await until("a plan", () => heard.plan && !heard.plan.preview);
   await page.getByRole("tab", { name: "Fine sculpting" }).click();
