@@ -1,18 +1,17 @@
 //! Wrapping: a case's files and settings as a registration, its result as files of the vault, and the `nonrigid register` line that
 //! makes the same bytes. Landmarks go through the files that the command line would read.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use nonrigid::evaluation::ScanDistance;
 use nonrigid::io::{self, LengthUnit, MaterialFiles};
 use nonrigid::landmark::Landmark;
-use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::mesh::PolygonMesh;
 use nonrigid::registration::{
     LandmarkStart, ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
-    Schedule, StepRecord, TERMS, WarmStart, assess, register, scan_colors,
+    Schedule, TERMS, WarmStart, assess, register, scan_colors,
 };
 use nonrigid::rig::{Family, Regions, ShapeBasis};
 
@@ -258,9 +257,9 @@ impl WrapJob {
     ///
     /// # Errors
     /// What the library says, or that it was cancelled.
-    pub fn register(&self, observer: &mut Watch<'_>) -> Result<RegistrationResult, Problem> {
+    pub fn register(&self, observer: &mut impl RegistrationObserver) -> Result<RegistrationResult, Problem> {
         let result = register(&self.input(), &self.model, &self.schedule, observer);
-        if observer.cancel.load(Ordering::Relaxed) {
+        if observer.cancel().is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
             return Err(problem("cancelled: the last result stays as it was"));
         }
         result.map_err(problem)
@@ -423,39 +422,4 @@ pub fn scan_places(path: &Path, unit: Unit, scan: &LoadedScan) -> Result<Vec<(St
     let mesh = PolygonMesh::from(scan.scan.mesh.clone());
     let points = set.positions_on(path, &mesh)?;
     Ok(set.landmarks.iter().zip(points).map(|(l, p)| (l.name.clone(), p.into())).collect())
-}
-
-/// Sees every step: tells it, and ends the run when asked.
-pub struct Watch<'a> {
-    /// Set when the run shall end.
-    pub cancel: &'a AtomicBool,
-    /// Told of the levels and the greatest number of steps.
-    pub on_start: &'a mut dyn FnMut(usize, usize),
-    /// Told of every step.
-    pub on_step: &'a mut dyn FnMut(&StepRecord),
-    /// Shown the positions after every step.
-    pub on_positions: &'a mut dyn FnMut(&[Vec3]),
-}
-
-impl RegistrationObserver for Watch<'_> {
-    fn on_start(&mut self, levels: usize, steps: usize) {
-        (self.on_start)(levels, steps);
-    }
-
-    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
-        (self.on_step)(record);
-        if self.cancel.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    }
-
-    fn cancel(&self) -> Option<&AtomicBool> {
-        Some(self.cancel)
-    }
-
-    fn wants_positions(&self) -> bool {
-        true
-    }
-
-    fn on_positions(&mut self, _record: &StepRecord, positions: &[Vec3]) {
-        (self.on_positions)(positions);
-    }
 }

@@ -1,11 +1,13 @@
 //! What takes long: registrations, each on a thread of its own.
 
+use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use nonrigid::registration::{ModelKind, RegistrationResult};
+use nonrigid::mesh::Vec3;
+use nonrigid::registration::{ModelKind, RegistrationObserver, RegistrationResult, StepRecord};
 
 use super::{Hub, Inbox, Outgoing, ToPage, Window, panicked};
 use crate::case::Edit;
@@ -13,7 +15,7 @@ use crate::error::{Problem, problem};
 use crate::protocol::{CompareRow, ServerMessage};
 use crate::store::{positions_frame, values_frame};
 use crate::vault::OpenCase;
-use crate::wrap::{Watch, WrapJob};
+use crate::wrap::WrapJob;
 
 impl Window {
     /// Runs something long on a thread of its own; one at a time in a window.
@@ -144,36 +146,59 @@ impl Job {
     }
 
     fn register(&self, what: &str, wrap: &WrapJob, slot: Option<&str>) -> Result<RegistrationResult, Problem> {
-        let size = std::cell::Cell::new((0, 1));
-        let step = std::cell::Cell::new(0u32);
-        let mut last = Instant::now();
-        wrap.register(&mut Watch {
-            cancel: &self.cancel,
-            on_start: &mut |levels, steps| size.set((levels, steps)),
-            on_step: &mut |record| {
-                step.set(step.get() + 1);
-                let (levels, steps) = size.get();
-                self.say(ServerMessage::Progress {
-                    what: what.to_owned(),
-                    share: Some(f64::from(step.get()) / steps.max(1) as f64),
-                });
-                self.say(ServerMessage::Step {
-                    level: record.level as u32 + 1,
-                    step: step.get(),
-                    levels: levels as u32,
-                    energy: record.energy,
-                    energies: record.energies.clone(),
-                    inliers: record.inliers,
-                    motion: record.motion,
-                });
-            },
-            on_positions: &mut |positions| {
-                // twenty a second are live; the rest would only wait in line
-                if let Some(slot) = slot.filter(|_| last.elapsed() > Duration::from_millis(50)) {
-                    last = Instant::now();
-                    let _ = self.page.try_send(Outgoing::Frame(positions_frame(slot, positions)));
-                }
-            },
-        })
+        wrap.register(&mut Watch { job: self, what, slot, levels: 0, steps: 1, step: 0, shown: Instant::now() })
+    }
+}
+
+/// Tells the page of every step of a registration, and ends it when asked.
+struct Watch<'a> {
+    job: &'a Job,
+    what: &'a str,
+    /// Where the positions are shown.
+    slot: Option<&'a str>,
+    levels: usize,
+    /// The greatest number of steps.
+    steps: usize,
+    /// Those that are done.
+    step: u32,
+    /// When positions were shown last.
+    shown: Instant,
+}
+
+impl RegistrationObserver for Watch<'_> {
+    fn on_start(&mut self, levels: usize, steps: usize) {
+        (self.levels, self.steps) = (levels, steps.max(1));
+    }
+
+    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
+        self.step += 1;
+        let share = Some(f64::from(self.step) / self.steps as f64);
+        self.job.say(ServerMessage::Progress { what: self.what.to_owned(), share });
+        self.job.say(ServerMessage::Step {
+            level: record.level as u32 + 1,
+            step: self.step,
+            levels: self.levels as u32,
+            energy: record.energy,
+            energies: record.energies.clone(),
+            inliers: record.inliers,
+            motion: record.motion,
+        });
+        if self.job.cancel.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    fn cancel(&self) -> Option<&AtomicBool> {
+        Some(&self.job.cancel)
+    }
+
+    fn wants_positions(&self) -> bool {
+        self.slot.is_some()
+    }
+
+    fn on_positions(&mut self, _record: &StepRecord, positions: &[Vec3]) {
+        // twenty a second are live; the rest would only wait in line
+        if let Some(slot) = self.slot.filter(|_| self.shown.elapsed() > Duration::from_millis(50)) {
+            self.shown = Instant::now();
+            let _ = self.job.page.try_send(Outgoing::Frame(positions_frame(slot, positions)));
+        }
     }
 }
