@@ -11,14 +11,14 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{Read, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use nonrigid::io::{sha256, sha256_of_file};
 use rusqlite::{Connection, OptionalExtension as _, Transaction, TransactionBehavior, params};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 use ts_rs::TS;
 
 use crate::case::{Case, Edit, FileRef};
@@ -496,25 +496,15 @@ impl Vault {
             let path = entry?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             check_name(&name)?;
-            let mut file = fs::File::open(&path)?;
-            file.sync_all()?;
-            let mut hash = Sha256::new();
-            let mut buffer = vec![0; 1 << 16];
-            loop {
-                let read = file.read(&mut buffer)?;
-                if read == 0 {
-                    break;
-                }
-                hash.update(&buffer[..read]);
-            }
-            listing.push((name, hex(&hash.finalize())));
+            fs::File::open(&path)?.sync_all()?;
+            listing.push((name, sha256_of_file(&path)?));
         }
         if listing.is_empty() {
             return Err(problem("no file came; choose at least one"));
         }
         listing.sort();
         let text = serde_json::to_string(&listing).map_err(problem)?;
-        let asset = hex(&Sha256::digest(text.as_bytes()));
+        let asset = sha256(text.as_bytes());
         let place = self.folder.join("assets").join(&asset);
         if !place.exists()
             && let Err(error) = fs::rename(&incoming.folder, &place)
@@ -683,12 +673,6 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Bytes as hexadecimal digits.
-#[must_use]
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
-}
-
 /// 32 hexadecimal digits that nobody can guess.
 ///
 /// # Errors
@@ -696,5 +680,5 @@ pub fn hex(bytes: &[u8]) -> String {
 pub fn random_name() -> Result<String, Problem> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|e| problem(format!("the system gives no random numbers: {e}")))?;
-    Ok(hex(&bytes))
+    Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
 }
