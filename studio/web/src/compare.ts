@@ -1,7 +1,7 @@
 // Compare: several models on the same scan, in linked views, with a table of errors and times.
 
 import { app, send } from "./app";
-import { button, h, section, toggle } from "./dom";
+import { button, flag, h, section, toggle } from "./dom";
 import { options, stage, surfaceOf, views } from "./scene";
 import { Pane } from "./stage";
 
@@ -50,13 +50,7 @@ export function panel(redraw: () => void): HTMLElement[] {
       }, { class: "main", disabled: !ready || app.progress !== null || chosen.size === 0 }),
       !ready && h("p", { class: "hint" }, "Needs a template and a scan: add them under Wrap."),
       h("p", { class: "hint" }, "Each starts anew with the landmarks that have both sides, and the model's own schedule."),
-      h("div", { class: "row" }, toggle("Heat map", options.heat, () => {
-        options.heat = !options.heat;
-        redraw();
-      }), toggle("Polygons", options.wireframe, () => {
-        options.wireframe = !options.wireframe;
-        redraw();
-      })),
+      h("div", { class: "row" }, flag("Heat map", options, "heat", redraw), flag("Polygons", options, "wireframe", redraw)),
     ),
     section(
       "Table",

@@ -43,6 +43,14 @@ export function toggle(text: string, on: boolean, onclick: () => void, attribute
   return button(text, onclick, { class: on ? "on" : "", "aria-pressed": String(on), ...attributes });
 }
 
+/** A toggle of what is so or not so. */
+export function flag<K extends string>(text: string, of: Record<K, boolean>, key: K, redraw: () => void, attributes: Attributes = {}): HTMLButtonElement {
+  return toggle(text, of[key], () => {
+    of[key] = !of[key];
+    redraw();
+  }, attributes);
+}
+
 export function select(options: (string | [string, string])[], value: string, onchange: (value: string) => void, attributes: Attributes = {}) {
   const list = options.map((option) => (typeof option === "string" ? [option, option] : option));
   const taken = () => {

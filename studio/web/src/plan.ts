@@ -1,7 +1,7 @@
 // The panel of a plan: ready operations as sliders, fine sculpting, the steps in their order, several plans beside each other.
 
 import { app, copy, preview, send, shown, toast } from "./app";
-import { ask, button, dialog, h, section, select, slider, sure, toggle } from "./dom";
+import { ask, button, dialog, flag, h, section, select, slider, sure, toggle } from "./dom";
 import type { Edit, Mask, Preset, Side, StepResult } from "./protocol";
 import { options } from "./scene";
 import { ahead, discard, draft, dropSketch, edit, keep, overlay, redraw, showDraft, state, type Action, type Draft } from "./sculpt";
@@ -55,18 +55,9 @@ function plansSection(): HTMLElement {
     h(
       "div",
       { class: "row" },
-      toggle("Split", state.split, () => {
-        state.split = !state.split;
-        redraw();
-      }, { title: "The shape below, before or another plan, beside this plan" }),
-      toggle("Before", state.before, () => {
-        state.before = !state.before;
-        redraw();
-      }, { title: "Hold B" }),
-      toggle("Polygons", options.wireframe, () => {
-        options.wireframe = !options.wireframe;
-        redraw();
-      }, { title: "W" }),
+      flag("Split", state, "split", redraw, { title: "The shape below, before or another plan, beside this plan" }),
+      flag("Before", state, "before", redraw, { title: "Hold B" }),
+      flag("Polygons", options, "wireframe", redraw, { title: "W" }),
       toggle("Difference", state.difference, () => {
         state.difference = !state.difference;
         if (state.difference) blend();

@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { addFiles, app, copy, edit, send, toast } from "./app";
-import { ask, button, h, section, select, slider, svg, toggle } from "./dom";
+import { ask, button, flag, h, section, select, slider, svg, toggle } from "./dom";
 import type { Pair, Source, Unit, WrapSettings } from "./protocol";
 import { options, stage, surfaceOf, views } from "./scene";
 import { Pane, type Marker, type Tool } from "./stage";
@@ -434,22 +434,10 @@ function outcome(): HTMLElement {
     h(
       "div",
       { class: "row wrap" },
-      toggle("Heat map", options.heat, () => {
-        options.heat = !options.heat;
-        redraw();
-      }, { title: "H" }),
-      toggle("Polygons", options.wireframe, () => {
-        options.wireframe = !options.wireframe;
-        redraw();
-      }, { title: "W" }),
-      toggle("Split", state.split, () => {
-        state.split = !state.split;
-        redraw();
-      }),
-      toggle("Scan too", state.scanToo, () => {
-        state.scanToo = !state.scanToo;
-        redraw();
-      }, { title: "The scan through the coloured template" }),
+      flag("Heat map", options, "heat", redraw, { title: "H" }),
+      flag("Polygons", options, "wireframe", redraw, { title: "W" }),
+      flag("Split", state, "split", redraw),
+      flag("Scan too", state, "scanToo", redraw, { title: "The scan through the coloured template" }),
     ),
     h("div", { class: "row wrap" }, h("span", {}, "Save as"), save("obj"), save("ply"), save("glb"), button("Copy as command", () => void copy(app.open?.command ?? ""), { title: app.open?.command ?? "" })),
     list.length > 0 &&
