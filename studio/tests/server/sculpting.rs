@@ -8,8 +8,9 @@ use studio::case::{Case, FileRef, Source, Unit};
 
 use crate::client::{Page, Running};
 
-/// A case of a generated face with a rig.
-fn add_face(server: &Running, vertices: usize) -> u32 {
+/// A case of a generated face with a rig, shown on a page.
+fn face_shown(vertices: usize) -> (Running, Page) {
+    let server = Running::start();
     let vault = &server.hub.vault;
     let incoming = vault.incoming().unwrap();
     write_rig(&incoming.folder, &FaceRig::generate(&FaceOptions { vertices, identity_modes: 20 })).unwrap();
@@ -19,7 +20,11 @@ fn add_face(server: &Running, vertices: usize) -> u32 {
         Some(Source { at, name: "face".to_owned(), unit: Unit::Mm })
     };
     let case = Case { template: source("template.obj"), rig: source(""), ..Case::default() };
-    vault.add_case(&case).unwrap()
+    vault.add_case(&case).unwrap();
+    let mut page = server.page();
+    page.wait("case");
+    page.wait("plan");
+    (server, page)
 }
 
 /// A step that moves a disc of the face outwards by so much.
@@ -61,11 +66,7 @@ fn drag(page: &mut Page, model: &str, radius: f64) -> (f64, f64, u64, u64) {
 
 #[test]
 fn a_drag_goes_on_from_frame_to_frame_and_letting_go_replays_the_plan() {
-    let server = Running::start();
-    add_face(&server, 6000);
-    let mut page = server.page();
-    page.wait("case");
-    page.wait("plan");
+    let (_server, mut page) = face_shown(6000);
     for model in ["direct", "free", "arap", "graph", "hybrid"] {
         let (_, _, moving, iterations) = drag(&mut page, model, 45.0);
         assert!(moving > 1000 && iterations <= 2, "{model}: {moving} vertices move, {iterations} iterations");
@@ -94,11 +95,7 @@ fn a_drag_goes_on_from_frame_to_frame_and_letting_go_replays_the_plan() {
 #[test]
 #[ignore = "a measurement: cargo test --release -p studio --test server sculpting -- --ignored --nocapture"]
 fn milliseconds_at_ten_thousand_moving_vertices() {
-    let server = Running::start();
-    add_face(&server, 15_000);
-    let mut page = server.page();
-    page.wait("case");
-    page.wait("plan");
+    let (_server, mut page) = face_shown(15_000);
     for model in ["direct", "free", "arap", "graph", "hybrid"] {
         let (first, later, moving, iterations) = drag(&mut page, model, 60.0);
         println!(
