@@ -16,6 +16,7 @@
 //! NPY, NPZ and glTF hold names as they are: nothing there is found by its letters.
 
 use std::borrow::Cow;
+use std::cmp::Ordering;
 
 /// Letters of a name of a shape, landmark or region at most; readers refuse longer ones.
 pub const LONGEST_NAME: usize = 1000;
@@ -28,6 +29,22 @@ const MESSAGE: usize = 3000;
 /// The known name that differs from `name` in the fewest letters; the first of equals.
 pub fn most_similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     known.into_iter().min_by_key(|k| edit_distance(k, name))
+}
+
+/// The order of names in which numbers count by their value: `f2` before `f10`.
+pub fn natural(a: &str, b: &str) -> Ordering {
+    let parts = |text: &str| -> Vec<(bool, usize, String)> {
+        let chunks = text.as_bytes().chunk_by(|x, y| x.is_ascii_digit() == y.is_ascii_digit());
+        let part = |chunk: &[u8]| {
+            let is_number = chunk[0].is_ascii_digit();
+            let text = String::from_utf8_lossy(chunk).into_owned();
+            let text = if is_number { text.trim_start_matches('0').to_owned() } else { text };
+            // a longer number is a larger one
+            (!is_number, if is_number { text.len() } else { 0 }, text)
+        };
+        chunks.map(part).collect()
+    };
+    parts(a).cmp(&parts(b)).then_with(|| a.cmp(b))
 }
 
 /// Levenshtein's distance, letters compared without case.
@@ -186,6 +203,13 @@ mod tests {
         "nul\0",
         "\u{7f}",
     ];
+
+    #[test]
+    fn numbers_in_names_count_by_their_value() {
+        let mut names = ["f10", "g", "f2", "f1", "f", "f02b", "f2b", "10", "9", "Äf", "f1a10", "f1a9"];
+        names.sort_by(|a, b| natural(a, b));
+        assert_eq!(names, ["9", "10", "f", "f1", "f1a9", "f1a10", "f2", "f02b", "f2b", "f10", "g", "Äf"]);
+    }
 
     #[test]
     fn ordinary_names_stay() {

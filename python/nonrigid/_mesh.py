@@ -34,9 +34,16 @@ def is_npy(path: PathLike) -> bool:
     return os.fspath(path).lower().endswith(".npy")
 
 
+def _whole(what: str, values: ArrayLike) -> NDArray[Any]:
+    """An array of which nothing is masked: what a mask hides would be taken for data."""
+    if np.ma.is_masked(values):
+        raise ValueError(f"{what}: expected an array without a mask; leave out what is masked")
+    return np.asarray(values)
+
+
 def points(what: str, values: ArrayLike, count: int | None = None) -> Floats:
     """(N, 3) float64, C order: converted from any real numbers, never from another shape."""
-    array = np.asarray(values)
+    array = _whole(what, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{what}: expected numbers, found an array of {array.dtype}")
     if array.ndim != 2 or array.shape[1] != 3:
@@ -48,7 +55,7 @@ def points(what: str, values: ArrayLike, count: int | None = None) -> Floats:
 
 def indices(what: str, values: ArrayLike) -> NDArray[np.uint32]:
     """Vertex indices: whole numbers from 0."""
-    array = np.asarray(values)
+    array = _whole(what, values)
     if array.size == 0:
         return np.zeros(array.shape, dtype=np.uint32)
     if array.dtype.kind not in "iu":
@@ -56,6 +63,10 @@ def indices(what: str, values: ArrayLike) -> NDArray[np.uint32]:
     if array.min() < 0 or array.max() >= 2**32 - 1:
         raise ValueError(f"{what}: expected vertex indices, found {array.min()} to {array.max()}")
     return np.ascontiguousarray(array, dtype=np.uint32)
+
+
+#: More corners than a polygon of a few has: such an array has its faces in columns.
+MOST_CORNERS = 64
 
 
 def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
@@ -69,6 +80,8 @@ def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
             corners = np.concatenate([indices("faces", face) for face in faces])
             return starts.astype(np.uint32), corners
         faces = np.asarray(faces)
+    if faces.ndim == 2 and len(faces) <= 4 < MOST_CORNERS < faces.shape[1]:
+        raise ValueError(f"faces: expected a row for each face, found an array of shape {faces.shape}: transpose it")
     if faces.ndim != 2 or faces.shape[1] < 3:
         raise ValueError(f"faces: expected an array of shape (F, 3) or (F, 4), or a list of polygons, found {faces.shape}")
     corners = indices("faces", faces).reshape(-1)
@@ -77,7 +90,7 @@ def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
 
 def _colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
     """(N, 3) of 0 to 255, from numbers of 0 to 1 as well, without transparency."""
-    array = np.asarray(values)
+    array = _whole("colors", values)
     if array.ndim != 2 or array.shape[1] not in (3, 4) or len(array) != count:
         raise ValueError(f"colors: expected an array of shape ({count}, 3), found {array.shape}")
     array = array[:, :3]

@@ -185,6 +185,8 @@ def _mask(what: str, given: Any, vertices: int) -> _nonrigid.Mask | None:
         return None
     if is_path(given):
         return _nonrigid.Mask.read(os.fspath(given), vertices)
+    if np.ma.is_masked(given):
+        raise ValueError(f"{what}: expected an array without a mask")
     values = np.asarray(given)
     if values.dtype.kind not in "fiub" or values.shape != (vertices,):
         raise ValueError(f"{what}: expected {vertices} numbers, one for each template vertex, found {values.dtype} of {values.shape}")

@@ -80,7 +80,7 @@ pub struct Mesh {
     pub known: Option<KnownUnit>,
     pub files: Vec<Input>,
     pub path: PathBuf,
-    /// The OBJ file whose materials go along where it is written; empty for none.
+    /// The file that it was made of, whose materials go along where it is written; empty for none.
     pub materials: PathBuf,
     pub note: Option<String>,
 }
@@ -286,7 +286,9 @@ impl Mesh {
                 false => MaterialFiles::default(),
             };
             let writes: Vec<PathBuf> = std::iter::once(path.clone()).chain(materials.writes(&path)).collect();
-            let reads: Vec<PathBuf> = reads.iter().chain(materials.reads()).cloned().collect();
+            // a mesh that was made of another does not overwrite that either
+            let made_of = Some(&self.materials).filter(|path| !path.as_os_str().is_empty());
+            let reads: Vec<PathBuf> = reads.iter().chain(made_of).chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
             let mut mesh = self.file.mesh.clone();
             let copied = materials.write(&path, &mut mesh).map_err(input)?;

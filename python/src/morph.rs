@@ -12,7 +12,7 @@ use nonrigid::morph::{
     replay,
 };
 use nonrigid::registration::WITHIN_MM;
-use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Regions, ShapeBasis, ShapeSelection, check_order};
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use serde::Serialize;
@@ -108,14 +108,18 @@ fn morph_mesh<'py>(
     }
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     let outcomes = compute(py, threads, || {
-        let points: Vec<(String, TemplatePoint)> = places(&landmarks, rig, mesh)?.into_iter().flatten().collect();
         let mut basis = match rig {
             None => ShapeBasis::none(),
-            Some(rig) => rig.rig.select(ShapeSelection { names: shapes.as_deref(), identity_modes }).map_err(input)?,
+            Some(rig) => {
+                rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
+                let selection = ShapeSelection { names: shapes.as_deref(), identity_modes };
+                rig.rig.select_for(selection, "the mesh", &mesh.polygons().positions).map_err(input)?.0
+            }
         };
         if let Some(bounds) = bounds {
             basis = basis.with_bounds(|_| bounds);
         }
+        let points: Vec<(String, TemplatePoint)> = places(&landmarks, rig, mesh)?.into_iter().flatten().collect();
         let mut moved: PolygonMesh = mesh.polygons().clone();
         let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
@@ -152,6 +156,12 @@ fn measure_mesh(
     let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     compute(py, None, || {
+        if let Some(rig) = rig {
+            rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
+        }
+        if let Some(after) = &after {
+            check_order(mesh.polygons(), "after", after).map_err(input)?;
+        }
         let mut known = measurement::Landmarks::default();
         for points in places(&landmarks, rig, mesh)? {
             known.add(&points).map_err(input)?;

@@ -188,6 +188,8 @@ pub struct Registration {
     finer: Option<MeshFile>,
     /// The file whose materials go along.
     materials: PathBuf,
+    /// What is odd about the template or the neutral.
+    notes: Vec<String>,
 }
 
 #[pymethods]
@@ -255,7 +257,8 @@ impl Registration {
     #[getter]
     fn remarks(&self) -> Vec<String> {
         let of_landmarks = self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks);
-        self.result.scan_facing.remarks().into_iter().chain(of_landmarks).collect()
+        let of_inputs = self.notes.iter().cloned().chain(self.result.scan_facing.remarks());
+        of_inputs.chain(of_landmarks).collect()
     }
 
     #[getter]
@@ -375,13 +378,18 @@ fn register(
         know("rig", rig.and_then(|r| r.known));
         let mesh = template.polygons();
         let target = mesh_of_scan(scan);
+        let mut notes = Vec::new();
         let basis = match rig {
             None => ShapeBasis::none(),
             Some(rig) => {
                 let names = shapes.as_deref();
                 let usual = || rig.rig.usual_identity_modes(names, neutral.is_some());
                 let identity_modes = identity_modes.unwrap_or_else(usual);
-                rig.rig.select(ShapeSelection { names, identity_modes }).map_err(input)?
+                let selection = ShapeSelection { names, identity_modes };
+                let (what, subject) = neutral.map_or(("the template", mesh), |n| ("the neutral", n.polygons()));
+                let (basis, odd) = rig.rig.select_for(selection, what, &subject.positions).map_err(input)?;
+                notes.extend(odd.iter().map(ToString::to_string));
+                basis
             }
         };
         let mut pairs = Vec::new();
@@ -463,6 +471,7 @@ fn register(
             equations: None,
             finer,
             materials: template.materials.clone(),
+            notes,
         })
     };
 

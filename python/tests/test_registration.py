@@ -146,6 +146,22 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
     ]:
         with pytest.raises(ValueError, match=words):
             nonrigid.register(mesh, case.scan, **{"landmarks": marks, "model": "graph", **wrong})
+    hidden = np.ma.array(case.scan.vertices, mask=np.arange(case.scan.vertices.size).reshape(-1, 3) < 3)
+    with pytest.raises(ValueError, match="mask"):
+        nonrigid.Mesh(hidden, case.scan.faces)
+    with pytest.raises(ValueError, match="transpose"):
+        nonrigid.Mesh(case.scan.vertices, case.scan.faces.T)
+    last = len(mesh.vertices) - 1
+    turned = nonrigid.Mesh(mesh.vertices[::-1], [[last - v for v in face] for face in mesh.faces])
+    with pytest.raises(ValueError, match="in the rig's order"):
+        nonrigid.register(turned, case.scan, rig=face.rig)
+    with pytest.raises(ValueError, match="in the rig's order"):
+        nonrigid.morph(turned, "nose-tip", rig=face.rig)
+    with pytest.raises(ValueError, match="in the rig's order"):
+        nonrigid.measure(mesh, turned.vertices, landmarks=face.anthropometric)
+    few = nonrigid.Mesh(mesh.vertices[:3], [[0, 1, 2]])
+    with pytest.raises(ValueError, match="found 3 vertices"):
+        nonrigid.morph(few, "nose-tip", rig=face.rig)
     with pytest.raises(ValueError, match="not finite"):
         nonrigid.register(mesh, (np.full((3, 3), np.nan), [[0, 1, 2]]), model="rigid")
     far = nonrigid.Mesh(case.scan.vertices + 1e4, case.scan.faces)
@@ -169,6 +185,11 @@ def test_saving(registered: nonrigid.Registration, data: Data, tmp_path: Path) -
         found.save(data.scan())
     with pytest.raises(ValueError, match="would overwrite"):
         found.save(tmp_path / "e.obj", report=data.landmarks())
+    template = data.template.read_bytes()
+    for made in (found.mesh, nonrigid.Mesh.read(data.template).with_vertices(found.positions)):
+        with pytest.raises(ValueError, match="would overwrite"):
+            made.write(data.template)
+    assert data.template.read_bytes() == template
     assert data.scan().read_bytes() == scan and not (tmp_path / "e.obj").exists() and not (tmp_path / "c.obj").exists()
 
 

@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Instant;
 
@@ -10,6 +10,7 @@ use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::animate::Cutoff;
+use super::inputs::refuse_as_shape;
 use super::interrupt::Interrupt;
 use super::{Failure, Program, Stage, bounded, check_output_folder, register, say, tell, warn};
 use crate::batch::{Animation, Batch, Columns, Finished, Job, Manifest, Outcome, Plan, Row, Shard, Status, Timing};
@@ -166,6 +167,8 @@ pub fn settings(batch: &Batch) -> [(String, String); 2] {
 /// Runs the command.
 pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
     check_output_folder(&a.out)?;
+    let rig = a.of_register.0.iter().find(|(long, _)| long == "rig").map(|(_, path)| Path::new(path));
+    refuse_as_shape(rig, &a.out, "--out")?;
     let columns = columns();
     let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
     let cores = a.threads.map_or_else(rayon::current_num_threads, |asked| bounded("--threads", asked.into()));

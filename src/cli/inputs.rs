@@ -5,12 +5,15 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::units::Units;
-use super::{Failure, has_extension, warn};
+use super::{Failure, Stage, has_extension, same_place, warn};
 use crate::io::{self, Inputs};
 use crate::landmark::{self, Landmark, LandmarkSet};
 use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::registration::ScanFlip;
-use crate::rig::{IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection};
+use crate::rig::{
+    IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection,
+    is_folder_of_shapes,
+};
 
 /// What errors and reports call landmarks, and the file that says what their names mean.
 pub const LANDMARKS: &str = "landmarks";
@@ -105,14 +108,25 @@ impl RigArguments {
         (what, subject): (&'static str, &[Vec3]),
     ) -> Result<(ShapeBasis, Option<Regions>), Failure> {
         let (Some(folder), Some(open)) = (&self.rig, open) else { return Ok((ShapeBasis::none(), None)) };
-        let mut rig = bring_rig(folder, open, units)?;
-        let odd = rig.turn_to(what, subject).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
-        odd.iter().for_each(warn);
+        let rig = bring_rig(folder, open, units)?;
         let names = self.shapes.as_deref();
         let identity_modes = self.identity_modes.unwrap_or_else(|| rig.usual_identity_modes(names, own_neutral));
         let selection = ShapeSelection { names, identity_modes };
-        let shapes = rig.select(selection).map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
+        let selected = rig.select_for(selection, what, subject);
+        let (shapes, odd) = selected.map_err(|e| Failure::loading(format!("{}: {e}", folder.display())))?;
+        odd.iter().for_each(warn);
         Ok((shapes, rig.regions().cloned()))
+    }
+}
+
+/// Refuses a mesh in a folder that is read as a rig of shapes: it would be one of them the next time.
+pub fn refuse_as_shape(rig: Option<&Path>, folder: &Path, what: &str) -> Result<(), Failure> {
+    match rig.filter(|rig| same_place(rig, folder) && is_folder_of_shapes(rig)) {
+        None => Ok(()),
+        Some(rig) => {
+            let message = format!("{what}: a mesh in {} would become a shape of the rig", rig.display());
+            Err(Failure::new(Stage::Arguments, format!("{message}; give another folder")))
+        }
     }
 }
 

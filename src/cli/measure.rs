@@ -1,6 +1,5 @@
 //! `nonrigid measure`.
 
-use std::fmt::Display;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -8,11 +7,11 @@ use clap::Args;
 
 use super::inputs::{open_rig, read_mask};
 use super::units::{UnitArguments, Units};
-use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say};
+use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say, warn};
 use crate::io::{FilePlan, LengthUnit, write_atomically};
 use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
-use crate::rig::Regions;
+use crate::rig::{Regions, check_order};
 
 /// Arguments of `nonrigid measure`.
 #[derive(Debug, Args)]
@@ -102,17 +101,6 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Refuses a mesh that has not the rig's vertices in the rig's order: regions and landmarks of the rig would lie anywhere on it.
-fn check_order(folder: &Path, mesh: &PolygonMesh) -> Result<(), Failure> {
-    let (mut rig, _) = open_rig(folder, 0, None)?;
-    let fail = |why: &dyn Display| Err(Failure::loading(format!("{}: {why}", folder.display())));
-    let [found, expected] = [mesh.positions.len(), rig.neutral().len()];
-    if found != expected {
-        return fail(&format_args!("the rig has {expected} vertices, the mesh {found}"));
-    }
-    rig.turn_to("mesh", &mesh.positions).map_or_else(|why| fail(&why), |_| Ok(()))
-}
-
 fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.json.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
@@ -137,11 +125,17 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
-    if let Some(rig) = &a.rig {
-        check_order(rig, &mesh)?;
+    if let Some(folder) = &a.rig {
+        // in another order, regions and landmarks of the rig would lie anywhere on it
+        let at_rig = |e| Failure::loading(format!("{}: {e}", folder.display()));
+        open_rig(folder, 0, None)?.0.check_subject("mesh", &mesh.positions).map_err(at_rig)?;
     }
     let mut after: Vec<Vec<Vec3>> =
         a.after.iter().map(|path| read_after(path, &mesh, &mut units)).collect::<Result<_, _>>()?;
+    for (path, after) in a.after.iter().zip(&after) {
+        let odd = check_order(&mesh, "after", after);
+        odd.map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?.iter().for_each(warn);
+    }
     for after in after.iter_mut().filter(|_| a.align) {
         let pairs: Vec<(Vec3, Vec3)> = after.iter().copied().zip(mesh.positions.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;

@@ -11,8 +11,8 @@ use serde::Serialize;
 
 use super::bake::{self, BakeArguments};
 use super::inputs::{
-    FlipArgument, LANDMARKS, MaskArguments, RigArguments, TEMPLATE_LANDMARKS, bounds, read_landmarks, rig_files,
-    texture_of,
+    FlipArgument, LANDMARKS, MaskArguments, RigArguments, TEMPLATE_LANDMARKS, bounds, read_landmarks, refuse_as_shape,
+    rig_files, texture_of,
 };
 use super::interrupt::Interrupt;
 use super::units::UnitArguments;
@@ -420,7 +420,16 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     a.picture.as_deref().map_or(Ok(()), |p| check_output(p, &["png"]))?;
     a.report.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
-    check_plan(&FilePlan::new().reads_all(a.input_paths()).writes_all(a.output_paths()))
+    refuse_as_shape(a.rig.rig.as_deref(), a.out.parent().unwrap_or(Path::new("")), "--out")?;
+    check_plan(&FilePlan::new().reads_all(a.input_paths()).writes_all(a.output_paths()))?;
+    // beside a result that is there they are of the run that made it
+    match a.beside(&a.out).into_iter().find(|(_, path)| path.exists() && !a.out.exists()) {
+        None => Ok(()),
+        Some((option, path)) => {
+            let message = format!("{}: is there already, and would be overwritten ({option})", path.display());
+            Err(Failure::writing(format!("{message}; remove it, or give another name")))
+        }
+    }
 }
 
 /// What was read, as the report says it.

@@ -159,6 +159,12 @@ impl EdgeGraph {
         self.edges.iter().map(|&[a, b]| (positions[a as usize] - positions[b as usize]).norm()).collect()
     }
 
+    /// Whether an edge has more than one face.
+    #[must_use]
+    pub fn has_inner_edges(&self) -> bool {
+        self.faces.iter().any(|faces| *faces > 1)
+    }
+
     /// Edges of the open boundary, with exactly one face; sorted.
     #[must_use]
     pub fn boundary_edges(&self) -> Vec<[u32; 2]> {

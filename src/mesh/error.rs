@@ -38,6 +38,9 @@ pub enum MeshError {
     /// No triangle has an area.
     #[error("no triangle has an area: the corners of each lie on a line")]
     NoArea,
+    /// No two triangles have an edge in common.
+    #[error("its triangles share no vertices: merge those that stand at one place")]
+    Unconnected,
     /// Lengths do not belong to the edges.
     #[error("found {found} edge lengths, expected {expected}")]
     EdgeLengthCount {

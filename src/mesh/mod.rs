@@ -17,6 +17,7 @@ mod polygon_mesh;
 mod pose;
 pub mod rows;
 mod seam;
+mod spikes;
 pub mod srgb;
 mod subdivide;
 pub mod surface_lattice;
@@ -34,6 +35,7 @@ pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
 pub use seam::sewn;
+pub use spikes::spikes;
 pub use subdivide::Subdivision;
 pub use triangle_mesh::TriangleMesh;
 

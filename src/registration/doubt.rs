@@ -92,6 +92,13 @@ pub enum Doubt {
         /// 1st percentile.
         shortest: f64,
     },
+    /// Vertices stand out from their neighbours.
+    Spikes {
+        /// How many.
+        vertices: usize,
+        /// Largest length of an edge after over before.
+        longest: f64,
+    },
     /// The template's features are not where the scan's are: its curvature is not that of the places it lies on.
     FeaturesMoved {
         /// Correlation of curvature between template and result.
@@ -189,6 +196,7 @@ impl Doubt {
             Self::LooseWeights { .. } => "loose_weights",
             Self::ManyFolds { .. } => "many_folds",
             Self::Stretched { .. } => "stretched",
+            Self::Spikes { .. } => "spikes",
             Self::FeaturesMoved { .. } => "features_moved",
             Self::Unsettled { .. } => "unsettled",
             Self::Mirrored { .. } => "mirrored",
@@ -263,6 +271,11 @@ impl std::fmt::Display for Doubt {
             Self::Stretched { longest, shortest } => write!(
                 f,
                 "edges are stretched to {longest:.1} and shrunk to {shortest:.2} times their length; check landmarks and the start"
+            ),
+            Self::Spikes { vertices, longest } => write!(
+                f,
+                "{vertices} vertices stand out from their neighbours, with edges {longest:.0} times as long as the template's; look at \
+                 the neutral, the warm start and the picture"
             ),
             Self::FeaturesMoved { correlation } => write!(
                 f,

@@ -9,6 +9,7 @@ use std::sync::LazyLock;
 use serde::{Deserialize, Serialize};
 
 use super::{Doubt, Evidence, Quality, QualityError, RegistrationInput, RegistrationResult};
+use crate::mesh::{PolygonMesh, Vec3, spikes};
 
 /// Root mean square error over the vertices that the scan shows above which a result counts as wrong, millimetres on a face
 /// (of 67 mm root mean square size); on other subjects the same share of the size.
@@ -22,6 +23,10 @@ const OFF_THE_SCAN: f64 = 0.009;
 /// calibrated either: right results of the sets of `experiments silence` have 0.14 and 0.69 at most.
 const CONTRADICTED: f64 = 0.25;
 const UNSEEN: f64 = 0.75;
+
+/// How far a vertex stands out at least, as a share of the size (2 mm on a face), to be one of the [`spikes`], after which a result is as
+/// probably wrong as right at least: no median or percentile shows a few of them, and no result of a sound template has any.
+const SPIKE: f64 = 0.03;
 
 /// [`StartSearch::rival`](super::StartSearch::rival) above which another place fits as well, such as a second face, and what is then
 /// the least probability: 3 of 14 such starts of the design set were wrong.
@@ -74,12 +79,17 @@ impl Reliability {
             (rival, Risk::StartRival, RIVAL.1),
         ];
         let known = known.into_iter().filter(|k| k.0);
-        let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence), f64::max);
+        let spikes = count_spikes(input.template, &result.positions, SPIKE * evidence.size);
+        let least = if spikes > 0 { 0.5 } else { 0.0 };
+        let probability = known.clone().map(|k| k.2).fold(CALIBRATION.probability(&evidence).max(least), f64::max);
         let mut signs: Vec<Risk> = known.map(|k| k.1).collect();
         if probability > CALIBRATION.threshold {
             signs.extend(CALIBRATION.signs(|risk| risk.of(&evidence)));
         }
         let mut doubts: Vec<Doubt> = Vec::new();
+        if spikes > 0 {
+            doubts.push(Doubt::Spikes { vertices: spikes, longest: quality.mesh.stretch.max });
+        }
         for doubt in signs.into_iter().map(|risk| Doubt::new(risk, &evidence, input, result, quality)) {
             // Two risks may be one doubt.
             if !doubts.iter().any(|known| known.name() == doubt.name()) {
@@ -94,6 +104,12 @@ impl Reliability {
     pub fn is_doubtful(&self) -> bool {
         !self.doubts.is_empty()
     }
+}
+
+fn count_spikes(template: &PolygonMesh, positions: &[Vec3], least: f64) -> usize {
+    let polygons = (0..template.polygon_count()).map(|f| template.polygon(f));
+    let sides = polygons.flat_map(|p| (0..p.len()).map(|k| [p[k], p[(k + 1) % p.len()]]));
+    spikes(sides, &template.positions, positions, least)
 }
 
 /// The risks and, each, its number from the evidence.

@@ -6,7 +6,7 @@ use super::{RegistrationError, RegistrationInput};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use crate::mesh::{TriangleMesh, Vec3, hidden_vertices, referenced, rms_size, surface_points};
+use crate::mesh::{MeshError, TriangleMesh, Vec3, hidden_vertices, referenced, rms_size, surface_points};
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 pub(super) struct Rest {
@@ -43,6 +43,9 @@ impl Rest {
         mesh.positions.iter_mut().for_each(|p| *p -= centre);
         let finer = (count / schedule.reference_vertices).sqrt();
         let edges = EdgeGraph::of(&mesh);
+        if mesh.triangles.len() > 1 && !edges.has_inner_edges() {
+            return Err(RegistrationError::Template(MeshError::Unconnected.to_string()));
+        }
         let rim = rim(&edges, (schedule.scan.template_rim * finer).round() as usize);
         let hidden = hidden(&mesh)?;
         let masks = VertexMasks::new(input.mask, input.free_mask, rim).without(|v| !used[v]);

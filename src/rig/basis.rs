@@ -3,6 +3,9 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
 use super::{Family, Shape};
 use crate::mesh::Vec3;
 
@@ -90,6 +93,22 @@ impl ShapeBasis {
         let free = pairs.iter().all(|b| *b == [f64::NEG_INFINITY, f64::INFINITY]);
         self.bounds = [0, 1].map(|side| pairs.iter().filter(|_| !free).map(|b| b[side]).collect());
         self
+    }
+
+    /// The same shapes, turned.
+    #[must_use]
+    pub fn turned(&self, rotation: &Matrix3<f64>) -> Self {
+        let turned = |slab: &Slab| {
+            let (mut values, n) = (slab.values.to_vec(), slab.shapes);
+            values.par_chunks_exact_mut((3 * n).max(1)).for_each(|rows| {
+                for k in 0..n {
+                    let d = Vec3::from_fn(|axis, _| f64::from(rows[axis * n + k]));
+                    (rotation * d).iter().enumerate().for_each(|(axis, d)| rows[axis * n + k] = *d as f32);
+                }
+            });
+            Slab { shapes: n, values: Arc::new(values) }
+        };
+        Self { slabs: self.slabs.iter().map(turned).collect(), ..self.clone() }
     }
 
     /// The same shapes on some of the vertices, each displacement times its vertex' weight; one weight for each of `vertices`.

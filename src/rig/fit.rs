@@ -96,7 +96,7 @@ impl WeightFitter {
             return Err(RigError::NotFinite { what: "the frame".into(), vertex });
         }
         let unlike = |why| RigError::Unlike { what: "the frame", why };
-        let mut doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?;
+        let mut doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?.doubts;
         doubts.retain(|doubt| !matches!(doubt, Unlike::Far { .. })); // expressions are: what the fit leaves counts
         problem.frame.clear();
         problem.frame.extend_from_slice(frame);

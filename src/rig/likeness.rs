@@ -6,11 +6,10 @@
 use std::fmt;
 
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen};
-use rayon::prelude::*;
 
-use super::{Rig, RigError, RigWarning};
+use super::{Rig, RigError, RigWarning, ShapeBasis, ShapeSelection};
 use crate::mesh::normals::face_cross;
-use crate::mesh::{PoseKind, Vec3, closest_pose};
+use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, closest_pose, spikes};
 
 /// Root mean square distance from the posed neutral, as a share of the size, above which a mesh is doubtful, and is refused.
 const FAR: [f64; 2] = [0.15, 0.6];
@@ -24,6 +23,8 @@ const COLLAPSED: [f64; 2] = [0.01, 0.1];
 const LEAST_AREA: f64 = 1e-4;
 /// Shares of triangles that face backwards.
 const FOLDED: [f64; 2] = [0.02, 0.25];
+/// How far a vertex stands out at least, as a share of the size, to be a [spike](spikes).
+const SPIKE: f64 = 0.03;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
 const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
@@ -72,6 +73,11 @@ pub enum Unlike {
         /// Of so many.
         of: usize,
     },
+    /// Vertices stand out from their neighbours.
+    Spiked {
+        /// How many.
+        vertices: usize,
+    },
     /// It is of another size.
     Size {
         /// Times the neutral's.
@@ -110,6 +116,9 @@ impl fmt::Display for Unlike {
             Self::Folded { triangles, of } => {
                 write!(f, "{triangles} of its {of} triangles face backwards; look at the mesh")
             }
+            Self::Spiked { vertices } => {
+                write!(f, "{vertices} of its vertices stand out from their neighbours like spikes; look at the mesh")
+            }
             Self::Size { factor } => {
                 write!(f, "it is {factor:.2} times as large as the neutral; if that is not so, state its unit")
             }
@@ -117,17 +126,20 @@ impl fmt::Display for Unlike {
     }
 }
 
-/// What was found: why a mesh cannot be used, or what to doubt.
-pub(super) type Verdict = Result<Vec<Unlike>, Unlike>;
+/// What to doubt of a mesh, and how the neutral is posed onto it, unless either has no extent.
+pub(super) struct Likeness {
+    pub doubts: Vec<Unlike>,
+    pub pose: Option<Pose>,
+}
 
-/// Compares a mesh of `points` with a neutral of as many vertices. Nothing is found where either has no extent.
-pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3]) -> Verdict {
+/// Compares a mesh of `points` with a neutral of as many vertices, or says why it cannot be used.
+pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3]) -> Result<Likeness, Unlike> {
     let pairs: Vec<(Vec3, Vec3)> = neutral.iter().copied().zip(points.iter().copied()).collect();
     let flipped: Vec<(Vec3, Vec3)> = pairs.iter().map(|(p, q)| (Vec3::new(-p.x, p.y, p.z), *q)).collect();
     let (Ok(pose), Ok(mirror)) =
         (closest_pose(&pairs, PoseKind::Similarity), closest_pose(&flipped, PoseKind::Similarity))
     else {
-        return Ok(Vec::new());
+        return Ok(Likeness { doubts: Vec::new(), pose: None });
     };
     let mut doubts = Vec::new();
     let ([size, thickness], [neutral_size, neutral_thickness]) = (spread(points), spread(neutral));
@@ -147,7 +159,7 @@ pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3])
     if share(collapsed) > COLLAPSED[1] {
         return Err(Unlike::Collapsed { triangles: collapsed, of });
     }
-    let rms = |pose: &crate::mesh::Pose, pairs: &[(Vec3, Vec3)]| {
+    let rms = |pose: &Pose, pairs: &[(Vec3, Vec3)]| {
         (pairs.iter().map(|(p, q)| (pose.apply(*p) - q).norm_squared()).sum::<f64>() / pairs.len() as f64).sqrt()
     };
     let (far, mirrored) = (rms(&pose, &pairs), rms(&mirror, &flipped));
@@ -169,38 +181,75 @@ pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3])
     if share(folded) > FOLDED[0] {
         doubts.push(Unlike::Folded { triangles: folded, of });
     }
+    let sides = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    match spikes(sides, &posed, points, SPIKE * size) {
+        0 => {}
+        vertices => doubts.push(Unlike::Spiked { vertices }),
+    }
     if !SIZES.contains(&(size / neutral_size)) {
         doubts.push(Unlike::Size { factor: size / neutral_size });
     }
-    Ok(doubts)
+    Ok(Likeness { doubts, pose: Some(pose) })
 }
 
 /// A subject that is turned by more than this against the neutral has the rig's shapes turned with it, radians. People of one pose
 /// differ by a degree or so.
 const TURNED: f64 = 0.05;
 
+/// What is odd about `points` that have the vertices of `mesh` in its order.
+///
+/// # Errors
+/// When they cannot be that: of another number, in another order, mirrored, flat, collapsed ([`Unlike`]).
+pub fn check_order(mesh: &PolygonMesh, what: &'static str, points: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
+    let found = compared((&mesh.positions, Some(mesh)), what, points)?;
+    Ok(warnings(what, found.doubts))
+}
+
+fn compared(
+    (neutral, mesh): (&[Vec3], Option<&PolygonMesh>),
+    what: &'static str,
+    points: &[Vec3],
+) -> Result<Likeness, RigError> {
+    let [found, expected] = [points.len(), neutral.len()];
+    if found != expected {
+        return Err(RigError::VertexCount { what: what.to_owned(), found, expected });
+    }
+    let triangles = mesh.map_or_else(Vec::new, |mesh| mesh.triangulate().triangles);
+    compare(neutral, &triangles, points).map_err(|why| RigError::Unlike { what, why })
+}
+
+fn warnings(what: &'static str, doubts: Vec<Unlike>) -> Vec<RigWarning> {
+    doubts.into_iter().map(|why| RigWarning::Unlike { what, why }).collect()
+}
+
 impl Rig {
-    /// Makes the rig one for `subject`, a mesh of the rig's vertices in the rig's order: shapes turn with it where it is turned. What is
-    /// odd about it is a warning. A mesh of another number of vertices is none of the rig's, which is for others to say.
+    /// [`check_order`] of a mesh of this rig.
     ///
     /// # Errors
-    /// When it is no such mesh: in another order, mirrored, flat, collapsed ([`Unlike`]).
-    pub fn turn_to(&mut self, what: &'static str, subject: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
+    /// As [`check_order`].
+    pub fn check_subject(&self, what: &'static str, subject: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
+        compared((&self.neutral, self.mesh.as_ref()), what, subject).map(|found| warnings(what, found.doubts))
+    }
+
+    /// [`select`](Self::select) for `subject`, a mesh of this rig, and what is odd about that: shapes turn with it where it is turned. A
+    /// mesh of another number of vertices is none of the rig's, which is for others to say.
+    ///
+    /// # Errors
+    /// As [`select`](Self::select) and [`check_order`].
+    pub fn select_for(
+        &self,
+        selection: ShapeSelection<'_>,
+        what: &'static str,
+        subject: &[Vec3],
+    ) -> Result<(ShapeBasis, Vec<RigWarning>), RigError> {
         if subject.len() != self.neutral.len() {
-            return Ok(Vec::new());
+            return Ok((self.select(selection)?, Vec::new()));
         }
-        let triangles = self.mesh.as_ref().map_or_else(Vec::new, |mesh| mesh.triangulate().triangles);
-        let doubts = compare(&self.neutral, &triangles, subject).map_err(|why| RigError::Unlike { what, why })?;
-        let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(subject.iter().copied()).collect();
-        if let Ok(pose) = closest_pose(&pairs, PoseKind::Similarity)
-            && Rotation3::from_matrix_unchecked(pose.rotation).angle() > TURNED
-        {
-            self.deltas.par_chunks_exact_mut(3).for_each(|d| {
-                let turned = pose.rotation * Vec3::new(f64::from(d[0]), f64::from(d[1]), f64::from(d[2]));
-                d.iter_mut().zip(turned.iter()).for_each(|(d, turned)| *d = *turned as f32);
-            });
-        }
-        Ok(doubts.into_iter().map(|why| RigWarning::Unlike { what, why }).collect())
+        let Likeness { doubts, pose } = compared((&self.neutral, self.mesh.as_ref()), what, subject)?;
+        let shapes = self.select(selection)?;
+        let turn = pose.map(|pose| pose.rotation);
+        let turn = turn.filter(|turn| Rotation3::from_matrix_unchecked(*turn).angle() > TURNED);
+        Ok((turn.map_or_else(|| shapes.clone(), |turn| shapes.turned(&turn)), warnings(what, doubts)))
     }
 }
 
@@ -233,19 +282,21 @@ mod tests {
         let rig =
             Rig::new(face.positions.clone(), Some(face.clone().into()), vec![shape], [0.0, 3.0, 0.0].repeat(count));
         let rig = rig.unwrap().0;
+        let selection = ShapeSelection { names: None, identity_modes: 0 };
         let turned = |angle: f64| {
             let pose = crate::mesh::Pose::rigid(Vec3::new(0.0, 0.0, angle), Vec3::new(5.0, 100.0, 3.0));
             let subject: Vec<Vec3> = face.positions.iter().map(|p| pose.apply(*p)).collect();
-            let mut of_subject = rig.clone();
-            assert_eq!(of_subject.turn_to("the template", &subject).unwrap(), []);
-            of_subject.deltas(0)[..3].to_vec()
+            let (shapes, odd) = rig.select_for(selection, "the template", &subject).unwrap();
+            assert_eq!(odd, []);
+            shapes.displacement(0, 0)
         };
-        assert_eq!(turned(0.04), [0.0, 3.0, 0.0]);
+        assert_eq!(turned(0.04), Vec3::new(0.0, 3.0, 0.0));
         let quarter = turned(std::f64::consts::FRAC_PI_2);
-        assert!((quarter[0] + 3.0).abs() < 1e-5 && quarter[1].abs() < 1e-5, "{quarter:?}");
+        assert!((quarter - Vec3::new(-3.0, 0.0, 0.0)).norm() < 1e-5, "{quarter:?}");
         let shuffled: Vec<Vec3> = (0..count).map(|i| face.positions[i * 7 % count]).collect();
-        assert!(rig.clone().turn_to("the template", &shuffled).is_err());
-        assert_eq!(rig.clone().turn_to("the template", &shuffled[1..]).unwrap(), []);
+        assert!(rig.select_for(selection, "the template", &shuffled).is_err());
+        assert_eq!(rig.select_for(selection, "the template", &shuffled[1..]).unwrap().1, []);
+        assert!(matches!(rig.check_subject("mesh", &shuffled[1..]), Err(RigError::VertexCount { .. })));
     }
 
     #[test]
@@ -254,9 +305,9 @@ mod tests {
             Vec3::new(8.0 * x, 12.0 * y, 40.0 * (0.16 * x).sin() * (0.2 * y).sin() + 5.0 * (0.9 * x).cos())
         });
         let (neutral, triangles) = (&face.positions, &face.triangles);
-        let with = |change: &dyn Fn(usize, Vec3) -> Vec3| -> Verdict {
+        let with = |change: &dyn Fn(usize, Vec3) -> Vec3| {
             let points: Vec<Vec3> = neutral.iter().enumerate().map(|(i, p)| change(i, *p)).collect();
-            compare(neutral, triangles, &points)
+            compare(neutral, triangles, &points).map(|likeness| likeness.doubts)
         };
         assert_eq!(with(&|_, p| p), Ok(vec![]));
         // another person, turned, larger
@@ -271,6 +322,10 @@ mod tests {
         assert!(matches!(with(&|_, p| Vec3::new(p.x, p.y, 1.0)), Err(Unlike::Flat { .. })));
         assert!(matches!(with(&|i, p| if i < count / 3 { neutral[0] } else { p }), Err(Unlike::Collapsed { .. })));
         assert!(matches!(with(&|_, p| 25.4 * p).as_deref(), Ok([Unlike::Size { .. }])));
+        assert_eq!(
+            with(&|i, p| if i == 50 { p + Vec3::z() * 60.0 } else { p }),
+            Ok(vec![Unlike::Spiked { vertices: 1 }])
+        );
         assert!(matches!(with(&|i, p| if i == 50 { neutral[51] } else { p }), Ok(doubts) if doubts.len() <= 1));
         // a part in another order
         let doubts = with(&|i, p| if i % 40 == 3 { neutral[(i + 97) % count] } else { p });

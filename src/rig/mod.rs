@@ -23,12 +23,12 @@ mod write;
 pub use basis::ShapeBasis;
 pub use error::{RigError, RigWarning};
 pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
-pub use likeness::Unlike;
+pub use likeness::{Unlike, check_order};
 pub use pca::{COMPONENT_FILES, ShapePca};
 pub use population::{Population, PopulationError};
-#[cfg(feature = "cli")]
-pub(crate) use read::mesh_files;
 pub use read::{RigReadOptions, ShapeKind};
+#[cfg(feature = "cli")]
+pub(crate) use read::{is_folder_of_shapes, mesh_files};
 pub use regions::Regions;
 pub use subdivide::SubdivideError;
 pub use transfer::{TransferError, TransferOptions};

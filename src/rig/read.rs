@@ -22,6 +22,7 @@ use crate::io::{
     refuse_unfinished,
 };
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
+use crate::text;
 
 /// What the files of a folder of meshes hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -72,12 +73,8 @@ impl Rig {
         let folder = path;
         refuse_unfinished(folder)?;
         check_members(folder)?;
-        let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
-        let (mut rig, warnings) = if arrays.iter().any(|name| folder.join(name).exists()) {
-            read_arrays(folder, options)?
-        } else {
-            read_meshes(folder, options)?
-        };
+        let read = if is_folder_of_shapes(folder) { read_meshes } else { read_arrays };
+        let (mut rig, warnings) = read(folder, options)?;
         let regions = folder.join("regions.json");
         if regions.exists() {
             rig.regions = Some(Regions::read(&regions, rig.neutral.len())?);
@@ -103,6 +100,12 @@ impl Rig {
         self.deltas.truncate(kept * width);
         self.shapes.truncate(kept);
     }
+}
+
+/// Whether a folder holds a mesh a shape, or nothing.
+pub(crate) fn is_folder_of_shapes(folder: &Path) -> bool {
+    let arrays = ["neutral.npy", "expression_deltas.npy", "identity_deltas.npy"];
+    folder.is_dir() && !arrays.iter().any(|name| folder.join(name).exists())
 }
 
 /// Refuses a folder with pipes or devices in it among what may be read.
@@ -263,7 +266,7 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
     Rig::new(neutral, Some(mesh), shapes, deltas)
 }
 
-/// The OBJ and PLY files of a folder, each with its name without the extension, sorted.
+/// The OBJ and PLY files of a folder, each with its name without the extension, by name, numbers by their value.
 pub(crate) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
     refuse_unfinished(folder)?;
     let fail = |source| ReadError::Io { path: folder.to_owned(), source };
@@ -274,7 +277,7 @@ pub(crate) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadEr
             files.push((stem.to_string_lossy().into_owned(), path.clone()));
         }
     }
-    files.sort();
+    files.sort_by(|a, b| text::natural(&a.0, &b.0).then_with(|| a.cmp(b)));
     Ok(files)
 }
 

@@ -95,7 +95,8 @@ impl Rig {
         let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(subject.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Similarity)?;
         let doubts = likeness::compare(&self.neutral, &mesh.triangulate().triangles, subject)
-            .map_err(|why| RigError::Unlike { what: "the subject", why })?;
+            .map_err(|why| RigError::Unlike { what: "the subject", why })?
+            .doubts;
         let source: Vec<Vec3> = self.neutral.iter().map(|&p| pose.apply(p)).collect();
         let diagonal = bounding_box_diagonal(subject);
         let elements =

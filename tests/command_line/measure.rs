@@ -106,6 +106,8 @@ fn a_rig_gives_its_landmarks_and_the_client_heads_the_page() {
     write_obj(&bench.path("reversed.obj"), &turned).unwrap();
     let refused = bench.run("measure --mesh reversed.obj --rig rig");
     assert!(refused.code == 4 && refused.stderr.contains("in the rig's order"), "{}", refused.stderr);
+    let refused = bench.run(&format!("{measure} --after reversed.obj"));
+    assert!(refused.code == 4 && refused.stderr.contains("reversed.obj: "), "{}", refused.stderr);
 }
 
 #[test]

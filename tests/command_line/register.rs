@@ -70,10 +70,31 @@ fn materials_that_stay_behind_are_said() {
         assert_eq!(run.code, 0, "{}", run.stderr);
         assert_eq!(run.stderr.contains(&format!("stay with {template}")), behind, "{out}: {}", run.stderr);
     }
+    // a file that nobody named, and no run of ours made, stays
+    bench.write("d.mtl", "mine");
+    let run = bench.run(&format!("register --template rig/template.obj {INPUTS} --model rigid --out d.obj"));
+    assert!(run.code == 3 && run.stderr.contains("d.mtl: is there already"), "{}", run.stderr);
+    assert_eq!(bench.read("d.mtl"), b"mine");
     // what a glTF notes of an OBJ's libraries is not beside the result
     assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
     let said = bench.run(&format!("{FIT} {INPUTS} --shapes jawOpen --model arap --out arap.obj")).stderr;
     assert!(said.contains("--shapes has no effect: --model arap"), "{said}");
+}
+
+#[test]
+fn a_few_wild_vertices_make_a_result_doubtful() {
+    let bench = Bench::new();
+    let mut neutral = bench.rig.neutral.clone();
+    neutral.iter_mut().step_by(97).for_each(|p| p.z += 40.0);
+    write_npy_points(&bench.path("wild.npy"), &neutral).unwrap();
+    let run = bench.run(&format!(
+        "register --template rig/template.obj --rig rig {INPUTS} --neutral wild.npy --out wild.obj --report wild.json"
+    ));
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert_eq!(run.stderr.matches("stand out from their neighbours").count(), 2, "{}", run.stderr); // the neutral; the result
+    let report = json(bench.read("wild.json"));
+    assert!(report["error_probability"].as_f64().unwrap() >= 0.5);
+    assert_eq!(report["doubts"][0]["sign"], "spikes");
 }
 
 #[test]

@@ -120,6 +120,14 @@ fn every_form_of_a_rig_becomes_every_other() {
             assert_same(&read(&bench.path(&second)), &original, lost, &format!("{from} to {to}"));
         }
     }
+    // a result among its shapes would be one of them
+    let folder = "from_npy/to_shapes";
+    let of_rig = format!("--template {folder}/neutral.obj --rig {folder} --out {folder}");
+    bench.write("one.csv", "scan,name\ncase/scan.ply,one\n");
+    for line in [format!("register {of_rig}/one.obj --target case/scan.ply"), format!("batch one.csv {of_rig}")] {
+        let run = bench.run(&line);
+        assert!(run.code == 1 && run.stderr.contains("would become a shape of the rig"), "{}", run.stderr);
+    }
     // the same again, over what is there
     let before = bench.read("from_npy/to_shapes/jawOpen.obj");
     bench.done("rig convert --rig from_npy/npy --out from_npy/to_shapes --format shapes");
