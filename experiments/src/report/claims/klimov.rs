@@ -2,7 +2,7 @@
 
 use super::Bound::{AtLeast, AtMost};
 use super::Take::{First, Last, Mean, Variation};
-use super::{Claim, Pick, Rule, Take};
+use super::{Bound, Claim, Pick, Rule, Take};
 
 pub(super) type Rows = &'static [(&'static str, &'static str)];
 
@@ -10,23 +10,76 @@ pub(super) const fn pick(csv: &'static str, rows: Rows, column: &'static str, ta
     Pick { csv, rows, column, take }
 }
 
+pub(super) const fn ratio(value: Pick, over: Pick, is: Bound) -> Rule {
+    Rule { value, over: Some(over), is }
+}
+
+pub(super) const fn alone(value: Pick, is: Bound) -> Rule {
+    Rule { value, over: None, is }
+}
+
 /// Mean rmse of the rows.
 const fn rmse(csv: &'static str, rows: Rows) -> Pick {
     pick(csv, rows, "rmse", Mean)
 }
 
-pub(super) const fn ratio(value: Pick, over: Pick, is: super::Bound) -> Rule {
-    Rule { value, over: Some(over), is }
+/// Mean rmse of some rows over that of others.
+const fn rmses(csv: &'static str, value: Rows, over: Rows, is: Bound) -> Rule {
+    ratio(rmse(csv, value), rmse(csv, over), is)
 }
 
-pub(super) const fn alone(value: Pick, is: super::Bound) -> Rule {
-    Rule { value, over: None, is }
+/// The rmse on the finest template over that on the coarsest.
+const fn finest_over_coarsest(rows: Rows, is: Bound) -> Rule {
+    ratio(pick("resolution", rows, "rmse", Last), pick("resolution", rows, "rmse", First), is)
 }
 
-const fn model(name: Rows) -> Pick {
-    rmse("comparison", name)
-}
+const MODEL: (&str, &str) = ("group", "model");
+const HYBRID: Rows = &[MODEL, ("name", "hybrid")];
+const GRAPH: Rows = &[MODEL, ("name", "graph")];
+const RIGID: Rows = &[MODEL, ("name", "rigid")];
+const BLENDSHAPE: Rows = &[MODEL, ("name", "blendshape")];
+const SEQUENTIAL: Rows = &[MODEL, ("name", "sequential")];
 
+const NOISE: (&str, &str) = ("sweep", "noise");
+const NOISELESS_RIGID: Rows = &[NOISE, ("value", "0"), ("model", "rigid")];
+const NOISY_RIGID: Rows = &[NOISE, ("value", "2"), ("model", "rigid")];
+
+const MOUTH: (&str, &str) = ("sweep", "jaw");
+const CLOSED_ARAP: Rows = &[MOUTH, ("value", "0"), ("model", "arap")];
+const CLOSED_HYBRID: Rows = &[MOUTH, ("value", "0"), ("model", "hybrid")];
+const OPEN_ARAP: Rows = &[MOUTH, ("value", "100"), ("model", "arap")];
+const OPEN_GRAPH: Rows = &[MOUTH, ("value", "100"), ("model", "graph")];
+const OPEN_BLENDSHAPE: Rows = &[MOUTH, ("value", "100"), ("model", "blendshape")];
+const OPEN_HYBRID: Rows = &[MOUTH, ("value", "100"), ("model", "hybrid")];
+
+const EYES_CLOSED_GRAPH: Rows = &[("sweep", "eyes"), ("value", "100"), ("model", "graph")];
+const EYES_CLOSED_HYBRID: Rows = &[("sweep", "eyes"), ("value", "100"), ("model", "hybrid")];
+
+/// Of the shapes that a scan shows, none is missing, or all are.
+const MISSING: (&str, &str) = ("sweep", "missing");
+const COMPLETE_HYBRID: Rows = &[MISSING, ("value", "0"), ("model", "hybrid")];
+const MISSING_HYBRID: Rows = &[MISSING, ("value", "100"), ("model", "hybrid")];
+const MISSING_SEQUENTIAL: Rows = &[MISSING, ("value", "100"), ("model", "sequential")];
+
+const TEMPLATES: (&str, &str) = ("study", "template");
+const SIZES_ARAP: Rows = &[TEMPLATES, ("name", "arap")];
+const SIZES_GRAPH: Rows = &[TEMPLATES, ("name", "graph")];
+const SIZES_SEQUENTIAL: Rows = &[TEMPLATES, ("name", "sequential")];
+const TO_POINT: Rows = &[("study", "scan"), ("size", "2000"), ("name", "point_to_point")];
+const TO_PLANE: Rows = &[("study", "scan"), ("size", "2000"), ("name", "point_to_plane")];
+
+const PRIOR: Rows = &[("group", "prior"), ("name", "lambda_blend x 1")];
+const NO_PRIOR: Rows = &[("group", "prior"), ("name", "lambda_blend x 0")];
+const ROTATION: (&str, &str) = ("group", "rotation");
+const MATRICES: Rows = &[ROTATION, ("name", "matrix")];
+const QUATERNIONS: Rows = &[ROTATION, ("name", "quaternion")];
+const ROTATION_VECTORS: Rows = &[ROTATION, ("name", "angle-axis")];
+
+const PCA: (&str, &str) = ("family", "pca");
+const PCA_5: Rows = &[PCA, ("differentiation", "ours"), ("shapes", "5")];
+const PCA_50: Rows = &[PCA, ("differentiation", "ours"), ("shapes", "50")];
+const PCA_150: Rows = &[PCA, ("differentiation", "ours"), ("shapes", "150")];
+const RAW_50: Rows = &[("family", "raw"), ("shapes", "50")];
 const PAPER: Rows = &[("differentiation", "paper"), ("quantity", "registration")];
 const OURS: Rows = &[("differentiation", "ours"), ("quantity", "registration")];
 
@@ -36,25 +89,14 @@ pub const KLIMOV: &[Claim] = &[
         quote: "[The modified algorithm provides for] the highly accurate registration of 3D models which differ greatly.",
         section: "Abstract",
         rule: "Over the scans, each of a strong expression, the hybrid's mean rmse is at most 1 mm, and at most half of the graph's.",
-        rules: &[
-            alone(model(&[("group", "model"), ("name", "hybrid")]), AtMost(1.0)),
-            ratio(
-                model(&[("group", "model"), ("name", "hybrid")]),
-                model(&[("group", "model"), ("name", "graph")]),
-                AtMost(0.5),
-            ),
-        ],
+        rules: &[alone(rmse("comparison", HYBRID), AtMost(1.0)), rmses("comparison", HYBRID, GRAPH, AtMost(0.5))],
         remark: "",
     },
     Claim {
         quote: "Rigid registration is, as a rule, very robust to noise.",
         section: "1.1",
         rule: "The rigid model's rmse at 2 mm of noise is at most 1.1 times that without noise.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "noise"), ("value", "2"), ("model", "rigid")]),
-            rmse("sweeps", &[("sweep", "noise"), ("value", "0"), ("model", "rigid")]),
-            AtMost(1.1),
-        )],
+        rules: &[rmses("sweeps", NOISY_RIGID, NOISELESS_RIGID, AtMost(1.1))],
         remark: "Noise on top of an error of many millimetres, which is the shape's.",
     },
     Claim {
@@ -62,22 +104,14 @@ pub const KLIMOV: &[Claim] = &[
                 shape may change a lot, such as human faces.",
         section: "1.1",
         rule: "The rigid model's mean rmse is at least 3 times the hybrid's.",
-        rules: &[ratio(
-            model(&[("group", "model"), ("name", "rigid")]),
-            model(&[("group", "model"), ("name", "hybrid")]),
-            AtLeast(3.0),
-        )],
+        rules: &[rmses("comparison", RIGID, HYBRID, AtLeast(3.0))],
         remark: "",
     },
     Claim {
         quote: "As-rigid-as-possible algorithms [...] allow good registration where the source is close enough to the target.",
         section: "1.1",
         rule: "With the mouth closed, as in the neutral, ARAP's rmse is at most 1.5 times the hybrid's.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "arap")]),
-            rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "hybrid")]),
-            AtMost(1.5),
-        )],
+        rules: &[rmses("sweeps", CLOSED_ARAP, CLOSED_HYBRID, AtMost(1.5))],
         remark: "",
     },
     Claim {
@@ -85,16 +119,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1",
         rule: "With the mouth wide open, ARAP's rmse is at least twice the hybrid's and at least twice its own with the mouth closed.",
         rules: &[
-            ratio(
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "hybrid")]),
-                AtLeast(2.0),
-            ),
-            ratio(
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "0"), ("model", "arap")]),
-                AtLeast(2.0),
-            ),
+            rmses("sweeps", OPEN_ARAP, OPEN_HYBRID, AtLeast(2.0)),
+            rmses("sweeps", OPEN_ARAP, CLOSED_ARAP, AtLeast(2.0)),
         ],
         remark: "",
     },
@@ -102,22 +128,14 @@ pub const KLIMOV: &[Claim] = &[
         quote: "It also works poorly with models of high resolution, as ARAP then controls the global shape poorly.",
         section: "1.1, again 2.1",
         rule: "ARAP's rmse on the finest template is at least 1.2 times that on the coarsest.",
-        rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "arap")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "arap")], "rmse", First),
-            AtLeast(1.2),
-        )],
+        rules: &[finest_over_coarsest(SIZES_ARAP, AtLeast(1.2))],
         remark: "Here weights scale with the template's resolution; with weights per vertex as they stand it would be otherwise.",
     },
     Claim {
         quote: "Unlike ARAP, the deformation graph works with polygonal models of any resolution.",
         section: "1.1",
         rule: "The graph's rmse on the finest template is at most 1.2 times that on the coarsest.",
-        rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "graph")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "graph")], "rmse", First),
-            AtMost(1.2),
-        )],
+        rules: &[finest_over_coarsest(SIZES_GRAPH, AtMost(1.2))],
         remark: "",
     },
     Claim {
@@ -125,11 +143,7 @@ pub const KLIMOV: &[Claim] = &[
                 must deform strongly and the rest of the model little.",
         section: "1.1",
         rule: "With the mouth wide open, the graph's rmse is at least twice the hybrid's.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "graph")]),
-            rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "hybrid")]),
-            AtLeast(2.0),
-        )],
+        rules: &[rmses("sweeps", OPEN_GRAPH, OPEN_HYBRID, AtLeast(2.0))],
         remark: "",
     },
     Claim {
@@ -137,16 +151,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1",
         rule: "With the mouth wide open, the blendshape model's rmse is at most half of ARAP's and of the graph's.",
         rules: &[
-            ratio(
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "blendshape")]),
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "arap")]),
-                AtMost(0.5),
-            ),
-            ratio(
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "blendshape")]),
-                rmse("sweeps", &[("sweep", "jaw"), ("value", "100"), ("model", "graph")]),
-                AtMost(0.5),
-            ),
+            rmses("sweeps", OPEN_BLENDSHAPE, OPEN_ARAP, AtMost(0.5)),
+            rmses("sweeps", OPEN_BLENDSHAPE, OPEN_GRAPH, AtMost(0.5)),
         ],
         remark: "",
     },
@@ -155,8 +161,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.1, again 2.1",
         rule: "The blendshape model's error off the surface is on average at least 1.5 times the hybrid's.",
         rules: &[ratio(
-            pick("comparison", &[("group", "model"), ("name", "blendshape")], "normal", Mean),
-            pick("comparison", &[("group", "model"), ("name", "hybrid")], "normal", Mean),
+            pick("comparison", BLENDSHAPE, "normal", Mean),
+            pick("comparison", HYBRID, "normal", Mean),
             AtLeast(1.5),
         )],
         remark: "",
@@ -165,33 +171,21 @@ pub const KLIMOV: &[Claim] = &[
         quote: "[Blendshapes first, ARAP after] does not allow to repair mistakes of registration that the first step has made.",
         section: "1.1",
         rule: "Without any of the shown shapes, the sequential method's rmse is at least 1.25 times the hybrid's.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "sequential")]),
-            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "hybrid")]),
-            AtLeast(1.25),
-        )],
+        rules: &[rmses("sweeps", MISSING_SEQUENTIAL, MISSING_HYBRID, AtLeast(1.25))],
         remark: "",
     },
     Claim {
         quote: "It also has all the problems of algorithms based on ARAP.",
         section: "1.1",
         rule: "The sequential method's rmse on the finest template is at least 1.2 times that on the coarsest.",
-        rules: &[ratio(
-            pick("resolution", &[("study", "template"), ("name", "sequential")], "rmse", Last),
-            pick("resolution", &[("study", "template"), ("name", "sequential")], "rmse", First),
-            AtLeast(1.2),
-        )],
+        rules: &[finest_over_coarsest(SIZES_SEQUENTIAL, AtLeast(1.2))],
         remark: "",
     },
     Claim {
         quote: "The distance from point to point is not always the best choice; ICP may be unstable where the scan has few vertices.",
         section: "1.2",
         rule: "On a scan of 2,000 triangles, the hybrid's rmse with point-to-point is at least 1.2 times that with point-to-plane.",
-        rules: &[ratio(
-            rmse("resolution", &[("study", "scan"), ("size", "2000"), ("name", "point_to_point")]),
-            rmse("resolution", &[("study", "scan"), ("size", "2000"), ("name", "point_to_plane")]),
-            AtLeast(1.2),
-        )],
+        rules: &[rmses("resolution", TO_POINT, TO_PLANE, AtLeast(1.2))],
         remark: "",
     },
     Claim {
@@ -213,15 +207,11 @@ pub const KLIMOV: &[Claim] = &[
         rule: "Without the prior, the largest weight is at least 1.5 times as large, and the rmse larger.",
         rules: &[
             ratio(
-                pick("ablations", &[("group", "prior"), ("name", "lambda_blend x 0")], "largest_weight", Mean),
-                pick("ablations", &[("group", "prior"), ("name", "lambda_blend x 1")], "largest_weight", Mean),
+                pick("ablations", NO_PRIOR, "largest_weight", Mean),
+                pick("ablations", PRIOR, "largest_weight", Mean),
                 AtLeast(1.5),
             ),
-            ratio(
-                rmse("ablations", &[("group", "prior"), ("name", "lambda_blend x 0")]),
-                rmse("ablations", &[("group", "prior"), ("name", "lambda_blend x 1")]),
-                AtLeast(1.0),
-            ),
+            rmses("ablations", NO_PRIOR, PRIOR, AtLeast(1.0)),
         ],
         remark: "",
     },
@@ -230,26 +220,10 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.1",
         rule: "The rmse with unit quaternions and with angle-axis is within 2 % of that with matrices.",
         rules: &[
-            ratio(
-                rmse("ablations", &[("group", "rotation"), ("name", "quaternion")]),
-                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
-                AtMost(1.02),
-            ),
-            ratio(
-                rmse("ablations", &[("group", "rotation"), ("name", "quaternion")]),
-                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
-                AtLeast(0.98),
-            ),
-            ratio(
-                rmse("ablations", &[("group", "rotation"), ("name", "angle-axis")]),
-                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
-                AtMost(1.02),
-            ),
-            ratio(
-                rmse("ablations", &[("group", "rotation"), ("name", "angle-axis")]),
-                rmse("ablations", &[("group", "rotation"), ("name", "matrix")]),
-                AtLeast(0.98),
-            ),
+            rmses("ablations", QUATERNIONS, MATRICES, AtMost(1.02)),
+            rmses("ablations", QUATERNIONS, MATRICES, AtLeast(0.98)),
+            rmses("ablations", ROTATION_VECTORS, MATRICES, AtMost(1.02)),
+            rmses("ablations", ROTATION_VECTORS, MATRICES, AtLeast(0.98)),
         ],
         remark: "",
     },
@@ -268,11 +242,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "The graph cannot capture uneven deformations, as of a scan with a closed eye.",
         section: "2.1",
         rule: "With closed eyes, the graph's rmse is at least 1.5 times the hybrid's.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "eyes"), ("value", "100"), ("model", "graph")]),
-            rmse("sweeps", &[("sweep", "eyes"), ("value", "100"), ("model", "hybrid")]),
-            AtLeast(1.5),
-        )],
+        rules: &[rmses("sweeps", EYES_CLOSED_GRAPH, EYES_CLOSED_HYBRID, AtLeast(1.5))],
         remark: "",
     },
     Claim {
@@ -280,21 +250,9 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.1, eq. (8)",
         rule: "The hybrid's mean rmse is below that of its parts, blendshapes and graph, and of the two in sequence.",
         rules: &[
-            ratio(
-                model(&[("group", "model"), ("name", "hybrid")]),
-                model(&[("group", "model"), ("name", "blendshape")]),
-                AtMost(1.0),
-            ),
-            ratio(
-                model(&[("group", "model"), ("name", "hybrid")]),
-                model(&[("group", "model"), ("name", "graph")]),
-                AtMost(1.0),
-            ),
-            ratio(
-                model(&[("group", "model"), ("name", "hybrid")]),
-                model(&[("group", "model"), ("name", "sequential")]),
-                AtMost(1.0),
-            ),
+            rmses("comparison", HYBRID, BLENDSHAPE, AtMost(1.0)),
+            rmses("comparison", HYBRID, GRAPH, AtMost(1.0)),
+            rmses("comparison", HYBRID, SEQUENTIAL, AtMost(1.0)),
         ],
         remark: "",
     },
@@ -302,11 +260,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "The number of blendshapes directly influences the quality.",
         section: "2.2",
         rule: "With 5 PCA components the mean rmse is at least 1.2 times that with 150.",
-        rules: &[ratio(
-            rmse("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "5")]),
-            rmse("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "150")]),
-            AtLeast(1.2),
-        )],
+        rules: &[rmses("shapes", PCA_5, PCA_150, AtLeast(1.2))],
         remark: "",
     },
     Claim {
@@ -321,11 +275,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "Where no blendshape resembles the target scan, convergence and quality may suffer strongly.",
         section: "2.2",
         rule: "Without any of the shown shapes, the hybrid's rmse is at least 1.5 times that with all of them.",
-        rules: &[ratio(
-            rmse("sweeps", &[("sweep", "missing"), ("value", "100"), ("model", "hybrid")]),
-            rmse("sweeps", &[("sweep", "missing"), ("value", "0"), ("model", "hybrid")]),
-            AtLeast(1.5),
-        )],
+        rules: &[rmses("sweeps", MISSING_HYBRID, COMPLETE_HYBRID, AtLeast(1.5))],
         remark: "",
     },
     Claim {
@@ -334,19 +284,10 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.2",
         rule: "With 50 components, rmse and steps vary (standard deviation over mean) less from scan to scan than with 50 raw shapes.",
         rules: &[
+            ratio(pick("shapes", PCA_50, "rmse", Variation), pick("shapes", RAW_50, "rmse", Variation), AtMost(1.0)),
             ratio(
-                pick("shapes", &[("family", "pca"), ("differentiation", "ours"), ("shapes", "50")], "rmse", Variation),
-                pick("shapes", &[("family", "raw"), ("shapes", "50")], "rmse", Variation),
-                AtMost(1.0),
-            ),
-            ratio(
-                pick(
-                    "shapes",
-                    &[("family", "pca"), ("differentiation", "ours"), ("shapes", "50")],
-                    "iterations",
-                    Variation,
-                ),
-                pick("shapes", &[("family", "raw"), ("shapes", "50")], "iterations", Variation),
+                pick("shapes", PCA_50, "iterations", Variation),
+                pick("shapes", RAW_50, "iterations", Variation),
                 AtMost(1.0),
             ),
         ],
