@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::closed_stdout::closed_pipe;
 use crate::skip::skipped;
 use crate::support::{Bench, endless_schedule, files_in};
 use nonrigid::io::{read_obj, sha256, write_atomically};
@@ -404,13 +405,8 @@ fn nobody_reads_what_is_said() {
             0,
         ),
     ] {
-        let pipe = || {
-            let (reader, writer) = std::io::pipe().unwrap();
-            drop(reader);
-            writer
-        };
         let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
-        command.args(line.split_whitespace()).current_dir(bench.path("")).stdout(pipe()).stderr(pipe());
+        command.args(line.split_whitespace()).current_dir(bench.path("")).stdout(closed_pipe()).stderr(closed_pipe());
         assert_eq!(command.status().unwrap().code(), Some(code), "{line}");
     }
     assert!(read_obj(&bench.path("r.obj")).is_ok());

@@ -2,6 +2,8 @@
 
 #[path = "../support/broken.rs"]
 mod broken;
+#[path = "../support/closed_stdout.rs"]
+mod closed_stdout;
 #[path = "../support/command_page.rs"]
 mod command_page;
 #[path = "../support/generated_page.rs"]

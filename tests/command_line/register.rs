@@ -1,8 +1,8 @@
 //! The program on generated data: what it writes, prints and promises.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
 
+use crate::closed_stdout::minds_a_full_disk_only;
 use crate::support::{Bench, farthest, landmarks_json};
 use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
@@ -833,22 +833,6 @@ fn without_a_rigs_regions_the_templates_groups_are_regions() {
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
     let bench = Bench::new();
-    let into = |stdout: Stdio, arguments: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_nonrigid"));
-        command.current_dir(bench.path("")).args(arguments.split_whitespace()).stdout(stdout);
-        let output = command.output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
-    };
-    for arguments in ["rig info rig", "rig info rig --json", "--help", "register --help"] {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
-        let (code, said) = into(writer.into(), arguments);
-        assert!(code == Some(0) && !said.contains("error"), "{arguments}: {code:?}, {said}");
-        // Linux has a file that is always full.
-        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
-            let (code, said) = into(full.into(), arguments);
-            assert_eq!(code, Some(3), "{arguments}: {said}");
-            assert!(said.contains("error: stdout: "), "{arguments}: {said}");
-        }
-    }
+    let lines = ["rig info rig", "rig info rig --json", "--help", "register --help"];
+    minds_a_full_disk_only(env!("CARGO_BIN_EXE_nonrigid"), &bench.path(""), &lines);
 }

@@ -1,12 +1,13 @@
 //! The program: what it writes, what it refuses, and how it says so.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
 
 use nonrigid::io::{read_npy_mask, read_npy_points, read_scan};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::rig::{Rig, RigReadOptions};
 
+use crate::closed_stdout::minds_a_full_disk_only;
 use crate::repeats::leaves_equal_files;
 
 fn run(folder: &Path, arguments: &str) -> Output {
@@ -130,24 +131,8 @@ fn help_has_examples_and_exit_codes() {
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
     let folder = tempfile::tempdir().unwrap();
-    let into = |stdout: Stdio, arguments: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_data-gen"));
-        command.current_dir(folder.path()).args(arguments.split_whitespace()).stdout(stdout);
-        let output = command.output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
-    };
     let small = format!("{SMALL} --case same_open");
-    for arguments in [small.as_str(), "--help"] {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
-        assert_eq!(into(writer.into(), arguments), (Some(0), String::new()), "{arguments}");
-        // Linux has a file that is always full.
-        if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
-            let (code, said) = into(full.into(), arguments);
-            assert_eq!(code, Some(3), "{arguments}: {said}");
-            assert!(said.starts_with("error: stdout: "), "{arguments}: {said}");
-        }
-    }
+    minds_a_full_disk_only(env!("CARGO_BIN_EXE_data-gen"), folder.path(), &[&small, "--help"]);
     // The files were still wanted.
     assert!(folder.path().join("data/cases/same_open/truth.npy").exists());
 }

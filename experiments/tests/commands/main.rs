@@ -1,5 +1,7 @@
 //! The program `experiments`: what its commands leave, promise and refuse.
 
+#[path = "../../../tests/support/closed_stdout.rs"]
+mod closed_stdout;
 #[path = "../../../tests/support/refusal.rs"]
 mod refusal;
 #[path = "../../../tests/support/repeats.rs"]

@@ -2,11 +2,13 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
 
 use experiments::more_garbow_hillstrom::{Found, failures, more_garbow_hillstrom};
 use experiments::nist::nist;
 use nonrigid::nlls::StopReason;
+
+use crate::closed_stdout::minds_a_full_disk_only;
 
 fn command(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_experiments")).args(arguments).output().unwrap()
@@ -104,36 +106,15 @@ const COMMON_FAILURES: [&str; 5] = [
 const LEVENBERG_MARQUARDT_FAILURES: [&str; 1] = ["26 Trigonometric (10) x 10"];
 const DOGLEG_FAILURES: [&str; 3] = ["35 Chebyquad (7) x 10", "35 Chebyquad (9) x 10", "35 Chebyquad (10) x 10"];
 
-/// Runs with stdout going to `stdout`; the exit code and what is on stderr.
-fn into(stdout: Stdio, arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_experiments")).args(arguments).stdout(stdout).output().unwrap();
-    (output.status.code(), String::from_utf8(output.stderr).unwrap())
-}
-
-/// A pipe whose reader has gone.
-fn closed_pipe() -> Stdio {
-    let (reader, writer) = std::io::pipe().unwrap();
-    drop(reader);
-    writer.into()
-}
-
 #[test]
 fn a_reader_that_goes_away_is_no_error_and_a_full_disk_is() {
-    let commands = [
-        vec!["dev", "more-garbow-hillstrom"],
-        vec!["dev", "more-garbow-hillstrom", "--json"],
-        vec!["dev", "nist"],
-        vec!["dev", "nist", "--json"],
-        vec!["--help"],
-        vec!["--version"],
+    let lines = [
+        "dev more-garbow-hillstrom",
+        "dev more-garbow-hillstrom --json",
+        "dev nist",
+        "dev nist --json",
+        "--help",
+        "--version",
     ];
-    for arguments in commands {
-        assert_eq!(into(closed_pipe(), &arguments), (Some(0), String::new()), "{arguments:?}");
-        // Linux has a file that is always full.
-        if let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") {
-            let (code, said) = into(full.into(), &arguments);
-            assert_eq!(code, Some(3), "{arguments:?}: {said}");
-            assert!(said.starts_with("error: stdout: ") && said.lines().count() == 1, "{arguments:?}: {said}");
-        }
-    }
+    minds_a_full_disk_only(env!("CARGO_BIN_EXE_experiments"), Path::new("."), &lines);
 }
