@@ -9,23 +9,15 @@ use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::registration::{ModelKind, RegistrationInput, Silent, register};
-use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{ShapeBasis, ShapeSelection};
 use support::short;
 
 const VERTICES: usize = 2500;
 
 fn shapes(rig: &FaceRig) -> ShapeBasis {
-    let expressions = rig.expressions.iter().map(|e| (e.0.clone(), Family::Expression, &e.1));
-    let modes = rig.identities.iter().enumerate().map(|(k, d)| (format!("identity{k}"), Family::Identity, d));
-    let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
-    for (name, family, delta) in expressions.chain(modes) {
-        shapes.push(Shape { name, family });
-        deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
-    }
-    let (rig, _) = Rig::new(rig.neutral.clone(), None, shapes, deltas).expect("a sound rig");
-    rig.select(ShapeSelection { identity_modes: 20, ..ShapeSelection::default() }).expect("so many modes")
+    let selection = ShapeSelection { identity_modes: 20, ..ShapeSelection::default() };
+    rig.to_rig().expect("a sound rig").select(selection).expect("so many modes")
 }
 
 fn registration(c: &mut Criterion) {
@@ -36,13 +28,7 @@ fn registration(c: &mut Criterion) {
     group.sample_size(10).warm_up_time(Duration::from_millis(1));
     for triangles in [20_000, 80_000, 320_000] {
         let case = simulate_scan(&rig, &ScanOptions { triangles, ..ScanOptions::default() }, 1).expect("seen");
-        let landmark = |(v, target): &(u32, _)| Landmark {
-            name: v.to_string(),
-            template: TemplatePoint::Vertex(*v),
-            target: *target,
-            sigma: None,
-        };
-        let landmarks: Vec<Landmark> = case.landmarks.iter().map(landmark).collect();
+        let landmarks = case.landmark_pairs();
         let input = RegistrationInput {
             shapes: &shapes,
             landmarks: &landmarks,

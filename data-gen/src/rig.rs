@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
-use nonrigid::rig::{Family, Rig, RigReadOptions};
+use nonrigid::rig::{Family, Rig, RigError, RigReadOptions, Shape};
 use rayon::prelude::*;
 
 use crate::face::{
@@ -138,6 +138,21 @@ impl FaceRig {
             places: Vec::new(),
             model: None,
         })
+    }
+
+    /// The rig as a fit reads it from files, in 32 bits: the expressions, then the identity modes `identity000` and so on.
+    ///
+    /// # Errors
+    /// When two expressions have one name.
+    pub fn to_rig(&self) -> Result<Rig, RigError> {
+        let expressions = self.expressions.iter().map(|(name, d)| (name.clone(), Family::Expression, d));
+        let modes = self.identities.iter().enumerate().map(|(k, d)| (format!("identity{k:03}"), Family::Identity, d));
+        let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
+        for (name, family, delta) in expressions.chain(modes) {
+            shapes.push(Shape { name, family });
+            deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
+        }
+        Ok(Rig::new(self.neutral.clone(), Some(self.mesh.clone()), shapes, deltas)?.0)
     }
 
     /// The eyeballs of a person, left and right; of a rig that was read none are known.

@@ -10,7 +10,6 @@ use data_gen::{
 pub use data_gen::{STANDARD_CASES, ScanOptions};
 use nonrigid::console::Failure;
 use nonrigid::io::Scan;
-use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Family, Regions, Rig, Shape, ShapeBasis, ShapeSelection};
 use rand::{Rng as _, SeedableRng as _};
@@ -64,7 +63,7 @@ impl Studio {
     /// When the rig cannot be made.
     pub fn new(vertices: usize) -> Result<Self> {
         let face = FaceRig::generate(&FaceOptions { vertices, ..FaceOptions::default() });
-        let rig = rig_of(&face)?;
+        let rig = face.to_rig()?;
         Ok(Self { face, rig })
     }
 
@@ -151,18 +150,12 @@ impl Studio {
             shot.withheld.iter().map(|w| resolve_shapes(&all, w)).collect::<Result<_, _>>()?;
         let offered = all.iter().filter(|name| !withheld.iter().flatten().any(|w| w == *name));
         let names: Vec<String> = offered.map(|name| (*name).to_owned()).collect();
-        let landmark = |&(vertex, target): &(u32, _)| Landmark {
-            name: vertex.to_string(),
-            template: TemplatePoint::Vertex(vertex),
-            target,
-            sigma: None,
-        };
         Ok(BenchCase {
             name: shot.name.clone(),
             template: self.face.mesh.clone(),
             neutral: shot.known.then(|| self.face.pose(&[], &scan.identity_weights)),
             shapes: self.rig.select(ShapeSelection { names: Some(&names), identity_modes: modes })?,
-            landmarks: scan.landmarks.iter().map(landmark).collect(),
+            landmarks: scan.landmark_pairs(),
             regions: Regions::new(self.face.neutral.len(), self.face.regions.clone())?,
             rig_landmarks: self.face.landmarks.iter().map(|l| l.vertex).collect(),
             scan: Scan { mesh: scan.scan, normals: None, colors: None },
@@ -187,17 +180,6 @@ pub fn standard_cases(vertices: usize, triangles: usize, seed: u64) -> Result<Ve
 /// When `triangles` is too few for a scan.
 pub fn first_standard_case(vertices: usize, triangles: usize, seed: u64) -> Result<BenchCase> {
     Studio::new(vertices)?.standard(0, triangles, seed)
-}
-
-fn rig_of(face: &FaceRig) -> Result<Rig> {
-    let expressions = face.expressions.iter().map(|(name, d)| (name.clone(), Family::Expression, d));
-    let identities = face.identities.iter().enumerate().map(|(k, d)| (format!("identity{k:03}"), Family::Identity, d));
-    let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
-    for (name, family, delta) in expressions.chain(identities) {
-        shapes.push(Shape { name, family });
-        deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
-    }
-    Ok(Rig::new(face.neutral.clone(), Some(face.mesh.clone()), shapes, deltas)?.0)
 }
 
 /// A face as the solver sees it: a triangle mesh at rest, its first shapes (expressions, then identity modes), and a goal.

@@ -38,7 +38,7 @@ fn marks(mesh: &PolygonMesh, sigmas: &[Option<f64>]) -> Vec<Landmark> {
         let vertex = ((7 + i * 29) % (SIDE * SIDE)) as u32;
         let off = Vec3::new(6.0 * (i as f64).sin(), 5.0 * (2.0 * i as f64).cos(), 4.0 * (3.0 * i as f64).sin());
         let target = place.apply(mesh.positions[vertex as usize]) + off;
-        Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex), target, sigma: *sigma }
+        Landmark { sigma: *sigma, ..Landmark::new(vertex.to_string(), vertex, target) }
     };
     sigmas.iter().enumerate().map(mark).collect()
 }
@@ -150,12 +150,8 @@ fn a_landmark_of_huge_deviation_changes_nothing() {
     let mesh = sheet();
     let without = marks(&mesh, &[None, Some(0.8), None, Some(2.0), None]);
     let mut with = without.clone();
-    let vague = |vertex: u32| Landmark {
-        name: vertex.to_string(),
-        template: TemplatePoint::Vertex(vertex),
-        target: Vec3::new(400.0, -300.0, 250.0),
-        sigma: Some(1e9),
-    };
+    let far = Vec3::new(400.0, -300.0, 250.0);
+    let vague = |vertex: u32| Landmark { sigma: Some(1e9), ..Landmark::new(vertex.to_string(), vertex, far) };
     with.push(vague(40));
     for start in ["rigid", "similarity"] {
         let [a, b] = [&without, &with].map(|l| fit(&mesh, l, &schedule(start, 1.0)));

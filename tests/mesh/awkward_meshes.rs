@@ -7,7 +7,7 @@ use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErr
 use nonrigid::io::{
     PlyOptions, PlyPrecision, WriteError, read_polygon_mesh, read_scan, write_npy, write_ply, write_polygon_mesh,
 };
-use nonrigid::landmark::{Landmark, TemplatePoint};
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::geodesic::{WeightedGraph, distances, farthest_point_sampling, nearest_sources, share_nodes};
@@ -282,13 +282,7 @@ fn shapes(mesh: &PolygonMesh) -> ShapeBasis {
 fn landmarks(mesh: &PolygonMesh, truth: &[Vec3]) -> Vec<Landmark> {
     let step = (mesh.positions.len() / 8).max(1);
     let on = (0..mesh.positions.len()).step_by(step).filter(|&v| mesh.corners.contains(&(v as u32)));
-    let mark = |v: usize| Landmark {
-        name: v.to_string(),
-        template: TemplatePoint::Vertex(v as u32),
-        target: truth[v],
-        sigma: None,
-    };
-    on.map(mark).collect()
+    on.map(|v| Landmark::new(v.to_string(), v as u32, truth[v])).collect()
 }
 
 fn run(input: &RegistrationInput<'_>, model: ModelKind) -> Result<RegistrationResult, RegistrationError> {

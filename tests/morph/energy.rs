@@ -8,7 +8,7 @@ use nonrigid::mesh::{TriangleMesh, Vec3, bounding_box_diagonal, sewn};
 use nonrigid::model::Smoothness;
 use nonrigid::morph::{self, *};
 use nonrigid::registration::ModelKind;
-use nonrigid::rig::{Family, Shape, ShapeBasis};
+use nonrigid::rig::{Family, Shape, ShapeBasis, ShapeSelection};
 
 const FREE: MorphModel = MorphModel::Energy(ModelKind::Free);
 const ARAP: MorphModel = MorphModel::Energy(ModelKind::Arap);
@@ -40,12 +40,10 @@ impl Face {
         let name = |k: usize| k.to_string();
         let spec =
             FrameSpec { origin: vec![name(30)], right: [name(36), name(45)], up: [name(33), name(27)], scale: None };
-        let names = (0..30).map(|k| Shape { name: format!("identity{k}"), family: Family::Identity }).collect();
-        let rows = (0..rig.neutral.len()).flat_map(|i| (0..3).map(move |a| (i, a)));
-        let slab = rows.flat_map(|(i, a)| rig.identities.iter().map(move |d| d[i][a] as f32)).collect();
+        let identity = ShapeSelection { names: Some(&[]), identity_modes: 30 };
         Self {
             mesh: rig.mesh.triangulate(),
-            shapes: ShapeBasis::new(names, slab),
+            shapes: rig.to_rig().unwrap().select(identity).unwrap(),
             frame: LandmarkFrame::new(&spec, &landmarks).unwrap(),
             tip: rig.landmarks[30].vertex,
         }

@@ -1,22 +1,21 @@
 //! What a result says of itself.
 
-use crate::start::{basis, expressions};
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::landmark::Landmark;
 use nonrigid::mesh::TriangleMesh;
 use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, Silent, assess, register};
-use nonrigid::rig::{Family, ShapeBasis};
+use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
 /// Models of shapes alone make nothing beyond them: what the shapes lack is what they leave of the scan.
 #[test]
 fn a_subject_that_the_shapes_do_not_know_is_doubted_whatever_the_model() {
     let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
-    let identities = rig.identities.iter().enumerate().map(|(k, delta)| (format!("identity{k}"), delta));
-    let expressions = expressions(&rig);
-    let all = basis(Family::Identity, identities).joined(&expressions);
+    let [expressions, all] = [0, 8].map(|identity_modes| {
+        let selection = ShapeSelection { identity_modes, ..ShapeSelection::default() };
+        rig.to_rig().unwrap().select(selection).unwrap()
+    });
     let options = ScanOptions { triangles: 8000, identity: Some(vec![2.0, -2.0, 2.0, -1.5]), ..ScanOptions::default() };
     let case = simulate_scan(&rig, &options, 70).unwrap();
-    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| Landmark::new(v.to_string(), *v, *p)).collect();
+    let landmarks = case.landmark_pairs();
     for model in [ModelKind::Blendshape, ModelKind::Hybrid] {
         let said = |shapes: &ShapeBasis| -> Reliability {
             let input =
@@ -44,7 +43,7 @@ fn a_subject_that_the_shapes_do_not_know_is_doubted_whatever_the_model() {
 fn what_is_hardly_shown_or_mostly_contradicted_is_doubted() {
     let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
     let case = simulate_scan(&rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, 70).unwrap();
-    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| Landmark::new(v.to_string(), *v, *p)).collect();
+    let landmarks = case.landmark_pairs();
     let count = rig.mesh.positions.len();
     let mut half_turned = case.scan.clone();
     half_turned.triangles.iter_mut().enumerate().filter(|(k, _)| k % 9 < 4).for_each(|(_, t)| t.swap(1, 2));

@@ -8,7 +8,7 @@ use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::evaluation::{TruthErrors, self_intersections};
-use nonrigid::landmark::{Landmark, TemplatePoint};
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
@@ -23,7 +23,7 @@ use nonrigid::registration::{
     RegistrationResult, RegistrationStop, Schedule, ScheduleError, Silent, Stage, StageModel, StepAlgorithm,
     StepRecord, StopOptions, TERMS, register,
 };
-use nonrigid::rig::{Family, Rig, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{ShapeBasis, ShapeSelection};
 use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -43,22 +43,9 @@ struct Task {
 impl Task {
     /// A person unknown to the rig: all expressions and the first identity modes.
     fn new(rig: &FaceRig, case: &ScanCase, identity_modes: usize) -> Self {
-        let families = rig.expressions.iter().map(|e| (e.0.clone(), Family::Expression, &e.1));
-        let modes = rig.identities.iter().enumerate().map(|(k, d)| (format!("identity{k}"), Family::Identity, d));
-        let (mut shapes, mut deltas) = (Vec::new(), Vec::new());
-        for (name, family, delta) in families.chain(modes) {
-            shapes.push(Shape { name, family });
-            deltas.extend(delta.iter().flat_map(|d| [d.x as f32, d.y as f32, d.z as f32]));
-        }
-        let (read, _) = Rig::new(rig.neutral.clone(), None, shapes, deltas).unwrap();
-        let shapes = read.select(ShapeSelection { identity_modes, ..ShapeSelection::default() }).unwrap();
-        let landmarks = case.landmarks.iter().map(|(v, p)| Landmark {
-            name: v.to_string(),
-            template: TemplatePoint::Vertex(*v),
-            target: *p,
-            sigma: None,
-        });
-        let landmarks = landmarks.collect();
+        let selection = ShapeSelection { identity_modes, ..ShapeSelection::default() };
+        let shapes = rig.to_rig().unwrap().select(selection).unwrap();
+        let landmarks = case.landmark_pairs();
         let (template, scan) = (rig.mesh.clone(), case.scan.clone());
         Self { template, shapes, scan, scan_normals: None, landmarks, mask: None, free_mask: None }
     }
@@ -522,14 +509,7 @@ fn what_is_not_seen_goes_where_what_is_seen_beside_it_goes() {
     let scan = strip(200.0, 2.5, true).triangulate();
     let seen = truth.iter().zip(&template.positions).map(|(_, rest)| rest.x <= 200.0).collect::<Vec<_>>();
     let marked = (0..truth.len()).filter(|v| seen[*v] && (v / 13) % 8 == 0 && (v % 13) % 6 == 0);
-    let landmarks: Vec<Landmark> = marked
-        .map(|v| Landmark {
-            name: v.to_string(),
-            template: TemplatePoint::Vertex(v as u32),
-            target: truth[v],
-            sigma: None,
-        })
-        .collect();
+    let landmarks: Vec<Landmark> = marked.map(|v| Landmark::new(v.to_string(), v as u32, truth[v])).collect();
     let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&template, &scan) };
     let fit = |schedule: &Schedule| {
         let result = register(&input, &ModelKind::Hybrid, schedule, &mut Silent);
@@ -577,12 +557,7 @@ fn what_the_template_hides_follows_what_is_seen_beside_it() {
     let truth: Vec<Vec3> = template.positions.iter().map(bend).collect();
     let mut scan = plate(true);
     scan.positions.iter_mut().for_each(|p| *p = bend(p));
-    let landmark = |v: usize| Landmark {
-        name: v.to_string(),
-        template: TemplatePoint::Vertex(v as u32),
-        target: truth[v],
-        sigma: None,
-    };
+    let landmark = |v: usize| Landmark::new(v.to_string(), v as u32, truth[v]);
     let landmarks: Vec<Landmark> = (0..8).map(|k| landmark(48 * 24 + 6 * k)).collect();
     let polygons = PolygonMesh::from(template.clone());
     let pouch: Vec<bool> = (0..truth.len()).map(|v| v < 48 * 17).collect();
@@ -624,12 +599,7 @@ fn groove(angle: f64) -> TriangleMesh {
 #[test]
 fn what_a_bend_brings_to_light_follows_the_scan() {
     let [template, scan] = [0.1, 0.4].map(groove);
-    let landmark = |v: usize| Landmark {
-        name: v.to_string(),
-        template: TemplatePoint::Vertex(v as u32),
-        target: scan.positions[v],
-        sigma: None,
-    };
+    let landmark = |v: usize| Landmark::new(v.to_string(), v as u32, scan.positions[v]);
     let landmarks: Vec<Landmark> =
         [2, 11, 20, 30, 40, 49, 58].iter().flat_map(|c| [5, 20, 35].map(|r| landmark(61 * r + c))).collect();
     let polygons = PolygonMesh::from(template.clone());

@@ -5,7 +5,7 @@
 
 use crate::awkward::{extent, sheet};
 use nonrigid::energy::Options;
-use nonrigid::landmark::{Landmark, TemplatePoint};
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::model::GraphLevel;
 use nonrigid::nlls::Kernel;
@@ -245,7 +245,7 @@ impl Task {
         let mark = |_: usize| {
             let vertex = rng.random_range(0..truth.len());
             let target = truth[vertex] + random_vec(&mut rng, 0.3 * case.spacing);
-            Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex as u32), target, sigma: None }
+            Landmark::new(vertex.to_string(), vertex as u32, target)
         };
         let landmarks = (0..case.landmarks).map(mark).collect();
         let mask =
@@ -356,12 +356,7 @@ fn moved(template: &PolygonMesh, pose: &Pose) -> Task {
     let truth: Vec<Vec3> = template.positions.iter().map(|&p| pose.apply(p)).collect();
     let scan = template.with_positions(truth.clone()).triangulate();
     let count = truth.len();
-    let mark = |vertex: usize| Landmark {
-        name: vertex.to_string(),
-        template: TemplatePoint::Vertex(vertex as u32),
-        target: truth[vertex],
-        sigma: None,
-    };
+    let mark = |vertex: usize| Landmark::new(vertex.to_string(), vertex as u32, truth[vertex]);
     let landmarks = [0, 8, count / 2, count - 9, count - 1].map(mark).to_vec();
     let shapes = random_shapes(&mut rng, template, 4, 10.0);
     Task { template: template.clone(), shapes, scan, scan_normals: None, landmarks, mask: None }

@@ -7,7 +7,7 @@ use crate::real_data::real_data;
 use crate::support::{Bench, farthest};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::io::{PlyOptions, read_polygon_mesh, read_scan, write_ply};
-use nonrigid::landmark::{Landmark, TemplatePoint};
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
@@ -15,7 +15,7 @@ use nonrigid::registration::{
     RegistrationStop, ScanFacing, ScanFlip, Schedule, Silent, StartOptions, StartSearch, StepRecord, find_start,
     register,
 };
-use nonrigid::rig::{Family, Population, Rig, RigReadOptions, Shape, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Population, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -217,7 +217,7 @@ fn the_given_pose_wins_if_it_is_as_good_and_a_landmark_decides_between_two() {
 }
 
 fn landmark(vertex: u32, target: Vec3) -> Landmark {
-    Landmark { name: vertex.to_string(), template: TemplatePoint::Vertex(vertex), target, sigma: None }
+    Landmark::new(vertex.to_string(), vertex, target)
 }
 
 fn search_of(
@@ -311,7 +311,7 @@ fn a_registration_turns_the_scan_over_with_landmarks_and_without_unless_told_not
     let rig = rig();
     let case = case(&rig, 34);
     let over = inverted(&case.scan);
-    let landmarks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let landmarks = case.landmark_pairs();
     for marks in [&landmarks[..], &[]] {
         let fit = |scan: &TriangleMesh, flip: ScanFlip| {
             let mut schedule = ModelKind::Rigid.schedule().unwrap();
@@ -403,7 +403,7 @@ impl RegistrationObserver for Flag {
 fn a_flag_ends_the_search_with_landmarks_and_without() {
     let rig = rig();
     let case = case(&rig, 52);
-    let marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let marks = case.landmark_pairs();
     let close: Vec<Landmark> = marks.iter().take(3).cloned().collect();
     for landmarks in [&[][..], &close, &marks] {
         let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
@@ -421,7 +421,7 @@ fn a_flag_ends_the_search_with_landmarks_and_without() {
 fn a_landmark_far_off_is_named_and_does_no_harm() {
     let rig = rig();
     let case = case(&rig, 50);
-    let good: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let good = case.landmark_pairs();
     let clean = register_by(&rig, &case.scan, &good).unwrap();
     assert!(clean.start_landmarks.unwrap().suspects.is_empty());
     for wrong in [0, 20, 40, good.len() - 1] {
@@ -453,7 +453,7 @@ fn landmarks_count_as_little_as_they_scatter_or_say() {
     let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
     let case = simulate_scan(&rig, &options, 53).unwrap();
     let shapes = expressions(&rig);
-    let good: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let good = case.landmark_pairs();
     let (clean, start) = hybrid_by(&rig, &shapes, &case, &good);
     assert!(start.scatter < 1.5 && start.trust() == 1.0 && start.remarks().is_empty(), "{start:?}");
 
@@ -479,23 +479,17 @@ fn landmarks_that_the_shapes_cannot_reach_are_no_scatter_and_still_pull() {
     let expressions = Some(vec![("jawOpen".to_owned(), 1.0)]);
     let options = ScanOptions { expressions, triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
     let case = simulate_scan(&rig, &options, 54).unwrap();
-    let shapes =
-        basis(Family::Expression, rig.expressions.iter().filter(|e| e.0 != "jawOpen").map(|(n, d)| (n.clone(), d)));
-    let marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let names: Vec<String> = rig.expressions.iter().map(|e| e.0.clone()).filter(|name| name != "jawOpen").collect();
+    let selection = ShapeSelection { names: Some(&names), identity_modes: 0 };
+    let shapes = rig.to_rig().unwrap().select(selection).unwrap();
+    let marks = case.landmark_pairs();
     let (error, start) = hybrid_by(&rig, &shapes, &case, &marks);
     assert!(start.scatter < 2.0 && start.trust() == 1.0, "{start:?}");
     assert!(error < 2.5, "{error} mm");
 }
 
 pub fn expressions(rig: &FaceRig) -> ShapeBasis {
-    basis(Family::Expression, rig.expressions.iter().map(|(name, deltas)| (name.clone(), deltas)))
-}
-
-pub fn basis<'a>(family: Family, shapes: impl Iterator<Item = (String, &'a Vec<Vec3>)>) -> ShapeBasis {
-    let (names, deltas): (Vec<String>, Vec<&Vec<Vec3>>) = shapes.unzip();
-    let row = |i: usize| deltas.iter().map(move |d| d[i / 3][i % 3] as f32);
-    let slab = (0..3 * deltas[0].len()).flat_map(row).collect();
-    ShapeBasis::new(names.into_iter().map(|name| Shape { name, family }).collect(), slab)
+    rig.to_rig().unwrap().select(ShapeSelection::default()).unwrap()
 }
 
 /// From a closed mouth the lower lip finds the scan's upper one.
@@ -761,7 +755,7 @@ fn an_open_mouth_is_no_larger_face() {
 fn mirrored_landmarks_are_refused_by_name() {
     let rig = rig();
     let case = case(&rig, 51);
-    let mut marks: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let mut marks = case.landmark_pairs();
     let mut scan = inverted(&case.scan);
     scan.positions.iter_mut().for_each(|p| p.x = -p.x);
     marks.iter_mut().for_each(|l| l.target.x = -l.target.x);
@@ -782,7 +776,7 @@ fn landmarks_that_say_little_are_searched_besides() {
     assert!(said.std_dev > 8.0 && start.start_search.is_some(), "{said:?}");
     let (turn, distance) = off(&rig, &start.start, &case.pose);
     assert!(turn < 8.0 && distance < 10.0, "{turn} degrees, {distance} mm, {said:?}");
-    let all: Vec<Landmark> = case.landmarks.iter().map(|(v, p)| landmark(*v, *p)).collect();
+    let all = case.landmark_pairs();
     let start = register_by(&rig, &case.scan, &all).unwrap();
     assert!(start.start_search.is_none() && start.start_landmarks.unwrap().std_dev < 5.0);
 }

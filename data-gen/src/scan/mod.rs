@@ -18,6 +18,7 @@ mod view;
 
 use std::fmt;
 
+use nonrigid::landmark::Landmark;
 use nonrigid::mesh::normals::{NormalWeighting::Area, vertex_normals};
 use nonrigid::mesh::{Pose, TriangleMesh, Vec3};
 use rand::SeedableRng;
@@ -76,6 +77,14 @@ pub struct ScanCase {
     pub identity_sigma: Option<f64>,
     /// From the rig's coordinates to the scan's.
     pub pose: Pose,
+}
+
+impl ScanCase {
+    /// The landmarks as a registration takes them, named after their vertices.
+    #[must_use]
+    pub fn landmark_pairs(&self) -> Vec<Landmark> {
+        self.landmarks.iter().map(|&(vertex, target)| Landmark::new(vertex.to_string(), vertex, target)).collect()
+    }
 }
 
 /// Points of the trial scan, which tells what is visible and how many points the scan needs.
