@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
+use clap::ValueEnum as _;
 use nonrigid::console::{Failure, say};
-use nonrigid::io::{self, Scan};
+use nonrigid::io;
 use nonrigid::landmark;
-use nonrigid::landmark::Landmark;
-use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
+use nonrigid::mesh::{Pose, Vec3};
 use nonrigid::registration::{ModelKind, RegistrationInput, Schedule, StartSearch, find_start};
-use nonrigid::rig::ShapeBasis;
+use nonrigid::rig::Regions;
 use rayon::prelude::*;
 
 use crate::random_pose::{finite, random_pose};
@@ -58,7 +58,12 @@ pub struct Arguments {
 }
 
 fn kinds(text: &str) -> Result<Vec<StartKind>, String> {
-    if text == "all" { Ok(StartKind::ALL.to_vec()) } else { Ok(vec![text.parse()?]) }
+    let all = StartKind::value_variants();
+    if text == "all" {
+        return Ok(all.to_vec());
+    }
+    let names = || all.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", ");
+    StartKind::from_str(text, false).map(|kind| vec![kind]).map_err(|_| format!("there are: {}", names()))
 }
 
 /// A start is right up to this root mean square distance of the template's vertices, in the template's size, from where the best
@@ -97,7 +102,7 @@ fn run_kinds(a: &Arguments, cases: &[BenchCase]) -> Result<()> {
         let seconds = ends.iter().map(|e| e.1).sum::<f64>() / ends.len() as f64;
         let bad: Vec<&str> = ends.iter().filter(|e| e.0 > 0).map(|e| &*e.2).collect();
         let numbers = [count(0), count(1), count(2), ends.len()].map(|n| n.to_string());
-        rows.push([&[kind.name().to_owned()], &numbers[..], &[format!("{seconds:.2}"), bad.join(", ")]].concat());
+        rows.push([&[kind.name()], &numbers[..], &[format!("{seconds:.2}"), bad.join(", ")]].concat());
     }
     say(table(&header, rows))?;
     say(format_args!("right: {}, wrong: {}, refused: {}", total[0], total[1], total[2]))?;
@@ -107,86 +112,57 @@ fn run_kinds(a: &Arguments, cases: &[BenchCase]) -> Result<()> {
 /// A start nearer than this to that by landmarks is found, degrees.
 const FOUND_DEGREES: f64 = 5.0;
 
-/// A scan whose pose the landmarks tell.
-pub struct StartCase {
-    /// Name.
-    pub name: String,
-    /// The template's rest shape.
-    pub template: PolygonMesh,
-    /// The scan.
-    pub scan: Scan,
-    /// Its shapes.
-    pub shapes: ShapeBasis,
-    /// Landmarks that give the reference.
-    pub landmarks: Vec<Landmark>,
-}
-
-impl StartCase {
-    /// A scan with its landmarks.
-    pub fn read(scan: &Path, landmarks: Option<&PathBuf>, rig: &BenchRig) -> Result<Self> {
-        let template = rig.template();
-        let name = scan.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let path = scan;
-        let scan = io::read_scan(path)?;
-        crate::check_millimetres(path, &scan.mesh.positions)?;
-        let landmarks = match landmarks {
-            Some(path) => landmark::read_landmarks(path, None, template, Some(&scan.mesh))?,
-            None => Vec::new(),
-        };
-        Ok(Self { name, template: template.clone(), shapes: rig.expressions()?, scan, landmarks })
-    }
-}
-
-impl From<BenchCase> for StartCase {
-    fn from(case: BenchCase) -> Self {
-        let template = match case.neutral {
-            Some(neutral) => case.template.with_positions(neutral),
-            None => case.template,
-        };
-        Self { name: case.name, template, shapes: case.shapes, scan: case.scan, landmarks: case.landmarks }
-    }
+/// A scan of its own, whose pose its landmarks tell; where the template's vertices truly are is not known.
+fn scan_alone(path: &Path, rig: &BenchRig) -> Result<BenchCase> {
+    let (template, scan) = (rig.template(), io::read_scan(path)?);
+    crate::check_millimetres(path, &scan.mesh.positions)?;
+    let landmarks = match path.with_file_name("landmarks.json") {
+        marks if marks.exists() => landmark::read_landmarks(&marks, None, template, Some(&scan.mesh))?,
+        _ => Vec::new(),
+    };
+    Ok(BenchCase {
+        name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        template: template.clone(),
+        neutral: None,
+        regions: Regions::of(Some(rig.rig()), template),
+        shapes: rig.expressions()?,
+        scan,
+        truth: Vec::new(),
+        observed: Vec::new(),
+        landmarks,
+        rig_landmarks: Vec::new(),
+    })
 }
 
 /// What came out.
-pub struct StartRow {
+struct StartRow {
     /// Turn against the start by landmarks, degrees.
-    pub turn: f64,
+    turn: f64,
     /// Distance of the template's centroid to where the landmarks put it, millimetres.
-    pub distance: f64,
-    /// The start.
-    pub pose: Pose,
+    distance: f64,
     /// The search.
-    pub search: StartSearch,
+    search: StartSearch,
     /// Wall time.
-    pub seconds: f64,
+    seconds: f64,
 }
 
 /// Searches the start of the case moved by `moved`.
-pub fn start_case(case: &StartCase, moved: &Pose, schedule: &Schedule) -> Result<StartRow> {
-    let mut scan = case.scan.mesh.clone();
-    scan.positions.iter_mut().for_each(|p| *p = moved.apply(*p));
-    let mut normals = case.scan.normals.clone();
-    normals.iter_mut().flatten().for_each(|n| *n = moved.rotation * *n);
-    let landmarks: Vec<Landmark> =
-        case.landmarks.iter().map(|l| Landmark { target: moved.apply(l.target), ..l.clone() }).collect();
-    let without = RegistrationInput {
-        shapes: &case.shapes,
-        scan_normals: normals.as_deref(),
-        ..RegistrationInput::new(&case.template, &scan)
-    };
+fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<StartRow> {
+    let case = case.clone().moved(moved);
+    let without = RegistrationInput { landmarks: &[], ..case.input() };
     let clock = Instant::now();
     let (pose, search) = find_start(&without, schedule)?;
     let seconds = clock.elapsed().as_secs_f64();
     let search = search.expect("proven: no landmarks were given");
-    let (turn, distance) = if landmarks.len() < 3 {
+    let (turn, distance) = if case.landmarks.len() < 3 {
         (f64::NAN, f64::NAN)
     } else {
-        let (reference, _) = find_start(&RegistrationInput { landmarks: &landmarks, ..without }, schedule)?;
+        let (reference, _) = find_start(&case.input(), schedule)?;
         let cosine = 0.5 * ((reference.rotation.transpose() * pose.rotation).trace() - 1.0);
-        let centre = case.template.positions.iter().sum::<Vec3>() / case.template.positions.len() as f64;
+        let centre = case.rest().iter().sum::<Vec3>() / case.rest().len() as f64;
         (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (reference.apply(centre) - pose.apply(centre)).norm())
     };
-    Ok(StartRow { turn, distance, pose, search, seconds })
+    Ok(StartRow { turn, distance, search, seconds })
 }
 
 /// Searches the start of every scan in every pose and prints a table.
@@ -203,13 +179,12 @@ pub fn run(a: &Arguments) -> Result<()> {
         }
         return run_kinds(a, &cases);
     }
-    let mut cases: Vec<StartCase> = Vec::new();
+    let mut cases = Vec::new();
     for path in &a.scans {
         if path.is_dir() {
-            cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?.into_iter().map(StartCase::from));
+            cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?);
         } else {
-            let marks = Some(path.with_file_name("landmarks.json")).filter(|p| p.exists());
-            cases.push(StartCase::read(path, marks.as_ref(), &rig).map_err(unread)?);
+            cases.push(scan_alone(path, &rig).map_err(unread)?);
         }
     }
     let schedule = ModelKind::Hybrid.schedule()?;

@@ -1,6 +1,7 @@
 //! Scans for the search of a start, made worse: any pose, another size, parts of the surface, turned inside out, with other
 //! things in view. Each keeps the true place of every template vertex.
 
+use clap::ValueEnum;
 use nonrigid::mesh::normals::{NormalWeighting, face_cross, vertex_normals};
 use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
 use rand::{Rng as _, SeedableRng as _};
@@ -10,7 +11,7 @@ use crate::random_pose::any_pose;
 use crate::scan_bench::BenchCase;
 
 /// What is done to a scan. Each is turned by any rotation and moved besides.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum StartKind {
     /// Nothing.
     Turned,
@@ -40,51 +41,11 @@ pub enum StartKind {
     Bust,
 }
 
-impl std::str::FromStr for StartKind {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let names = || Self::ALL.map(Self::name).join(", ");
-        Self::ALL.into_iter().find(|k| k.name() == text).ok_or_else(|| format!("there are: {}", names()))
-    }
-}
-
 impl StartKind {
-    /// All of them.
-    pub const ALL: [Self; 13] = [
-        Self::Turned,
-        Self::Scaled,
-        Self::Cut,
-        Self::Patch,
-        Self::ScaledPart,
-        Self::InsideOut,
-        Self::InsideOutPart,
-        Self::Cloud,
-        Self::InsideOutCloud,
-        Self::Mixed,
-        Self::Side,
-        Self::Child,
-        Self::Bust,
-    ];
-
     /// Its name.
     #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Turned => "turned",
-            Self::Scaled => "scaled",
-            Self::Cut => "cut",
-            Self::Patch => "patch",
-            Self::ScaledPart => "scaled-part",
-            Self::InsideOut => "inside-out",
-            Self::InsideOutPart => "inside-out-part",
-            Self::Cloud => "cloud",
-            Self::InsideOutCloud => "inside-out-cloud",
-            Self::Mixed => "mixed",
-            Self::Side => "side",
-            Self::Child => "child",
-            Self::Bust => "bust",
-        }
+    pub fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 
     /// A case of this kind; the same one for the same seed.
@@ -127,16 +88,8 @@ impl StartKind {
             mesh.triangles.clear();
             case.scan.normals = Some(kept.iter().map(|&v| normals[v]).collect());
         }
-        moved(case, &Pose { scale, ..any_pose(500.0, &mut rng) })
+        case.moved(&Pose { scale, ..any_pose(500.0, &mut rng) })
     }
-}
-
-/// The case moved by a similarity.
-fn moved(mut case: BenchCase, pose: &Pose) -> BenchCase {
-    let points = case.scan.mesh.positions.iter_mut().chain(&mut case.truth);
-    points.chain(case.landmarks.iter_mut().map(|l| &mut l.target)).for_each(|p| *p = pose.apply(*p));
-    case.scan.normals.iter_mut().flatten().for_each(|n| *n = pose.rotation * *n);
-    case
 }
 
 /// Keeps this share of the surface: on one side of a plane, or nearest to a point.

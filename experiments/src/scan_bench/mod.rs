@@ -176,7 +176,7 @@ impl BenchCase {
         Ok(Score { errors, mesh, apertures, iterations })
     }
 
-    /// The same case with scan, truth and landmarks moved by `pose`, which must not scale: what a fit has to undo.
+    /// The same case with scan, truth and landmarks moved by `pose`: what a fit has to undo.
     #[must_use]
     pub fn moved(mut self, pose: &Pose) -> Self {
         let points = self.scan.mesh.positions.iter_mut().chain(&mut self.truth);
