@@ -10,9 +10,7 @@ use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage};
 use nonrigid::io::write_polygon_mesh;
 use nonrigid::registration::TERMS;
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_case};
 use crate::process::Process;
@@ -129,11 +127,11 @@ struct Line {
 /// # Errors
 /// When the configuration, the rig or a case cannot be read, or nobody reads the lines. A registration that fails is a line.
 pub(super) fn run_here(configuration: &str) -> Result<()> {
-    let run: Run = from_exact(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e:#}")))?;
+    let run: Run = read_line(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e:#}")))?;
     let mut out = io::stdout().lock();
     for case in run.source.from(run.first)? {
         let line = run.variant.run(&case?, run.results.as_deref());
-        writeln!(out, "{}", to_exact(&line)?).and_then(|()| out.flush()).context("standard output")?;
+        writeln!(out, "{}", serde_json::to_string(&line)?).and_then(|()| out.flush()).context("standard output")?;
     }
     Ok(())
 }
@@ -170,7 +168,7 @@ fn run_apart(
 ) -> Result<()> {
     let failed = |what: String| Failure::computation(format!("{}: {what}", program.display()));
     let mut command = Command::new(program);
-    command.args(["scan-bench", "--threads", &threads.to_string(), "--run", &to_exact(run)?]);
+    command.args(["scan-bench", "--threads", &threads.to_string(), "--run", &serde_json::to_string(run)?]);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut process = Process(command.spawn().map_err(|e| failed(format!("cannot be started: {e}")))?);
     let (Some(out), Some(mut err)) = (process.0.stdout.take(), process.0.stderr.take()) else {
@@ -183,7 +181,7 @@ fn run_apart(
     });
     let mut lines = BufReader::new(out).lines();
     for name in names {
-        let reason = match lines.next().map(|line| line.context("its output").and_then(|line| from_exact(&line))) {
+        let reason = match lines.next().map(|line| line.context("its output").and_then(|line| read_line(&line))) {
             Some(Ok(Line { row, seconds, peak_bytes })) if row.case == *name => {
                 on_row(BenchRow { seconds, peak_bytes, ..row })?;
                 continue;
@@ -203,37 +201,10 @@ fn run_apart(
     Ok(())
 }
 
-/// JSON in one line whose numbers come back bit for bit. (`serde_json` reads a long decimal to the unit in the last place.)
-fn to_exact(value: &impl Serialize) -> Result<String> {
-    fn exact(value: Value) -> Value {
-        match value {
-            Value::Number(n) if n.is_f64() => json!({ BITS: n.as_f64().map(f64::to_bits) }),
-            Value::Array(items) => items.into_iter().map(exact).collect(),
-            Value::Object(fields) => fields.into_iter().map(|(key, v)| (key, exact(v))).collect(),
-            other => other,
-        }
-    }
-    Ok(exact(serde_json::to_value(value)?).to_string())
+/// What this program wrote as JSON, whose numbers come back bit for bit.
+fn read_line<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T> {
+    serde_json::from_str(text).with_context(|| format!("not a line of this program: {text:.80}"))
 }
-
-/// What [`to_exact`] wrote.
-fn from_exact<T: DeserializeOwned>(text: &str) -> Result<T> {
-    fn number(value: Value) -> Value {
-        match value {
-            Value::Array(items) => items.into_iter().map(number).collect(),
-            Value::Object(fields) => match fields.get(BITS).and_then(Value::as_u64) {
-                Some(bits) => f64::from_bits(bits).into(),
-                None => fields.into_iter().map(|(key, v)| (key, number(v))).collect(),
-            },
-            other => other,
-        }
-    }
-    let value = serde_json::from_str(text).with_context(|| format!("not a line of this program: {text:.80}"))?;
-    Ok(serde_json::from_value(number(value))?)
-}
-
-/// Key of the one field that stands for a number.
-const BITS: &str = "bits";
 
 #[cfg(test)]
 mod tests {
@@ -247,12 +218,12 @@ mod tests {
         variant.schedule.levels[0].model.set("lambda_blend", 1.234_567_890_123_456_7e-200);
         variant.schedule.levels[1].model.set("lambda_blend", 5e-324);
         variant.schedule.levels[2].model.set("lambda_blend", -0.0);
-        let text = to_exact(&variant).unwrap();
-        let back: Variant = from_exact(&text).unwrap();
+        let text = serde_json::to_string(&variant).unwrap();
+        let back: Variant = read_line(&text).unwrap();
         assert_eq!(back, variant);
         assert!(back.schedule.levels[2].model.number("lambda_blend").unwrap().is_sign_negative());
         assert_eq!(text.lines().count(), 1);
-        let error = from_exact::<Variant>("thread panicked").unwrap_err();
+        let error = read_line::<Variant>("thread panicked").unwrap_err();
         assert!(error.to_string().contains("thread panicked"), "{error}");
     }
 }
