@@ -6,7 +6,6 @@
 //! `experiments/ceres/ceres_case.cpp`, which states the energy, solve it in turns, each in a process of its own. Measured: costs at start
 //! and end, which must agree, and seconds of an iteration.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
@@ -14,7 +13,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::evaluation::percentile;
-use nonrigid::io::{NpzContents, write_atomically};
+use nonrigid::io::NpzContents;
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::face_normals;
@@ -23,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::generated::write_standard_cases;
-use crate::output::make_output_folder;
+use crate::output::{make_output_folder, write_file};
 use crate::report::data::upright;
 use crate::scan_bench::{BenchCase, BenchRig};
 use crate::tables::{table, write_csv, write_json};
@@ -378,7 +377,7 @@ impl Case {
         bytes.extend(whole(&self.influence));
         bytes.extend(real(&self.weight));
         bytes.extend(whole(&self.edge));
-        Ok(write_atomically(path, |file| file.write_all(&bytes)).map_err(Failure::writing)?)
+        write_file(path, bytes)
     }
 }
 

@@ -1,11 +1,12 @@
 //! The folder that a study writes its results to.
 
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::console::{Failure, Stage, check_plan};
-use nonrigid::io::FilePlan;
+use nonrigid::io::{FilePlan, write_atomically};
 
 /// Refuses a list that names something twice: its results would stand in the same place.
 ///
@@ -16,6 +17,14 @@ pub fn each_once<T: PartialEq + std::fmt::Display>(option: &str, list: &[T]) -> 
         Some((_, item)) => Err(Failure::new(Stage::Arguments, format!("{option} names {item} twice"))),
         None => Ok(()),
     }
+}
+
+/// Writes a file.
+///
+/// # Errors
+/// A [`Failure`] of writing.
+pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    Ok(write_atomically(path, |file| file.write_all(content.as_ref())).map_err(Failure::writing)?)
 }
 
 /// Makes the folder of results, unless a file or folder that is read is in it.

@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 use nonrigid::console::{Failure, Stage, say, tell};
-use nonrigid::io::{NpzContents, read_npy_points, write_atomically};
+use nonrigid::io::{NpzContents, read_npy_points};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::registration::ModelKind;
 use serde::Deserialize;
 
-use crate::output::{each_once, make_output_folder};
-use crate::plots::{Axis, Plot, Point, Series, write_svg};
+use crate::output::{each_once, make_output_folder, write_file};
+use crate::plots::{Axis, Plot, Point, Series};
 use crate::process::Process;
 use crate::scan_bench::{
     BenchCase, BenchRow, CaseSource, Variant, measure, summarize, summary_table, table_of, write_rows,
@@ -120,7 +120,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let failed = theirs.iter().all(|row| row.score.is_none()).then(|| theirs.first().and_then(|r| r.error.clone()));
     rows.extend(theirs);
     write_rows(&a.out, "peers", &rows, threads)?;
-    write_svg(&a.out.join("peers.svg"), &plot(&rows)?)?;
+    write_file(&a.out.join("peers.svg"), plot(&rows)?)?;
     say(table_of(&rows))?;
     say(summary_table(&summarize(&rows)))?;
     say(format_args!("peers.csv, .json, .timing.csv and .svg are in {}", a.out.display()))?;
@@ -152,7 +152,7 @@ pub fn run_others(
     on_row: &mut dyn FnMut(&BenchRow) -> Result<()>,
 ) -> Result<Vec<BenchRow>> {
     let script = out.join("peers.py");
-    write_atomically(&script, |file| std::io::Write::write_all(file, SCRIPT.as_bytes())).map_err(Failure::writing)?;
+    write_file(&script, SCRIPT)?;
     let mut rows = Vec::new();
     for case in cases {
         let folder = out.join(&case.name);

@@ -15,13 +15,12 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use nonrigid::console::{Failure, say, tell};
-use nonrigid::io::write_atomically;
+use nonrigid::console::{say, tell};
 use nonrigid::registration::{ModelKind, Schedule, TERMS};
 use rayon::prelude::*;
 
 use crate::generated::standard_cases;
-use crate::output::make_output_folder;
+use crate::output::{make_output_folder, write_file};
 use crate::scan_bench::{BenchCase, LandmarkUse, run_case};
 
 /// What all models share, level by level.
@@ -329,12 +328,8 @@ pub fn run(options: &Options) -> Result<()> {
             let _ = writeln!(rows, "{model},{count},{},{objective:.6}", values.join("; "));
         })?;
         say(format_args!("{model}: {:.4} mm after {} evaluations", found.objective, found.evaluations))?;
-        let written = |name: String, text: &str| {
-            write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
-                .map_err(Failure::writing)
-        };
-        written(format!("{model}.toml"), &found.schedule)?;
-        written("search.csv".to_owned(), &rows)?;
+        write_file(&out.join(format!("{model}.toml")), &found.schedule)?;
+        write_file(&out.join("search.csv"), &rows)?;
     }
     say(format_args!("schedules and search.csv are in {}", out.display()))?;
     Ok(())

@@ -1,17 +1,10 @@
 //! Plots as SVG text that can stand inline in an HTML page, and the laws fitted to what they show.
 //!
 //! [`Plot`] has points and laws over two axes; [`Grid`] several plots side by side; [`StackedBars`] and [`GroupedBars`] compare named
-//! things. Each has `svg()`, and [`write_svg`] writes the text to a file. [`PowerLaw`] and [`LinearFit`] are fitted to points (x, y).
+//! things. Each has `svg()`. [`PowerLaw`] and [`LinearFit`] are fitted to points (x, y).
 //!
 //! Every picture scales with the page by its `viewBox`, made to be read 1100 pixels wide, and has no identifiers, so that any number
 //! of them stand in one page. The same input gives the same text.
-
-use std::io::Write as _;
-use std::path::Path;
-
-use anyhow::Result;
-use nonrigid::console::Failure;
-use nonrigid::io::write_atomically;
 
 mod axis;
 mod bars;
@@ -23,11 +16,3 @@ pub use axis::Axis;
 pub use bars::{Bar, GroupedBars, StackedBars};
 pub use fit::{LinearFit, PowerLaw};
 pub use plot::{Grid, Mark, Plot, Point, Series};
-
-/// Writes a picture.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn write_svg(path: &Path, svg: &str) -> Result<()> {
-    Ok(write_atomically(path, |file| file.write_all(svg.as_bytes())).map_err(Failure::writing)?)
-}

@@ -4,14 +4,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use nonrigid::console::Failure;
-use nonrigid::io::write_atomically;
 use nonrigid::page::{self, escaped};
 
 use super::claims::{Judged, PAPERS, Verdict};
 use super::study::{Block, Section, Study};
 use super::table::{Table, shown_cell};
 use super::view3d;
+use crate::output::write_file;
 
 /// Where a study stands.
 pub enum State {
@@ -44,17 +43,13 @@ const SCRIPT: &str = include_str!("page.js");
 /// When a picture cannot be read or a file not be written.
 pub fn write(folder: &Path, page: &Page<'_>) -> Result<usize> {
     let html = html(folder, page)?;
-    let text = |name: &str, text: &str| {
-        write_atomically(&folder.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))
-            .map_err(Failure::writing)
-    };
     for (study, state) in page.studies {
         let State::Done(section) = state else { continue };
         for (name, table) in tables_of(study.name, section) {
-            text(&name, &table.latex())?;
+            write_file(&folder.join(name), table.latex())?;
         }
     }
-    text("index.html", &html)?;
+    write_file(&folder.join("index.html"), &html)?;
     Ok(html.len())
 }
 

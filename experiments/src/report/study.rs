@@ -15,7 +15,8 @@ use super::data::Data;
 use super::effort::Effort;
 use super::table::{Table, number, shown};
 use super::view3d::View3d;
-use crate::plots::{Point, Series, write_svg};
+use crate::output::write_file;
+use crate::plots::{Point, Series};
 pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
 
@@ -136,7 +137,7 @@ impl<'a> Setting<'a> {
     /// When it cannot be written.
     pub fn plot(&self, name: &str, svg: &str, caption: impl Into<String>) -> Result<Block> {
         let file = format!("{name}.svg");
-        write_svg(&self.out.join(&file), svg)?;
+        write_file(&self.out.join(&file), svg)?;
         Ok(Block::Figure { file, caption: caption.into() })
     }
 

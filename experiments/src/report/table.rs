@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::io::write_atomically;
 use nonrigid::text::from_csv_field;
 use serde_json::{Map, Value};
 
+use crate::output::write_file;
 use crate::tables::{csv_text, write_json};
 
 /// Rows of text under named columns.
@@ -106,9 +106,7 @@ impl Table {
     pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
         let line = |cells: &[String]| cells.iter().map(|c| csv_text(c)).collect::<Vec<_>>().join(",") + "\n";
         let text: String = std::iter::once(&self.header).chain(&self.rows).map(|r| line(r)).collect();
-        let path = folder.join(format!("{name}.csv"));
-        write_atomically(&path, |file| std::io::Write::write_all(file, text.as_bytes()))
-            .map_err(nonrigid::console::Failure::writing)?;
+        write_file(&folder.join(format!("{name}.csv")), text)?;
         let value = |cell: &String| match cell.parse::<f64>() {
             Ok(v) if v.is_finite() => serde_json::json!(v),
             _ if cell.is_empty() => Value::Null,

@@ -17,8 +17,8 @@ use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
 use crate::generated::shapes_at_most;
-use crate::output::make_output_folder;
-use crate::plots::{Axis, Plot, Point, PowerLaw, Series, write_svg};
+use crate::output::{make_output_folder, write_file};
+use crate::plots::{Axis, Plot, Point, PowerLaw, Series};
 use crate::tables::{csv_text, table, write_csv};
 use crate::this_program;
 
@@ -318,7 +318,7 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
                 let series = |l: &Line| Series::line(&l.name, l.points.iter().map(point).collect()).with_power_law();
                 let plot = Plot::new(&format!("{title}: {}", quantity.name), Axis::log(&x), Axis::log(quantity.unit));
                 let plot = plot.series(lines.iter().map(series).collect()).with_proportional();
-                write_svg(&a.out.join(format!("{study}-{stem}.svg")), &plot.svg()?)?;
+                write_file(&a.out.join(format!("{study}-{stem}.svg")), plot.svg()?)?;
             }
         }
     }

@@ -11,15 +11,14 @@
 //! of the prediction. It, the ridge and the threshold are fitted to predictions with whole kinds left out, since what a user has
 //! will be of a kind that nobody thought of.
 
-use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::{Result, bail};
 use nonrigid::console::Failure;
-use nonrigid::io::write_atomically;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
 
 use super::{BAD, SilenceRow, Verdict};
+use crate::output::write_file;
 
 /// Quantiles between which curves are linear.
 const KNOTS: [f64; 6] = [0.2, 0.4, 0.6, 0.8, 0.9, 0.97];
@@ -59,7 +58,7 @@ pub fn write(path: &Path, rows: &[SilenceRow]) -> Result<()> {
         "# Written by `experiments silence --set design --calibrate FILE` from {} results, {bad} of them bad; not by hand.\n",
         examples.len()
     );
-    Ok(write_atomically(path, |out| write!(out, "{head}{text}")).map_err(Failure::writing)?)
+    write_file(path, head + &text)
 }
 
 fn calibrate(examples: &[Example<'_>]) -> Calibration {
