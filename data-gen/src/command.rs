@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
+use crate::scan::arguments::{camera_at, in_range};
 use crate::{
-    Bend, Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner,
-    Subject, WrinkleMix, contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig,
-    write_weights,
+    Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner, Subject,
+    contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
@@ -82,95 +82,19 @@ struct Arguments {
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases")]
     fps: f64,
-    /// Weight of an expression, repeatable, for every case or as the peak of a sequence; without _L or _R: both sides.
-    #[arg(long = "expression", value_name = "NAME=WEIGHT", value_parser = name_and_weight, help_heading = "Cases")]
-    expressions: Vec<(String, f64)>,
     /// A named expression for every case or as the peak of a sequence.
     #[arg(long, value_parser = PossibleValuesParser::new(PRESETS.iter().map(|p| p.0)), conflicts_with = "expressions", help_heading = "Cases")]
     preset: Option<String>,
-    /// Identity weights, for every case; missing ones are 0. Default: drawn.
-    #[arg(long, value_delimiter = ',', value_name = "W,W,...", allow_hyphen_values = true, help_heading = "Cases")]
-    identity: Option<Vec<f64>>,
-    /// Standard deviation of drawn identity weights.
-    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, help_heading = "Cases")]
-    identity_sigma: f64,
-    /// Largest angle of the random rotation, degrees.
-    #[arg(long, default_value_t = ScanOptions::default().rotation, help_heading = "Cases")]
-    rotation: f64,
-    /// Largest translation along each axis, mm.
-    #[arg(long, default_value_t = ScanOptions::default().translation, help_heading = "Cases")]
-    translation: f64,
 
-    /// How the surface becomes a scan: irregular points on the generated face itself; one depth image, cut at jumps; or seven depth
-    /// images made one surface. Depth images have noise that neighbours share, and lose what they see steeply.
-    #[arg(long, value_enum, default_value_t, help_heading = "Scanner")]
-    scanner: Scanner,
-    /// Triangles of each finished scan: 5,000 to 5,000,000, met within about 3 %.
-    #[arg(long, default_value_t = ScanOptions::default().triangles, value_parser = in_range(5000, 5_000_000), help_heading = "Scanner")]
-    triangles: usize,
-    /// Azimuth from +Z towards +X, elevation and, if not 700 mm, distance of a camera; repeatable. Default: -30,0 0,0 30,0; for
-    /// `frame` one at random, for `fused` -60,0 to 60,0 in steps of 30 and 0,-25 0,25.
-    #[arg(long = "camera", value_name = "AZ,EL[,MM]", value_parser = camera, allow_hyphen_values = true, help_heading = "Scanner")]
-    cameras: Vec<Camera>,
+    #[command(flatten)]
+    scan: ScanOptions,
+
     /// A camera's position in the scan's coordinates, mm; repeatable.
     #[arg(long = "camera-at", value_name = "X,Y,Z", value_parser = camera_at, allow_hyphen_values = true, help_heading = "Scanner")]
     cameras_at: Vec<Camera>,
     /// No cameras: everything is seen, inside the lips too.
     #[arg(long, conflicts_with_all = ["cameras", "cameras_at"], help_heading = "Scanner")]
     see_all: bool,
-    /// Steepest angle between normal and view ray, degrees.
-    #[arg(long, default_value_t = ScanOptions::default().grazing, help_heading = "Scanner")]
-    grazing: f64,
-    /// Leaves the eyeballs out.
-    #[arg(long, help_heading = "Scanner")]
-    no_eyeballs: bool,
-    /// How differently a person makes an expression from how the rig does: largest relative change.
-    #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
-    manner: f64,
-    /// A smooth displacement that no shape says, of this root mean square length, mm. Of a --rig only.
-    #[arg(long, value_name = "MM", default_value_t = ScanOptions::default().field, help_heading = "Cases")]
-    field: f64,
-    /// Bends what is nearer to the landmark TIP, along the surface, than JOINT is by at most so many degrees about JOINT, such as
-    /// wrist_l,elbow_l=60; repeatable. Of a --rig only.
-    #[arg(long = "bend", value_name = "TIP,JOINT=DEGREES", value_parser = bend, help_heading = "Cases")]
-    bends: Vec<Bend>,
-    /// Largest height of wrinkles that no shape expresses, mm.
-    #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
-    detail: f64,
-    /// Strengths of forehead lines, crow's feet, folds and skin structure; 1 is usual.
-    #[arg(long, value_name = "F,C,F,S", value_parser = wrinkles, default_value = "1,1,1,1", help_heading = "Scanner")]
-    wrinkles: WrinkleMix,
-
-    /// Standard deviation of the noise along the view ray, mm.
-    #[arg(long, default_value_t = ScanOptions::default().noise, help_heading = "Faults")]
-    noise: f64,
-    /// Growth of the noise with the angle a to the ray: x (1 + G (1 / cos a - 1)).
-    #[arg(long, value_name = "G", default_value_t = ScanOptions::default().grazing_noise, help_heading = "Faults")]
-    grazing_noise: f64,
-    /// Number of holes.
-    #[arg(long, default_value_t = ScanOptions::default().holes, help_heading = "Faults")]
-    holes: usize,
-    /// Smallest and largest radius of a hole, mm.
-    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "4,9", help_heading = "Faults")]
-    hole_radius: [f64; 2],
-    /// Share of the scan that is left when one end, either, is cut off across its longest direction.
-    #[arg(long, value_name = "SHARE", default_value_t = ScanOptions::default().keep, help_heading = "Faults")]
-    keep: f64,
-    /// Share of the points that are spikes.
-    #[arg(long, default_value_t = ScanOptions::default().spikes, help_heading = "Faults")]
-    spikes: f64,
-    /// Smallest and largest height of a spike, mm.
-    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "3,15", help_heading = "Faults")]
-    spike_height: [f64; 2],
-    /// Share of the triangles that float alone near the surface.
-    #[arg(long, default_value_t = ScanOptions::default().outliers, help_heading = "Faults")]
-    outliers: f64,
-    /// Number of loose parts beside the face.
-    #[arg(long, default_value_t = ScanOptions::default().loose_parts, help_heading = "Faults")]
-    loose_parts: usize,
-    /// Standard deviation of the landmarks along each axis, mm.
-    #[arg(long, default_value_t = ScanOptions::default().landmark_noise, help_heading = "Faults")]
-    landmark_noise: f64,
 }
 
 /// Why a scan could not be simulated, by stage.
@@ -240,7 +164,7 @@ fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
     }
     let Arguments { seed, vertices, identity_modes, .. } = *arguments;
-    if arguments.see_all && arguments.scanner != Scanner::Net {
+    if arguments.see_all && arguments.scan.scanner != Scanner::Net {
         return Err(Failure::new(Stage::Arguments, "--see-all: a depth camera does not see everything; leave it out"));
     }
     say(format_args!("seed {seed}"))?;
@@ -403,88 +327,14 @@ fn write_scan(
 
 impl Arguments {
     fn scan_options(&self) -> ScanOptions {
-        let given = (!self.expressions.is_empty()).then(|| self.expressions.clone());
-        let all: Vec<Camera> = self.cameras.iter().chain(&self.cameras_at).copied().collect();
-        let chosen = self.see_all || self.scanner != Scanner::Net || !all.is_empty();
-        let cameras = if chosen { all } else { ScanOptions::default().cameras };
-        ScanOptions {
-            expressions: given.or_else(|| self.preset.as_deref().map(preset_weights)),
-            identity: self.identity.clone(),
-            identity_sigma: self.identity_sigma,
-            manner: self.manner,
-            field: self.field,
-            bends: self.bends.clone(),
-            detail: self.detail,
-            wrinkles: self.wrinkles,
-            detail_seed: None,
-            rotation: self.rotation,
-            translation: self.translation,
-            pose: None,
-            triangles: self.triangles,
-            eyeballs: !self.no_eyeballs,
-            scanner: self.scanner,
-            cameras,
-            grazing: self.grazing,
-            noise: self.noise,
-            grazing_noise: self.grazing_noise,
-            holes: self.holes,
-            hole_radius: self.hole_radius,
-            keep: self.keep,
-            spikes: self.spikes,
-            spike_height: self.spike_height,
-            outliers: self.outliers,
-            loose_parts: self.loose_parts,
-            landmark_noise: self.landmark_noise,
+        let mut options = self.scan.clone();
+        options.expressions = options.expressions.or_else(|| self.preset.as_deref().map(preset_weights));
+        options.cameras.extend(&self.cameras_at);
+        if options.cameras.is_empty() && options.scanner == Scanner::Net && !self.see_all {
+            options.cameras = ScanOptions::default().cameras;
         }
+        options
     }
-}
-
-fn in_range(low: usize, high: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
-    move |text| match text.parse() {
-        Ok(number) if (low..=high).contains(&number) => Ok(number),
-        _ => Err(format!("a whole number from {low} to {high}")),
-    }
-}
-
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let numbers: Option<Vec<f64>> =
-        text.split(',').map(|t| t.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
-    numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| format!("{N} numbers, separated by commas"))
-}
-
-fn two_numbers(text: &str) -> Result<[f64; 2], String> {
-    numbers(text)
-}
-
-fn camera(text: &str) -> Result<Camera, String> {
-    if let Ok([azimuth, elevation]) = numbers(text) {
-        return Ok(Camera::orbit(azimuth, elevation));
-    }
-    let [azimuth, elevation, distance] =
-        numbers(text).map_err(|_| "azimuth,elevation or azimuth,elevation,distance")?;
-    Ok(Camera::Orbit { azimuth, elevation, distance })
-}
-
-fn camera_at(text: &str) -> Result<Camera, String> {
-    Ok(Camera::Position(numbers(text)?))
-}
-
-fn wrinkles(text: &str) -> Result<WrinkleMix, String> {
-    let [forehead, crows_feet, folds, skin] = numbers(text)?;
-    Ok(WrinkleMix { forehead, crows_feet, folds, skin })
-}
-
-fn name_and_weight(text: &str) -> Result<(String, f64), String> {
-    let parts = text.split_once('=').and_then(|(name, weight)| Some((name, weight.parse::<f64>().ok()?)));
-    parts.map(|(name, weight)| (name.to_owned(), weight)).ok_or_else(|| "NAME=WEIGHT".into())
-}
-
-fn bend(text: &str) -> Result<Bend, String> {
-    let parts = text.split_once('=').and_then(|(names, degrees)| {
-        let (tip, joint) = names.split_once(',')?;
-        Some(Bend { tip: tip.trim().into(), joint: joint.trim().into(), degrees: degrees.parse().ok()? })
-    });
-    parts.ok_or_else(|| "TIP,JOINT=DEGREES".into())
 }
 
 #[cfg(test)]

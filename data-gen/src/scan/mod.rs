@@ -1,5 +1,6 @@
 //! A scan of a face: what a structured-light scanner would deliver, with the truth that it would not.
 
+pub(crate) mod arguments;
 mod curved;
 mod deformation;
 mod depth;

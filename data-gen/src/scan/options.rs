@@ -5,6 +5,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
+use super::arguments::{bend, camera, in_range, name_and_weight, two_numbers, wrinkles};
 use super::deformation::{self, Bend};
 use super::{ScanError, weights_by_name};
 use crate::FaceRig;
@@ -43,65 +44,104 @@ impl Scanner {
 /// How far a camera is from a face, millimetres.
 const DISTANCE: f64 = 700.0;
 
-/// What is scanned and how badly. Lengths in millimetres, angles in degrees.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// What is scanned and how badly: the options of `data-gen` of groups Cases, Scanner and Faults. Lengths in millimetres, angles in
+/// degrees.
+#[derive(Debug, Clone, PartialEq, Serialize, clap::Args)]
 pub struct ScanOptions {
     /// Expression weights by name; a name without `_L` or `_R` stands for both sides, and of two equal names the later
     /// counts. `None` draws three of 0.4 to 1.
+    #[arg(long = "expression", value_name = "NAME=WEIGHT", value_parser = name_and_weight, help_heading = "Cases",
+          help = "Weight of an expression, repeatable, for every case or as the peak of a sequence; without _L or _R: both sides")]
     pub expressions: Option<Vec<(String, f64)>>,
     /// Identity weights, missing ones are 0; `None` draws them from N(0, `identity_sigma`).
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "W,W,...",
+        allow_hyphen_values = true,
+        help_heading = "Cases",
+        help = "Identity weights, for every case; missing ones are 0. Default: drawn"
+    )]
     pub identity: Option<Vec<f64>>,
-    /// Standard deviation of drawn identity weights; default 0.8.
+    /// Standard deviation of drawn identity weights.
+    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, help_heading = "Cases")]
     pub identity_sigma: f64,
-    /// How differently the person makes an expression from how the rig does: largest relative change of a displacement;
-    /// default 0.2.
-    pub manner: f64,
-    /// Of a rig that was read: root mean square length of a smooth displacement that no shape says; default 0.
-    pub field: f64,
-    /// Of a rig that was read: joints about which parts of it are bent, in this order; default none.
-    pub bends: Vec<Bend>,
-    /// Largest height of wrinkles and skin structure that no shape expresses; default 0.8.
-    pub detail: f64,
-    /// How strong the kinds of detail are among each other.
-    pub wrinkles: WrinkleMix,
-    /// Where the manner and the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
-    pub detail_seed: Option<u64>,
-    /// Largest angle of the random rotation; default 12.
+    /// Largest angle of the random rotation, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().rotation, help_heading = "Cases")]
     pub rotation: f64,
-    /// Largest translation along each axis; default 20.
+    /// Largest translation along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().translation, help_heading = "Cases")]
     pub translation: f64,
     /// The pose, in place of a random one.
+    #[arg(skip)]
     pub pose: Option<Pose>,
-    /// Triangles of the finished scan, after visibility and holes, 500 to 10,000,000; met within about 3 %; default 60,000.
-    pub triangles: usize,
-    /// Whether the visible part of the eyeballs belongs to the scan; default true.
-    pub eyeballs: bool,
-    /// How the surface becomes a scan; default [`Scanner::Net`].
+    /// How differently a person makes an expression from how the rig does: largest relative change.
+    #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
+    pub manner: f64,
+    /// Where the manner and the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
+    #[arg(skip)]
+    pub detail_seed: Option<u64>,
+    /// A smooth displacement that no shape says, of this root mean square length, mm. Of a --rig only.
+    #[arg(long, value_name = "MM", default_value_t = ScanOptions::default().field, help_heading = "Cases")]
+    pub field: f64,
+    /// Bends what is nearer to the landmark TIP, along the surface, than JOINT is by at most so many degrees about JOINT, such as
+    /// wrist_l,elbow_l=60; repeatable. Of a --rig only.
+    #[arg(long = "bend", value_name = "TIP,JOINT=DEGREES", value_parser = bend, help_heading = "Cases")]
+    pub bends: Vec<Bend>,
+    /// How the surface becomes a scan: irregular points on the generated face itself; one depth image, cut at jumps; or seven depth
+    /// images made one surface. Depth images have noise that neighbours share, and lose what they see steeply.
+    #[arg(long, value_enum, default_value_t, help_heading = "Scanner")]
     pub scanner: Scanner,
-    /// What is measured is what at least one of them sees; default three at -30, 0, 30 degrees. None: the net sees everything, the
-    /// other scanners choose their own.
+    /// Triangles of the finished scan, after visibility and holes, 500 to 10,000,000; met within about 3 %.
+    #[arg(long, default_value_t = ScanOptions::default().triangles, value_parser = in_range(5000, 5_000_000), help_heading = "Scanner",
+          help = "Triangles of each finished scan: 5,000 to 5,000,000, met within about 3 %")]
+    pub triangles: usize,
+    /// What is measured is what at least one of them sees. None: the net sees everything, the other scanners choose their own.
+    #[arg(long = "camera", value_name = "AZ,EL[,MM]", value_parser = camera, allow_hyphen_values = true, help_heading = "Scanner",
+          help = "Azimuth from +Z towards +X, elevation and, if not 700 mm, distance of a camera; repeatable. Default: -30,0 0,0 30,0; \
+                  for `frame` one at random, for `fused` -60,0 to 60,0 in steps of 30 and 0,-25 0,25")]
     pub cameras: Vec<Camera>,
-    /// Steepest angle between surface normal and view ray at which a point is still seen; default 70.
+    /// Steepest angle between normal and view ray, degrees.
+    #[arg(long, default_value_t = ScanOptions::default().grazing, help_heading = "Scanner")]
     pub grazing: f64,
-    /// Standard deviation of the noise along the view ray, where it meets the surface squarely; default 0.1.
+    /// Whether the visible part of the eyeballs belongs to the scan.
+    #[arg(long = "no-eyeballs", action = clap::ArgAction::SetFalse, help_heading = "Scanner", help = "Leaves the eyeballs out")]
+    pub eyeballs: bool,
+    /// Largest height of wrinkles that no shape expresses, mm.
+    #[arg(long, default_value_t = ScanOptions::default().detail, help_heading = "Scanner")]
+    pub detail: f64,
+    /// Strengths of forehead lines, crow's feet, folds and skin structure; 1 is usual.
+    #[arg(long, value_name = "F,C,F,S", value_parser = wrinkles, default_value = "1,1,1,1", help_heading = "Scanner")]
+    pub wrinkles: WrinkleMix,
+    /// Standard deviation of the noise along the view ray, mm.
+    #[arg(long, default_value_t = ScanOptions::default().noise, help_heading = "Faults")]
     pub noise: f64,
-    /// Growth of the noise with the angle a between normal and ray: x (1 + `grazing_noise` (1 / cos a - 1)); default 0.5.
+    /// Growth of the noise with the angle a to the ray: x (1 + G (1 / cos a - 1)).
+    #[arg(long, value_name = "G", default_value_t = ScanOptions::default().grazing_noise, help_heading = "Faults")]
     pub grazing_noise: f64,
-    /// Number of holes; default 4.
+    /// Number of holes.
+    #[arg(long, default_value_t = ScanOptions::default().holes, help_heading = "Faults")]
     pub holes: usize,
-    /// Smallest and largest radius of a hole; default 4 to 9.
+    /// Smallest and largest radius of a hole, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "4,9", help_heading = "Faults")]
     pub hole_radius: [f64; 2],
-    /// Share of the scan that is left when one end is cut off across its longest direction; default 1.
+    /// Share of the scan that is left when one end, either, is cut off across its longest direction.
+    #[arg(long, value_name = "SHARE", default_value_t = ScanOptions::default().keep, help_heading = "Faults")]
     pub keep: f64,
-    /// Share of the points that are spikes along the ray; default 0.001.
+    /// Share of the points that are spikes.
+    #[arg(long, default_value_t = ScanOptions::default().spikes, help_heading = "Faults")]
     pub spikes: f64,
-    /// Smallest and largest height of a spike, either way; default 3 to 15.
+    /// Smallest and largest height of a spike, mm.
+    #[arg(long, value_name = "MM,MM", value_parser = two_numbers, default_value = "3,15", help_heading = "Faults")]
     pub spike_height: [f64; 2],
-    /// Single triangles that float within 60 mm of the surface, as a share of all triangles; default 0.001.
+    /// Share of the triangles that float alone near the surface.
+    #[arg(long, default_value_t = ScanOptions::default().outliers, help_heading = "Faults")]
     pub outliers: f64,
-    /// Number of loose parts that float beside the face; default 2.
+    /// Number of loose parts beside the face.
+    #[arg(long, default_value_t = ScanOptions::default().loose_parts, help_heading = "Faults")]
     pub loose_parts: usize,
-    /// Standard deviation of the landmarks along each axis; default 1.
+    /// Standard deviation of the landmarks along each axis, mm.
+    #[arg(long, default_value_t = ScanOptions::default().landmark_noise, help_heading = "Faults")]
     pub landmark_noise: f64,
 }
 
