@@ -27,6 +27,7 @@ use crate::check_millimetres;
 use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::{BenchRig, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::unread;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -110,7 +111,6 @@ pub struct ConsistencyRow {
 /// # Errors
 /// A [`Failure`]: of the arguments; of loading; of writing; of the computation when no face could be registered.
 pub fn run(a: &Arguments) -> Result<()> {
-    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     each_once("--models", &a.models)?;
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let shapes = shapes_of(&rig, a.identity_modes)?;
@@ -163,7 +163,7 @@ fn population_of(a: &Arguments) -> Result<(Faces, Vec<usize>)> {
             return Err(Failure::new(Stage::Arguments, message).into());
         }
     };
-    check_millimetres(&a.population, &population.samples()[0]).map_err(|e| Failure::loading(format!("{e:#}")))?;
+    check_millimetres(&a.population, &population.samples()[0]).map_err(unread)?;
     let triangles = population.mesh().map(|mesh| mesh.triangulate().triangles).unwrap_or_default();
     if triangles.is_empty() {
         return Err(Failure::loading("the population's meshes have no polygons").into());

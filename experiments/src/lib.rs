@@ -43,6 +43,11 @@ pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]
     }
 }
 
+/// What could not be read, with its causes.
+fn unread(error: anyhow::Error) -> nonrigid::console::Failure {
+    nonrigid::console::Failure::loading(format!("{error:#}"))
+}
+
 /// The file of this program, whose processes measure what needs one of its own.
 ///
 /// # Errors

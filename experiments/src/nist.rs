@@ -15,13 +15,14 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use nonrigid::console::{Failure, say};
+use nonrigid::console::say;
 use nonrigid::nlls::{
     Euclidean, Family, Minimizer, Options, Problem as _, Residual, ResidualProblem, Scalar, StopReason,
 };
 use serde::Serialize;
 
 use crate::tables::{stop_word, table};
+use crate::unread;
 
 /// Digits that a run must reach in every parameter.
 pub const DIGITS_TO_PASS: f64 = 6.0;
@@ -111,7 +112,7 @@ pub fn to_the_last_digit(options: Options) -> Options {
 /// When a file cannot be read, or there is none.
 pub fn nist(folder: Option<&Path>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
-    for dataset in Dataset::read_all(folder).map_err(|e| Failure::loading(format!("{e:#}")))? {
+    for dataset in Dataset::read_all(folder).map_err(unread)? {
         for start in 0..2 {
             rows.push(Row {
                 problem: dataset.name.clone(),

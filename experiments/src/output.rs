@@ -33,7 +33,15 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
 /// A [`Failure`] of the arguments that names the clash, or of writing.
 pub fn make_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a str, &'a PathBuf)>) -> Result<()> {
     check_output_folder(out, reads)?;
-    Ok(fs::create_dir_all(out).map_err(|e| Failure::writing(format!("{}: {e}", out.display())))?)
+    make_folder(out)
+}
+
+/// Makes a folder, if it is not there.
+///
+/// # Errors
+/// A [`Failure`] of writing.
+pub fn make_folder(path: &Path) -> Result<()> {
+    Ok(fs::create_dir_all(path).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?)
 }
 
 /// Refuses a folder of results that has a file or folder in it that is read.

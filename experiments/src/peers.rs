@@ -4,7 +4,6 @@
 //! it can use them (`experiments/peers/peers.py`). Its call alone is timed; its memory is that of its process. Ours run as
 //! `scan-bench` runs them. Held: cases, landmarks, threads. Measured: rmse over the observed vertices, seconds, greatest memory.
 
-use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -18,7 +17,7 @@ use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::registration::ModelKind;
 use serde::Deserialize;
 
-use crate::output::{each_once, make_output_folder, write_file};
+use crate::output::{each_once, make_folder, make_output_folder, write_file};
 use crate::plots::{Axis, Plot, Point, Series};
 use crate::process::Process;
 use crate::scan_bench::{
@@ -156,7 +155,7 @@ pub fn run_others(
     let mut rows = Vec::new();
     for case in cases {
         let folder = out.join(&case.name);
-        fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+        make_folder(&folder)?;
         let input = folder.join("case.npz");
         case_for_others(case)?.write(&input).map_err(Failure::writing)?;
         for method in methods {

@@ -23,8 +23,9 @@ use nonrigid::render::{
 use nonrigid::rig::{Family, IDENTITY_MODES, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
-use crate::output::make_output_folder;
+use crate::output::{make_folder, make_output_folder};
 use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::unread;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -210,7 +211,6 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
 /// # Errors
 /// A [`Failure`] when the rig or every scan cannot be read, or a result cannot be written.
 pub fn register_all(a: &Arguments, scans: &[ScanFile]) -> Result<(Vec<RealScanRow>, RgbImage)> {
-    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let template = Template::read(&a.rig, a.identity_modes).map_err(|e| unread(e.context("--rig")))?;
     let targets: Vec<_> = scans.iter().map(|file| Target::read(file, &template.mesh)).collect();
     if let (true, Some(Err(first))) = (targets.iter().all(Result::is_err), targets.first()) {
@@ -243,7 +243,7 @@ fn every_model(
     target: &Target,
 ) -> Result<(Vec<RealScanRow>, Vec<RgbImage>)> {
     let folder = a.out.join(name);
-    fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+    make_folder(&folder)?;
     let mut view: Option<Upright> = None;
     let (mut rows, mut results) = (Vec::new(), Vec::new());
     for model in &a.models {

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::ValueEnum as _;
-use nonrigid::console::{Failure, say};
+use nonrigid::console::say;
 use nonrigid::io;
 use nonrigid::landmark;
 use nonrigid::mesh::{Pose, Vec3};
@@ -20,6 +20,7 @@ use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig};
 use crate::start_cases::{StartKind, face_pose};
 use crate::tables::table;
+use crate::unread;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -168,9 +169,8 @@ fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<Sta
 /// Searches the start of every scan in every pose and prints a table.
 ///
 /// # Errors
-/// A [`Failure`] when something cannot be read.
+/// A [`Failure`](nonrigid::console::Failure) when something cannot be read.
 pub fn run(a: &Arguments) -> Result<()> {
-    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     if !a.kinds.is_empty() {
         let mut cases = Vec::new();

@@ -6,7 +6,6 @@
 //! not, triangles folded against the truth, and self-intersections, which the truth and the rest shape may have of their own.
 
 use std::collections::HashMap;
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -19,8 +18,10 @@ use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose, rms_size};
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TERMS, TermFactory};
 use serde::Serialize;
 
+use crate::output::make_folder;
 use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, fit_case, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::unread;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -126,10 +127,9 @@ pub struct UnseenRow {
 /// # Errors
 /// A [`Failure`] when something cannot be read or written.
 pub fn run(a: &Arguments) -> Result<()> {
-    let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     let cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
-    fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_folder(&a.out)?;
     let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
     let mut rows = Vec::new();
     for case in &cases {

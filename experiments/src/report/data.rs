@@ -12,6 +12,7 @@ use super::effort::Effort;
 use crate::generated::write_standard_cases;
 use crate::real_scans::{ScanFile, scans_in};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders};
+use crate::unread;
 
 /// Rig and cases.
 pub struct Data {
@@ -58,7 +59,6 @@ impl Data {
     /// # Errors
     /// When something cannot be read.
     pub fn read(rig_folder: &Path, cases_folder: &Path) -> Result<Self> {
-        let unread = |e: anyhow::Error| Failure::loading(format!("{e:#}"));
         let rig = BenchRig::read(rig_folder).map_err(unread)?;
         let cases = BenchCase::read_all(cases_folder, &rig).map_err(unread)?;
         let (rig_folder, cases_folder) = (rig_folder.to_owned(), cases_folder.to_owned());

@@ -25,6 +25,7 @@ use crate::generated::{Face, bend, face, first_standard_case};
 use crate::processor_time::busy_share;
 use crate::scan_bench::BenchRig;
 use crate::surgery::{Masked, Patient};
+use crate::unread;
 
 /// What a run does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -204,7 +205,7 @@ fn solve(run: &SolverRun) -> Result<Value> {
 
 /// As [`face`], of the template and the first shapes of a rig: three of its shapes are the goal, and what no shape is.
 fn face_of_rig(folder: &Path, shapes: usize, seed: u64) -> Result<Face> {
-    let read = BenchRig::read(folder).map_err(|e| Failure::loading(format!("{e:#}")))?;
+    let read = BenchRig::read(folder).map_err(unread)?;
     let (rig, mesh) = (read.rig(), read.template().triangulate());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut goal = mesh.positions.clone();

@@ -12,7 +12,7 @@ use super::{
     BenchRow, CaseSource, External, LandmarkUse, Variant, measure, megabytes, summarize, summary_table, table_of,
     write_rows,
 };
-use crate::output::{each_once, make_output_folder};
+use crate::output::{each_once, make_folder, make_output_folder};
 use crate::random_pose::finite;
 use crate::this_program;
 
@@ -146,10 +146,8 @@ pub fn run(a: &Arguments) -> Result<()> {
     let external = a.external.iter().map(|e| e.rows(&cases)).collect::<Result<Vec<_>>>()?.concat();
     let reads = [("DIR", folder), ("--rig", rig)].into_iter().chain(a.config.iter().map(|path| ("--config", path)));
     make_output_folder(&a.out, reads)?;
-    let made =
-        |folder: &Path| fs::create_dir_all(folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())));
     if !variants.is_empty() {
-        cases.iter().try_for_each(|case| made(&a.out.join(&case.name)))?;
+        cases.iter().try_for_each(|case| make_folder(&a.out.join(&case.name)))?;
     }
     if a.turn != 0.0 || a.shift != 0.0 {
         say(format_args!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed))?;

@@ -16,6 +16,7 @@ use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_cas
 use crate::process::Process;
 use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
+use crate::unread;
 
 /// Cases in a folder, and what is done to their scans.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -45,7 +46,7 @@ impl CaseSource {
     /// A [`Failure`] of loading.
     pub fn read(&self) -> Result<Vec<BenchCase>> {
         let read = || self.from(0)?.collect::<Result<Vec<BenchCase>>>();
-        let read = read().map_err(|e| Failure::loading(format!("{e:#}")))?;
+        let read = read().map_err(unread)?;
         for (i, case) in read.iter().enumerate() {
             if read[..i].iter().any(|other| other.name == case.name) {
                 let message = format!("{}: two cases are called {:?}; rename one", self.cases.display(), case.name);

@@ -24,8 +24,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generated::{ScanOptions, Shot, Studio};
+use crate::output::make_folder;
 use crate::scan_bench::{BenchCase, BenchRig, case_folders, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::unread;
 pub use degradation::{KINDS, Kind, Trial};
 
 /// What to run.
@@ -324,10 +326,10 @@ pub fn run_job(sources: &Sources, job: &Job) -> Result<SilenceRow> {
 pub fn run(a: &Arguments) -> Result<()> {
     let cases = match (&a.cases, &a.rig) {
         (Some(folder), Some(rig)) => {
-            let rig = BenchRig::read(rig).map_err(|e| Failure::loading(format!("{e:#}")))?;
+            let rig = BenchRig::read(rig).map_err(unread)?;
             let read = |f: &PathBuf| BenchCase::read(f, &rig);
-            let folders = case_folders(folder).map_err(|e| Failure::loading(format!("{e:#}")))?;
-            folders.iter().map(read).collect::<Result<_>>().map_err(|e| Failure::loading(format!("{e:#}")))?
+            let folders = case_folders(folder).map_err(unread)?;
+            folders.iter().map(read).collect::<Result<_>>().map_err(unread)?
         }
         _ => Vec::new(),
     };
@@ -338,7 +340,7 @@ pub fn run(a: &Arguments) -> Result<()> {
             return Err(Failure::new(nonrigid::console::Stage::Arguments, message).into());
         }
     }
-    std::fs::create_dir_all(&a.out).map_err(|e| Failure::writing(format!("{}: {e}", a.out.display())))?;
+    make_folder(&a.out)?;
     let mut jobs = jobs(a.set, u64::from(a.runs), cases.len(), u64::from(a.case_runs));
     jobs.retain(|job| a.kinds.is_empty() || a.kinds.iter().any(|name| name == job.kind.name));
     let mut sources = Sources::new(a.vertices as usize, cases)?;

@@ -1,7 +1,5 @@
 //! Fig. 5: the most extreme expression, registered by every model, side by side.
 
-use std::fs;
-
 use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
@@ -10,6 +8,7 @@ use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourScale, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 
+use crate::output::make_folder;
 use crate::report::data::upright;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, least_and_most, ranked,
@@ -43,7 +42,7 @@ const MOUTH: std::ops::Range<usize> = 48..68;
 fn run(setting: &Setting<'_>) -> Result<Section> {
     let case = setting.data.extreme();
     let folder = setting.out.join("extreme");
-    fs::create_dir_all(&folder).map_err(|e| Failure::writing(format!("{}: {e}", folder.display())))?;
+    make_folder(&folder)?;
     let regions = [MOUTH, EYES].map(|of| region(setting, case, of));
     let entrants = setting.entrants(&setting.effort.models)?;
     let outcomes = setting.run_all(&entrants, |entrant| entrant.register(case, LandmarkUse::All));
