@@ -5,18 +5,16 @@ use std::path::Path;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRig, LandmarkUse, run_case, scan_bench, summarize};
-use nonrigid::energy::{
-    DeformationModel, NamedEnergy, Options, OptionsError, Pointwise, QuadricField, SampleResidual, Samples,
-};
+use nonrigid::energy::{DeformationModel, NamedEnergy, Options, OptionsError, Pointwise, QuadricField, Samples};
 use nonrigid::evaluation::{MeshQuality, TruthErrors};
 use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::model::ModelError;
-use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations, Scalar};
+use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
 use nonrigid::registration::{
     ModelFactory, ModelInput, ModelKind, RegistrationInput, RegistrationModel, RegistrationTerm, Schedule, StepRecord,
     TERMS, TermFactory, TermInput, register,
 };
-use nonrigid::term::{Landmarks, Scheduled, TermError, TermLevel, TermWeight};
+use nonrigid::term::{Landmarks, TermError};
 
 use crate::real_data::real_data;
 
@@ -154,9 +152,9 @@ impl RegistrationModel for Shift {
     }
 }
 
-struct ShiftFactory;
+struct Shifts;
 
-impl ModelFactory for ShiftFactory {
+impl ModelFactory for Shifts {
     fn name(&self) -> &str {
         "shift"
     }
@@ -170,39 +168,12 @@ impl ModelFactory for ShiftFactory {
     }
 }
 
-/// A user's term: landmarks beside which the scan counts for nothing, pulled to a point off their target.
-struct Pull(Landmarks);
-
-impl SampleResidual<3> for Pull {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    fn sample(&self, m: usize) -> usize {
-        self.0.sample(m)
-    }
-
-    fn weight(&self, m: usize) -> f64 {
-        self.0.weight(m)
-    }
-
-    fn residual<D: Scalar>(&self, m: usize, v: [D; 3]) -> [D; 3] {
-        self.0.residual(m, v)
-    }
-}
-
-impl Scheduled<3> for Pull {
-    fn set_level(&mut self, level: &TermLevel<'_>) -> Result<Kernel, OptionsError> {
-        self.0.scale = level.options.read::<TermWeight>()?.weight;
-        Ok(Kernel::None)
-    }
-}
-
-struct PullFactory {
+/// A user's term: the crate's landmarks, pulled to a point off their target.
+struct Pull {
     offset: Vec3,
 }
 
-impl TermFactory for PullFactory {
+impl TermFactory for Pull {
     fn name(&self) -> &str {
         "pull"
     }
@@ -211,7 +182,7 @@ impl TermFactory for PullFactory {
         let (samples, targets): (Vec<usize>, Vec<Vec3>) =
             input.landmarks.iter().map(|l| (l.sample, l.target + self.offset)).unzip();
         let weights = vec![1.0; samples.len()];
-        let residuals = Pull(Landmarks { samples, targets, weights, scale: 0.0 });
+        let residuals = Landmarks { samples, targets, weights, scale: 0.0 };
         Ok(Box::new(Pointwise::new("pull", residuals, Kernel::None)))
     }
 }
@@ -220,21 +191,20 @@ impl TermFactory for PullFactory {
 fn a_users_model_and_term_land_in_the_same_table() {
     let folder = tempfile::tempdir().unwrap();
     let cases = cases(folder.path());
-    let models: [&dyn ModelFactory; 2] = [&ShiftFactory, &ModelKind::Rigid];
+    let models: [&dyn ModelFactory; 2] = [&Shifts, &ModelKind::Rigid];
     let rows = scan_bench(&models, &TERMS, &cases, LandmarkUse::All).unwrap();
     assert_eq!(rows.iter().map(|r| r.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid", "shift", "rigid"]);
     assert_eq!(summarize(&rows).iter().map(|s| s.model.as_str()).collect::<Vec<_>>(), ["shift", "rigid"]);
 
     // With the user's term alone the shift is known: the landmarks' best pose has centred them, what is left is the offset.
     let offset = Vec3::new(1.0, -2.0, 0.5);
-    let mut pulled = Schedule::default_for(&ShiftFactory).unwrap();
+    let mut pulled = Schedule::default_for(&Shifts).unwrap();
     for level in &mut pulled.levels {
         level.terms.clear();
         level.set_term("pull", 1.0);
     }
     for case in &cases {
-        let (_, result, _) =
-            run_case(&ShiftFactory, &[&PullFactory { offset }], &pulled, case, LandmarkUse::All).unwrap();
+        let (_, result, _) = run_case(&Shifts, &[&Pull { offset }], &pulled, case, LandmarkUse::All).unwrap();
         let rest = case.neutral.as_deref().unwrap_or(&case.template.positions);
         let pairs: Vec<_> = case.landmarks.iter().map(|l| (l.template.position(rest), l.target)).collect();
         let start = closest_pose(&pairs, PoseKind::Rigid).unwrap();
