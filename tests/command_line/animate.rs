@@ -1,6 +1,6 @@
 //! `nonrigid animate`: one file of the frames of a sequence.
 
-use crate::support::Bench;
+use crate::support::{Bench, farthest};
 use nonrigid::io::{read_gltf, read_obj, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
@@ -21,12 +21,6 @@ fn frames(bench: &Bench) -> Vec<Vec<Vec3>> {
         write_obj(&bench.path(&format!("frames/f{k}.obj")), &template.with_positions(frame.clone())).unwrap();
     }
     frames
-}
-
-/// Greatest distance between frames.
-fn farthest(a: &[Vec3], b: &[Vec3]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
 }
 
 #[test]

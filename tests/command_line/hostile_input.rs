@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::process::{Command, Output};
 
+use crate::awkward::quads;
 use crate::refusal::{COMPUTATION, LOADING, all_hold, refuses};
 use crate::support::Bench;
 use nonrigid::io::{PlyOptions, parse_gltf, read_obj, write_colored_mesh, write_obj, write_ply};
@@ -28,21 +29,10 @@ const HOSTILE: [&str; 6] = [
 
 /// The half of an ellipsoid of a face's size, as quads.
 fn face(n: u32) -> PolygonMesh {
-    let at = |i: u32| 2.0 * f64::from(i) / f64::from(n - 1) - 1.0;
-    let point = |k: u32| {
-        let (u, v) = (at(k % n), at(k / n));
+    quads(n, n, |c, r| {
+        let [u, v] = [c, r].map(|i| 2.0 * i / f64::from(n - 1) - 1.0);
         Vec3::new(70.0 * u, 100.0 * v, 90.0 * (1.0 - (u * u + v * v) / 2.0).max(0.0).sqrt() + 6.0 * (5.0 * u + v).sin())
-    };
-    let quad = |k: u32| {
-        let a = k / (n - 1) * n + k % (n - 1);
-        [a, a + 1, a + n + 1, a + n]
-    };
-    PolygonMesh {
-        positions: (0..n * n).map(point).collect(),
-        starts: (0..=(n - 1) * (n - 1)).map(|f| 4 * f).collect(),
-        corners: (0..(n - 1) * (n - 1)).flat_map(quad).collect(),
-        ..PolygonMesh::default()
-    }
+    })
 }
 
 /// The same with more vertices and polygons.

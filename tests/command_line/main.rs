@@ -1,5 +1,7 @@
 //! The program `nonrigid`, run as people run it.
 
+#[path = "../support/awkward.rs"]
+mod awkward;
 #[path = "../support/broken.rs"]
 mod broken;
 #[path = "../support/closed_stdout.rs"]

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::awkward::quads;
 use crate::closed_stdout::minds_a_full_disk_only;
 use crate::support::{Bench, farthest, landmarks_json};
 use data_gen::{FaceRig, write_rig};
@@ -433,20 +434,15 @@ fn rig_info_lists_what_each_layout_holds() {
 
 /// A bumpy sheet of 15 x 15 vertices with UVs and a group, differing in three ways from its like.
 fn sheet(weights: [f64; 3]) -> PolygonMesh {
-    const SIDE: u32 = 15;
-    let mut mesh = PolygonMesh { starts: vec![0], ..PolygonMesh::default() };
-    for i in 0..SIDE * SIDE {
-        let (x, y) = (f64::from(i % SIDE) / 7.0 - 1.0, f64::from(i / SIDE) / 7.0 - 1.0);
+    let place = |i: f64| i / 7.0 - 1.0;
+    let mut mesh = quads(15, 15, |c, r| {
+        let (x, y) = (place(c), place(r));
         let depth = 15.0 * (3.0 * x).cos() * (2.0 * y).cos() + 6.0 * (5.0 * x * y + x).sin();
         let ways = [4.0 * (x * x - y), 3.0 * (2.0 * x + y).sin(), 2.0 * x * y];
         let moved: f64 = ways.iter().zip(weights).map(|(way, w)| way * w).sum();
-        mesh.positions.push(Vec3::new(50.0 * x, 50.0 * y, depth + moved));
-        mesh.metadata.uvs.push([x, y]);
-        if i % SIDE + 1 < SIDE && i / SIDE + 1 < SIDE {
-            mesh.corners.extend([i, i + 1, i + 1 + SIDE, i + SIDE]);
-            mesh.starts.push(mesh.corners.len() as u32);
-        }
-    }
+        Vec3::new(50.0 * x, 50.0 * y, depth + moved)
+    });
+    mesh.metadata.uvs = (0..15 * 15).map(|i| [i % 15, i / 15].map(|k| place(f64::from(k)))).collect();
     mesh.metadata.corner_uvs.clone_from(&mesh.corners);
     mesh.metadata.statements.push((0, ObjStatement::Group("skin".into())));
     mesh

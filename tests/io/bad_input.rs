@@ -15,7 +15,7 @@ fn quad() -> PolygonMesh {
     PolygonMesh { positions, starts: vec![0, 4], corners: vec![0, 1, 2, 3], ..PolygonMesh::default() }
 }
 
-fn npy_with(header: &str, data: &[u8]) -> Vec<u8> {
+pub fn npy_with(header: &str, data: &[u8]) -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
     bytes.extend(header.as_bytes());

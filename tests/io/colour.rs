@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::sheets::sheet;
 use crate::support::Bench;
 use nonrigid::correspondence::{ScanOptions, ScanSurface};
 use nonrigid::io::{
@@ -16,14 +17,10 @@ use serde_json::json;
 /// A grid of `side` x `side` vertices over 40 mm x 40 mm from `first` on, at the height `z`.
 fn grid(side: usize, first: f64, z: impl Fn(f64, f64) -> f64) -> TriangleMesh {
     let step = 40.0 / (side - 1) as f64;
-    let at = |i: usize| (first + step * (i % side) as f64, first + step * (i / side) as f64);
-    let halves = |q: usize| {
-        let a = (q / (side - 1) * side + q % (side - 1)) as u32;
-        let (b, c, d) = (a + 1, a + 1 + side as u32, a + side as u32);
-        [[a, b, c], [a, c, d]]
-    };
-    let positions = (0..side * side).map(at).map(|(x, y)| Vec3::new(x, y, z(x, y))).collect();
-    TriangleMesh { positions, triangles: (0..(side - 1) * (side - 1)).flat_map(halves).collect() }
+    sheet(side, side, |c, r| {
+        let (x, y) = (first + step * c, first + step * r);
+        Vec3::new(x, y, z(x, y))
+    })
 }
 
 fn hill(x: f64, y: f64) -> f64 {

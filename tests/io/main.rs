@@ -2,6 +2,12 @@
 
 #[path = "../support/mod.rs"]
 mod support;
+#[path = "../support/threads.rs"]
+mod threads;
+
+#[allow(dead_code)] // others use the rest
+#[path = "../../src/mesh/testing.rs"]
+mod sheets;
 
 mod bad_input;
 mod colour;
@@ -10,3 +16,6 @@ mod mesh_formats;
 mod round_trips;
 mod texture;
 mod units;
+
+// What the sheets are made of.
+use nonrigid::mesh::{TriangleMesh, Vec3};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::bad_input::npy_with;
 use nonrigid::io::{
     NpyArray, Npz, PlyOptions, PlyPrecision, parse_obj, parse_ply, read_npy_mask, read_npy_points, read_obj, read_ply,
     read_polygon_mesh, read_scan, write_npy, write_npy_points, write_obj, write_ply, write_ply_polygons,
@@ -207,12 +208,7 @@ fn ply_round_trips() {
 
 fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
     let fortran = if fortran { "True" } else { "False" };
-    let header = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': {shape}, }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(data);
-    bytes
+    npy_with(&format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': {shape}, }}\n"), data)
 }
 
 #[test]

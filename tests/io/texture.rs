@@ -3,7 +3,9 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use crate::sheets::sheet;
 use crate::support::{Bench, Run};
+use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
 use nonrigid::io::{Paint, PlyOptions, read_obj, read_painted_scan, read_polygon_mesh, write_obj, write_ply};
 use nonrigid::mesh::srgb::{from_light, to_light};
@@ -128,8 +130,7 @@ fn on_the_true_surface_colours_stay_where_they_are() {
     assert!(mean(&slide) < 0.1, "{} mm", mean(&slide));
     assert!(mean(&off) < 0.02, "{} of light", mean(&off));
     let same = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bake(&input, &BakeOptions { side: 300, supersampling: 3, ..options.clone() }).unwrap())
+        on_threads(threads, || bake(&input, &BakeOptions { side: 300, supersampling: 3, ..options.clone() }).unwrap())
     };
     assert!(same(1) == same(2), "the texture depends on the threads");
 }
@@ -150,15 +151,10 @@ fn square(z: f64) -> PolygonMesh {
 
 /// A hilly sheet above the square, larger than it on all sides; at each place its height and its unit normal are known.
 fn hills() -> TriangleMesh {
-    let n = 241;
-    let at = |i: usize| Vec3::new((i % n) as f64 * 0.1 - 2.0, (i / n) as f64 * 0.1 - 2.0, 0.0);
-    let positions = (0..n * n).map(at).map(|p| Vec3::new(p.x, p.y, height(p.x, p.y))).collect();
-    let quad = |q: usize| {
-        let a = (q / (n - 1) * n + q % (n - 1)) as u32;
-        let (b, c, d) = (a + 1, a + 1 + n as u32, a + n as u32);
-        [[a, b, c], [a, c, d]]
-    };
-    TriangleMesh { positions, triangles: (0..(n - 1) * (n - 1)).flat_map(quad).collect() }
+    sheet(241, 241, |c, r| {
+        let (x, y) = (c * 0.1 - 2.0, r * 0.1 - 2.0);
+        Vec3::new(x, y, height(x, y))
+    })
 }
 
 fn height(x: f64, y: f64) -> f64 {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::awkward::quads;
 use crate::support::farthest;
 use nalgebra::DMatrix;
 use nonrigid::landmark::{Landmark, TemplatePoint, parse_landmarks};
@@ -12,30 +13,21 @@ use nonrigid::registration::{
     register,
 };
 
-const SIDE: usize = 9;
+const SIDE: u32 = 9;
 
 /// A bent sheet of quads, 160 mm wide.
 fn sheet() -> PolygonMesh {
-    let at = |i: usize| (20.0 * (i % SIDE) as f64, 20.0 * (i / SIDE) as f64);
-    let positions = (0..SIDE * SIDE).map(at).map(|(x, y)| Vec3::new(x, y, 0.002 * x * x + 0.1 * y)).collect();
-    let corners = (0..(SIDE - 1) * (SIDE - 1)).flat_map(|q| {
-        let a = (q / (SIDE - 1) * SIDE + q % (SIDE - 1)) as u32;
-        [a, a + 1, a + 1 + SIDE as u32, a + SIDE as u32]
-    });
-    let corners: Vec<u32> = corners.collect();
-    PolygonMesh {
-        positions,
-        starts: (0..=corners.len() as u32).step_by(4).collect(),
-        corners,
-        ..PolygonMesh::default()
-    }
+    quads(SIDE, SIDE, |c, r| {
+        let (x, y) = (20.0 * c, 20.0 * r);
+        Vec3::new(x, y, 0.002 * x * x + 0.1 * y)
+    })
 }
 
 /// Landmarks of the sheet in another place, up to 6 mm off, with these deviations.
 fn marks(mesh: &PolygonMesh, sigmas: &[Option<f64>]) -> Vec<Landmark> {
     let place = Pose::rigid(Vec3::new(0.1, 0.3, -0.2), Vec3::new(30.0, -10.0, 5.0));
     let mark = |(i, sigma): (usize, &Option<f64>)| {
-        let vertex = ((7 + i * 29) % (SIDE * SIDE)) as u32;
+        let vertex = (7 + i as u32 * 29) % (SIDE * SIDE);
         let off = Vec3::new(6.0 * (i as f64).sin(), 5.0 * (2.0 * i as f64).cos(), 4.0 * (3.0 * i as f64).sin());
         let target = place.apply(mesh.positions[vertex as usize]) + off;
         Landmark { sigma: *sigma, ..Landmark::new(vertex.to_string(), vertex, target) }

@@ -4,15 +4,12 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use nonrigid::energy::Deformation;
 use nonrigid::nlls::{
     Bounded, Euclidean, Family, Kernel, LinearSolverKind, Minimizer, Options, Problem, Residual, ResidualProblem,
     Scalar, Se3, Silent, Workspace,
 };
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 
-use crate::zoo::{Specimen, Zoo, terms};
+use crate::zoo::{Specimen, Zoo, problem_at_rest};
 
 thread_local! {
     static COUNT: Cell<usize> = const { Cell::new(0) };
@@ -80,12 +77,7 @@ fn check_models(zoo: &Zoo, kinds: &[LinearSolverKind], threads: usize) {
         if name == crate::zoo::INDEFINITE {
             continue;
         }
-        let mut problem = Deformation::new(model, zoo.samples());
-        let x = problem.model.rest_parameters();
-        let vertices = problem.vertices(&x).to_vec();
-        let mut positions = Vec::new();
-        problem.samples().positions(&vertices, &mut positions);
-        problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(41), &positions, Kernel::Huber { delta: 1.0 });
+        let (mut problem, x) = problem_at_rest(zoo, model, 41);
         check(&mut problem, &x, kinds, threads, &name);
         counted += 1;
     }

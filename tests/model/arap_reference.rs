@@ -6,6 +6,8 @@ use nonrigid::model::{Arap, ArapOptions, ArapSolver};
 use nonrigid::nlls::{Minimizer, Options, Problem};
 use serde_json::Value;
 
+use crate::sheets::sheet;
+
 const SIDE: usize = 32;
 
 fn reference() -> Value {
@@ -16,17 +18,12 @@ fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
-fn sheet() -> TriangleMesh {
-    let place = |i: usize| {
-        let (c, r) = ((i % SIDE) as f64, (i / SIDE) as f64);
+fn bent() -> TriangleMesh {
+    sheet(SIDE, SIDE, |c, r| {
         let x = c - 0.25 * r + 0.2 * (2.1 * c + 4.3 * r).sin();
         let y = r + 0.2 * (3.7 * c - 2.9 * r).sin();
         Vec3::new(x, y, 4.0 * (0.11 * c).sin() + 0.3 * (1.3 * c + 0.4 * r).sin() * (0.9 * r).cos())
-    };
-    let quads = (0..SIDE as u32 * (SIDE as u32 - 1)).filter(|a| (a + 1) % SIDE as u32 != 0);
-    let side = SIDE as u32;
-    let triangles = quads.flat_map(|a| [[a, a + 1, a + 1 + side], [a, a + 1 + side, a + side]]).collect();
-    TriangleMesh { positions: (0..SIDE * SIDE).map(place).collect(), triangles }
+    })
 }
 
 /// The first row held where it is, the last one turned by 75 degrees and shifted.
@@ -41,7 +38,7 @@ fn handles(mesh: &TriangleMesh) -> (Vec<bool>, Vec<Vec3>) {
 }
 
 fn problem(solver: ArapSolver, clamp: bool) -> Deformation<Arap, Box<dyn DataTerm>> {
-    let mesh = sheet();
+    let mesh = bent();
     let (held, places) = handles(&mesh);
     let model = Arap::new(&mesh, ArapOptions { solver, clamp }, 1.0).expect("a sound mesh");
     Deformation::new(model.with_held_at(&held, &places), Samples::vertices(mesh.positions.len()))
@@ -75,7 +72,7 @@ fn local_global_steps_are_the_papers_alternation() {
         // libigl's rotations are approximate, see the script.
         approx::assert_relative_eq!(energy, libigl, max_relative = 5e-4);
     }
-    let mesh = sheet();
+    let mesh = bent();
     let (held, places) = handles(&mesh);
     for (v, p) in problem.vertices(&x).iter().enumerate().filter(|(v, _)| held[*v]) {
         assert_eq!(*p, places[v], "a held vertex must be copied bit for bit");

@@ -14,13 +14,11 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::dense_covariance::dense_covariance;
 use crate::projected_gradient::projected_gradient;
+use crate::threads::on_threads;
+use crate::zoo::random_vec;
 
 const VERTICES: usize = 90;
 const SHAPES: usize = 7;
-
-fn random_vec(rng: &mut ChaCha8Rng, size: f64) -> Vec3 {
-    Vec3::from_fn(|_, _| rng.random_range(-size..size))
-}
 
 /// Two standard normal numbers (Box and Muller 1958).
 fn normal(rng: &mut ChaCha8Rng) -> [f64; 2] {
@@ -241,10 +239,8 @@ fn covariances_of_weights_are_their_part_of_the_whole_inverse() {
 #[test]
 fn bounded_weights_have_the_same_bits_at_any_number_of_threads() {
     for which in MODELS {
-        let [one, two] = [1, 2].map(|threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| bounded_fit(which, Bounds::Unit, 1, Options::gauss_newton()).0)
-        });
+        let [one, two] = [1, 2]
+            .map(|threads| on_threads(threads, || bounded_fit(which, Bounds::Unit, 1, Options::gauss_newton()).0));
         assert!(one.iter().zip(&two).all(|(a, b)| a.to_bits() == b.to_bits()), "{which}");
     }
 }

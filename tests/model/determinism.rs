@@ -1,15 +1,13 @@
 //! The same bits at any number of threads: equations and steps of every model with every linear solver, on a template that
 //! several tasks share.
 
-use nonrigid::energy::Deformation;
 use nonrigid::model::Linearisation;
-use nonrigid::nlls::{Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem};
+use nonrigid::nlls::{LinearSolverKind, Minimizer, NormalEquations, Options, Problem};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::zoo::{Specimen, TestModel, TestTerm, Zoo, random_step, terms};
-
-type TestProblem = Deformation<Box<dyn TestModel>, Box<dyn TestTerm>>;
+use crate::threads::on_threads;
+use crate::zoo::{Specimen, TestProblem, Zoo, problem_at_rest, random_step};
 
 /// Bits of everything that was computed, by what it is.
 type Prints = Vec<(String, Vec<u64>)>;
@@ -24,22 +22,11 @@ fn equations_at(problem: &mut TestProblem, x: &[f64]) -> Vec<u64> {
     bits(&[&equations.blocks, &equations.cross, &equations.border, &equations.gradient])
 }
 
-/// Terms near the rest shape.
-fn problem(zoo: &Zoo, model: Box<dyn TestModel>) -> (TestProblem, Vec<f64>) {
-    let mut problem = Deformation::new(model, zoo.samples());
-    let rest = problem.model.rest_parameters();
-    let vertices = problem.vertices(&rest).to_vec();
-    let mut positions = Vec::new();
-    problem.samples().positions(&vertices, &mut positions);
-    problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(31), &positions, Kernel::Huber { delta: 1.0 });
-    (problem, rest)
-}
-
 /// Equations of every model at random parameters.
 fn all_equations(zoo: &Zoo) -> Prints {
     let mut prints = Prints::new();
     for Specimen { name, model, .. } in zoo.models() {
-        let (mut problem, rest) = problem(zoo, model);
+        let (mut problem, rest) = problem_at_rest(zoo, model, 31);
         let mut x = rest.clone();
         let step = random_step(&mut ChaCha8Rng::seed_from_u64(32), problem.structure().dimension());
         problem.retract(&rest, &step, &mut x);
@@ -55,7 +42,7 @@ fn all_equations(zoo: &Zoo) -> Prints {
 fn all_steps(zoo: &Zoo, kind: LinearSolverKind, largest: usize) -> Prints {
     let mut prints = Prints::new();
     for Specimen { name, model, .. } in zoo.models() {
-        let (mut problem, mut x) = problem(zoo, model);
+        let (mut problem, mut x) = problem_at_rest(zoo, model, 31);
         if problem.structure().dimension() > largest || name == crate::zoo::INDEFINITE {
             continue;
         }
@@ -71,9 +58,7 @@ fn all_steps(zoo: &Zoo, kind: LinearSolverKind, largest: usize) -> Prints {
 
 /// Runs `work` on one, two and four threads.
 fn compare(least: usize, work: impl Fn() -> Prints + Sync) {
-    let [one, two, four] = [1, 2, 4].map(|threads| {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool").install(&work)
-    });
+    let [one, two, four] = [1, 2, 4].map(|threads| on_threads(threads, &work));
     assert!(one.len() >= least, "{} models", one.len());
     for (threads, other) in [(2, two), (4, four)] {
         for ((name, expected), (_, found)) in one.iter().zip(&other) {

@@ -17,7 +17,9 @@ use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::sheets::sheet;
 use crate::stated_graph::stated_graph;
+use crate::threads::on_threads;
 use crate::zoo::{Swirl, Zoo, random_step, terms};
 
 #[test]
@@ -223,11 +225,8 @@ fn the_graph_is_stiffer_where_more_is_unseen_and_gives_way_by_its_kernel_and_its
 /// Two stiff halves, one of which is turned by a right angle about the line between them. Least squares spread the bend.
 #[test]
 fn a_graph_with_a_kernel_bends_at_a_joint() {
-    let rest: Vec<Vec3> =
-        (0..40).flat_map(|c| (0..4).map(move |r| Vec3::new(f64::from(c), f64::from(r), 0.0))).collect();
-    let quads = (0..39).flat_map(|c| (0..3).map(move |r| 4 * c + r));
-    let triangles = quads.flat_map(|i| [[i, i + 4, i + 5], [i, i + 5, i + 1]]).collect();
-    let mesh = TriangleMesh { positions: rest.clone(), triangles };
+    let mesh = sheet(4, 40, |r, c| Vec3::new(c, r, 0.0));
+    let rest = mesh.positions.clone();
     let bent = |p: &Vec3| if p.x > 20.0 { Vec3::new(20.0, p.y, p.x - 20.0) } else { *p };
     let places: Vec<Vec3> = rest.iter().map(bent).collect();
     let far = |kernel: Kernel| {
@@ -319,11 +318,8 @@ fn the_rotation_energy_of_an_affine_map_is_sumners() {
 }
 
 /// A sheet of 9 x 9 vertices at spacing `unit`.
-fn sheet(unit: f64) -> TriangleMesh {
-    let positions = (0..81).map(|i| Vec3::new((i % 9) as f64, (i / 9) as f64, 0.1 * (i % 4) as f64) * unit).collect();
-    let corners = |i: u32| [[i, i + 1, i + 10], [i, i + 10, i + 9]];
-    let triangles = (0..72).filter(|i| i % 9 < 8).flat_map(corners).collect();
-    TriangleMesh { positions, triangles }
+fn small_sheet(unit: f64) -> TriangleMesh {
+    sheet(9, 9, |c, r| Vec3::new(c, r, 0.1 * ((9.0 * r + c) % 4.0)) * unit)
 }
 
 /// The graph with affine nodes, all turned by `start`, pulled towards `targets`, until nothing changes.
@@ -361,7 +357,7 @@ fn affine_nodes_prefer_rotations_the_more_the_weightier_and_in_any_unit() {
     let mut found: Vec<[f64; 2]> = Vec::new();
     for rotation in [0.0, 0.1, 1.0, 100.0] {
         let distance = |unit: f64| {
-            let mesh = sheet(unit);
+            let mesh = small_sheet(unit);
             let nodes = NodeGraph::along_surface(&mesh, 12, 3).unwrap();
             let targets = mesh.positions.iter().map(stretch).collect();
             farthest_from_rotation(&pulled(&mesh, nodes, targets, rotation, &Rotation3::identity()).1)
@@ -379,7 +375,7 @@ fn affine_nodes_prefer_rotations_the_more_the_weightier_and_in_any_unit() {
 
 #[test]
 fn affine_nodes_stand_alone_coincide_and_turn_by_pi() {
-    let mesh = sheet(1.0);
+    let mesh = small_sheet(1.0);
     let half_turn = Rotation3::from_axis_angle(&Vec3::y_axis(), PI);
     let further = Rotation3::from_euler_angles(0.3, -0.2, 0.4);
     let place = |p: &Vec3| further * half_turn * p + Vec3::new(1.0, 2.0, 3.0);
@@ -448,8 +444,7 @@ fn affine_maps_reach_the_same_minimum_whatever_solves_the_equations() {
         problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(6), &zoo.resting(), Kernel::Huber { delta: 1.0 });
         let mut x = problem.model.rest_parameters();
         let minimizer = Minimizer::new(Options::gauss_newton().with_linear_solver(solver)).expect("options in bounds");
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
-        let summary = pool.install(|| minimizer.minimize(&mut problem, &mut x));
+        let summary = on_threads(threads, || minimizer.minimize(&mut problem, &mut x));
         assert!(summary.stop.converged(), "{summary}");
         (problem.vertices(&x).to_vec(), summary.linear_solver)
     };

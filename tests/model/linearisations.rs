@@ -12,9 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::reference::Reference;
-use crate::zoo::{KERNELS, Specimen, TestModel, TestTerm, Zoo, random_step, terms};
-
-type TestProblem = Deformation<Box<dyn TestModel>, Box<dyn TestTerm>>;
+use crate::zoo::{KERNELS, Specimen, TestModel, TestProblem, Zoo, random_step, sampled, terms};
 
 /// The model at random parameters, without terms yet, and where the samples are there.
 fn anywhere(model: Box<dyn TestModel>, zoo: &Zoo, rng: &mut ChaCha8Rng) -> (TestProblem, Vec<f64>, Vec<Vec3>) {
@@ -22,9 +20,7 @@ fn anywhere(model: Box<dyn TestModel>, zoo: &Zoo, rng: &mut ChaCha8Rng) -> (Test
     let rest = problem.model.rest_parameters();
     let mut x = rest.clone();
     problem.retract(&rest, &random_step(rng, problem.structure().dimension()), &mut x);
-    let vertices = problem.vertices(&x).to_vec();
-    let mut positions = Vec::new();
-    problem.samples().positions(&vertices, &mut positions);
+    let positions = sampled(&mut problem, &x);
     (problem, x, positions)
 }
 

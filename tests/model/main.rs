@@ -8,8 +8,14 @@ mod projected_gradient;
 mod reference;
 #[path = "../support/stated_graph.rs"]
 mod stated_graph;
+#[path = "../support/threads.rs"]
+mod threads;
 #[path = "../support/zoo.rs"]
 mod zoo;
+
+#[allow(dead_code)] // others use the rest
+#[path = "../../src/mesh/testing.rs"]
+mod sheets;
 
 mod affine_reference;
 mod allocations;
@@ -19,3 +25,6 @@ mod determinism;
 mod laws;
 mod linearisations;
 mod physical;
+
+// What the sheets are made of.
+use nonrigid::mesh::{TriangleMesh, Vec3};

@@ -16,6 +16,8 @@ use nonrigid::term::PointToPoint;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::sheets;
+
 const TISSUE: TissueOptions = TissueOptions { thickness: 3.0, poisson: 0.3, anchor: 0.0, modulus: BTreeMap::new() };
 
 fn springs(mesh: &TriangleMesh) -> MassSpring {
@@ -36,16 +38,8 @@ fn every_model(mesh: &TriangleMesh) -> [Box<dyn DeformationModel>; 3] {
 
 /// A sheet of `size` by `size` millimetres, `cells` a side, at `place`.
 fn sheet(size: f64, cells: usize, place: impl Fn(f64, f64) -> Vec3) -> TriangleMesh {
-    let side = cells + 1;
-    let at = |i: usize| size * i as f64 / cells as f64;
-    let positions = (0..side * side).map(|i| place(at(i % side), at(i / side))).collect();
-    let corner = |c: usize, r: usize| (r * side + c) as u32;
-    let quads = (0..cells * cells).map(|q| (q % cells, q / cells));
-    let halves = quads.flat_map(|(c, r)| {
-        let (a, b, d, e) = (corner(c, r), corner(c + 1, r), corner(c + 1, r + 1), corner(c, r + 1));
-        [[a, b, d], [a, d, e]]
-    });
-    TriangleMesh { positions, triangles: halves.collect() }
+    let at = |i: f64| size * i / cells as f64;
+    sheets::sheet(cells + 1, cells + 1, |c, r| place(at(c), at(r)))
 }
 
 /// A bowl, 81 vertices.

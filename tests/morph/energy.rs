@@ -2,6 +2,7 @@
 
 use std::sync::LazyLock;
 
+use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig};
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{TriangleMesh, Vec3, bounding_box_diagonal, sewn};
@@ -354,8 +355,7 @@ fn threads_change_no_bit() {
     let face = &*FACE;
     let step = face.step(FORWARD);
     let on = |threads: usize, model| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| face.energy(&step, &Constraints::default(), model).solve().unwrap())
+        on_threads(threads, || face.energy(&step, &Constraints::default(), model).solve().unwrap())
     };
     for model in ENERGIES {
         assert_eq!(on(1, model), on(2, model));

@@ -6,6 +6,8 @@ mod awkward;
 mod real_data;
 #[path = "../support/skip.rs"]
 mod skip;
+#[path = "../support/threads.rs"]
+mod threads;
 
 mod energy;
 mod masks;

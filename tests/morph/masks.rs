@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use crate::threads::on_threads;
 use image::{DynamicImage, GrayImage, RgbImage, RgbaImage};
 use nonrigid::morph::*;
 use rand::{Rng, SeedableRng};
@@ -326,8 +327,7 @@ fn masks_have_the_same_bits_at_any_number_of_threads() {
         let noise = random_texture(301, 203, 9);
         KINDS.map(|kind| [&texture, &noise].map(|t| Blur { kind, iterations: 3, ..Blur::default() }.apply(t).unwrap()))
     };
-    let [one, two, four] =
-        [1, 2, 4].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(work));
+    let [one, two, four] = [1, 2, 4].map(|threads| on_threads(threads, work));
     assert!(one == two && one == four);
 }
 

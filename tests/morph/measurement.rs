@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::threads::on_threads;
 use data_gen::{Eyeball, FaceOptions, FaceRig};
 use nalgebra::Rotation3;
 use nonrigid::io::{LengthUnit, read_obj};
@@ -365,8 +366,7 @@ fn a_report_is_the_same_bytes_at_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let write = |threads: usize| {
         let path = folder.path().join(threads.to_string());
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| report::write(&path, &full)).unwrap();
+        on_threads(threads, || report::write(&path, &full)).unwrap();
         let names = ["measurements.json", "measurements.csv", "pictures.png", "symmetry.png", "index.html"];
         names.map(|name| std::fs::read(path.join(name)).unwrap())
     };

@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use crate::threads::on_threads;
 use nalgebra::{Matrix4, Rotation3};
 use nonrigid::mesh::{MeshError, MirrorPlane, ObjMetadata, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::morph::*;
@@ -467,7 +468,6 @@ fn weights_have_the_same_bits_at_any_number_of_threads() {
         let pairs = vec![pair.mirrored(&mesh, &plane).unwrap(), pair];
         MorphStep { pairs, ..MorphStep::default() }.apply(&mesh.positions).unwrap()
     };
-    let [one, two, four] =
-        [1, 2, 4].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(work));
+    let [one, two, four] = [1, 2, 4].map(|threads| on_threads(threads, work));
     assert!(one == two && one == four);
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
+use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig};
 use nonrigid::io::read_polygon_mesh;
 use nonrigid::landmark::TemplatePoint;
@@ -134,16 +135,8 @@ fn a_recipe_replayed_gives_the_same_bits_and_until_stops_early() {
     let face = &*FACE;
     let text = format!("{FRAME}{STEP}{STEP}model = \"arap\"\n").replace("model", "#");
     let recipe = Recipe::from_text(&text, "test").unwrap();
-    let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            face.replay(
-                &recipe,
-                ReplayOptions { model: Some(MorphModel::Energy(ModelKind::Arap)), ..ReplayOptions::default() },
-            )
-        })
-    };
-    let [a, b, c] = [1, 2, 2].map(|threads| on(threads).unwrap());
+    let options = ReplayOptions { model: Some(MorphModel::Energy(ModelKind::Arap)), ..ReplayOptions::default() };
+    let [a, b, c] = [1, 2, 2].map(|threads| on_threads(threads, || face.replay(&recipe, options).unwrap()));
     for k in 0..2 {
         assert_eq!((&a[k].positions, &a[k].report), (&b[k].positions, &b[k].report));
         assert_eq!(b[k].positions, c[k].positions);

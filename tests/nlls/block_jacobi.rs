@@ -1,5 +1,6 @@
 //! Conjugate gradients end in the minima of the factorisations, on a hybrid of shapes inside a graph.
 
+use crate::threads::on_threads;
 use experiments::generated::{Face, face};
 use nonrigid::energy::{Deformation, DeformationModel, Pointwise, Samples};
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
@@ -18,8 +19,7 @@ fn minimum(options: Options, solver: LinearSolverKind, graph_weight: f64, thread
     let options = options.with_linear_solver(solver).with_max_iterations(200).with_energy_tolerance(1e-12);
     let minimizer = Minimizer::new(options.with_damping_floor(1e-9)).unwrap();
     let mut x = problem.model.rest_parameters();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let summary = pool.install(|| {
+    let summary = on_threads(threads, || {
         let mut workspace = Workspace::new();
         minimizer.minimize_with(&mut problem, &mut x, &mut workspace, &mut Silent).clone()
     });

@@ -12,6 +12,7 @@ use nonrigid::nlls::{
 
 use crate::dense_covariance::dense_covariance;
 use crate::projected_gradient::projected_gradient;
+use crate::threads::on_threads;
 
 const POSES: usize = 12;
 /// Where the border begins in x.
@@ -205,8 +206,7 @@ fn bounds_out_of_reach_change_no_bit() {
 #[test]
 fn threads_do_not_change_bits() {
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
+        on_threads(threads, || {
             let (lower, upper) = (vec![0.0; 4], vec![0.01, 0.02, 1.0, 0.0]);
             let mut problem = Bounded { problem: carried(2.0), first: FIRST, lower, upper };
             let mut x = problem.problem.initial();

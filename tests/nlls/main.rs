@@ -4,6 +4,8 @@
 mod dense_covariance;
 #[path = "../support/projected_gradient.rs"]
 mod projected_gradient;
+#[path = "../support/threads.rs"]
+mod threads;
 
 mod block_jacobi;
 mod bounds;

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 use crate::support::farthest;
+use crate::task::Task;
+use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nalgebra::Rotation3;
 use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, Samples};
@@ -28,18 +30,6 @@ use nonrigid::term::{Landmarks, PointToPlane, PointToPoint};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Everything that a registration takes, owned.
-#[derive(Clone)]
-struct Task {
-    template: PolygonMesh,
-    shapes: ShapeBasis,
-    scan: TriangleMesh,
-    scan_normals: Option<Vec<Vec3>>,
-    landmarks: Vec<Landmark>,
-    mask: Option<Vec<f64>>,
-    free_mask: Option<Vec<f64>>,
-}
-
 impl Task {
     /// A person unknown to the rig: all expressions and the first identity modes.
     fn new(rig: &FaceRig, case: &ScanCase, identity_modes: usize) -> Self {
@@ -48,17 +38,6 @@ impl Task {
         let landmarks = case.landmark_pairs();
         let (template, scan) = (rig.mesh.clone(), case.scan.clone());
         Self { template, shapes, scan, scan_normals: None, landmarks, mask: None, free_mask: None }
-    }
-
-    fn input(&self) -> RegistrationInput<'_> {
-        RegistrationInput {
-            shapes: &self.shapes,
-            scan_normals: self.scan_normals.as_deref(),
-            landmarks: &self.landmarks,
-            mask: self.mask.as_deref(),
-            free_mask: self.free_mask.as_deref(),
-            ..RegistrationInput::new(&self.template, &self.scan)
-        }
     }
 
     fn fit(&self, model: ModelKind) -> RegistrationResult {
@@ -282,10 +261,8 @@ fn moving_everything_moves_the_result_also_with_all_terms_and_for_point_clouds()
 fn the_same_bits_at_any_number_of_threads_also_with_all_terms_and_for_point_clouds() {
     let mesh = small_task();
     for task in [&mesh, &mesh.as_cloud()] {
-        let [one, three] = [1, 3].map(|threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| task.fit_by(ModelKind::Hybrid, &with_all_terms(ModelKind::Hybrid)))
-        });
+        let [one, three] = [1, 3]
+            .map(|threads| on_threads(threads, || task.fit_by(ModelKind::Hybrid, &with_all_terms(ModelKind::Hybrid))));
         assert!(bits(&one.positions) == bits(&three.positions));
         assert_eq!((one.history, one.accepted), (three.history, three.accepted));
     }

@@ -8,9 +8,19 @@ mod real_data;
 mod skip;
 #[path = "../support/mod.rs"]
 mod support;
+#[path = "../support/threads.rs"]
+mod threads;
+
+#[allow(dead_code)] // others use the rest
+#[path = "../../src/mesh/testing.rs"]
+mod sheets;
 
 mod doubts;
 mod laws;
 mod random;
 mod self_test;
 mod start;
+mod task;
+
+// What the sheets are made of.
+use nonrigid::mesh::{TriangleMesh, Vec3};

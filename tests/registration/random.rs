@@ -4,9 +4,10 @@
 //! The cases come from a fixed seed; `NONRIGID_CASES` says how many there are, 2000 without it.
 
 use crate::awkward::{extent, sheet};
+use crate::task::Task;
 use nonrigid::energy::Options;
 use nonrigid::landmark::Landmark;
-use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, TriangleMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, Pose, PoseKind, Vec3};
 use nonrigid::model::GraphLevel;
 use nonrigid::nlls::Kernel;
 use nonrigid::registration::{
@@ -210,16 +211,6 @@ fn random_shapes(rng: &mut ChaCha8Rng, mesh: &PolygonMesh, count: usize, size: f
     ShapeBasis::new(names, slab.collect())
 }
 
-/// Everything that a registration takes.
-struct Task {
-    template: PolygonMesh,
-    shapes: ShapeBasis,
-    scan: TriangleMesh,
-    scan_normals: Option<Vec<Vec3>>,
-    landmarks: Vec<Landmark>,
-    mask: Option<Vec<f64>>,
-}
-
 impl Task {
     fn of(case: &Case) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
@@ -250,17 +241,7 @@ impl Task {
         let landmarks = (0..case.landmarks).map(mark).collect();
         let mask =
             case.masked.then(|| template.positions.iter().map(|p| (p.x / case.spacing).sin().max(0.0)).collect());
-        Self { template, shapes, scan, scan_normals, landmarks, mask }
-    }
-
-    fn input(&self) -> RegistrationInput<'_> {
-        RegistrationInput {
-            shapes: &self.shapes,
-            scan_normals: self.scan_normals.as_deref(),
-            landmarks: &self.landmarks,
-            mask: self.mask.as_deref(),
-            ..RegistrationInput::new(&self.template, &self.scan)
-        }
+        Self { template, shapes, scan, scan_normals, landmarks, mask, free_mask: None }
     }
 }
 
@@ -359,7 +340,7 @@ fn moved(template: &PolygonMesh, pose: &Pose) -> Task {
     let mark = |vertex: usize| Landmark::new(vertex.to_string(), vertex as u32, truth[vertex]);
     let landmarks = [0, 8, count / 2, count - 9, count - 1].map(mark).to_vec();
     let shapes = random_shapes(&mut rng, template, 4, 10.0);
-    Task { template: template.clone(), shapes, scan, scan_normals: None, landmarks, mask: None }
+    Task { template: template.clone(), shapes, scan, scan_normals: None, landmarks, mask: None, free_mask: None }
 }
 
 fn models_of(schedule: &Schedule) -> impl Iterator<Item = (ModelKind, Schedule)> + use<> {

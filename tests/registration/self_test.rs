@@ -1,5 +1,6 @@
 //! The self-test of `nonrigid doctor`: its expected numbers, and how well they are known.
 
+use crate::threads::on_threads;
 use nonrigid::mesh::Vec3;
 use nonrigid::self_test::{CHECKS, Check, Face, Machine, registration_rmse};
 use rand::{Rng, SeedableRng};
@@ -39,8 +40,7 @@ fn what_other_processors_compute_otherwise_stays_far_inside_the_tolerance() {
 
 #[test]
 fn the_machine_says_what_it_is() {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    let machine = pool.install(Machine::new);
+    let machine = on_threads(3, Machine::new);
     assert_eq!((machine.threads, machine.system), (3, std::env::consts::OS));
     assert!(machine.cores >= 1 && machine.instruction_set.lanes >= 1);
     if cfg!(target_os = "linux") {

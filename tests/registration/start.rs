@@ -4,7 +4,9 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::real_data::real_data;
+use crate::sheets;
 use crate::support::{Bench, farthest};
+use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::io::{PlyOptions, read_polygon_mesh, read_scan, write_ply};
 use nonrigid::landmark::Landmark;
@@ -72,15 +74,8 @@ fn joined(parts: &[&TriangleMesh]) -> TriangleMesh {
 
 /// `f(u, v)` over the unit square in steps of one in `steps`, its front where `d/du x d/dv` points.
 fn sheet(steps: u32, f: impl Fn(f64, f64) -> Vec3) -> TriangleMesh {
-    let at = |i: u32| f64::from(i) / f64::from(steps);
-    let positions = (0..=steps).flat_map(|j| (0..=steps).map(move |i| (i, j))).map(|(i, j)| f(at(i), at(j))).collect();
-    let corner = |i: u32, j: u32| j * (steps + 1) + i;
-    let cells = (0..steps).flat_map(|j| (0..steps).map(move |i| (i, j)));
-    let triangles = cells.flat_map(|(i, j)| {
-        let [a, b, c, d] = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
-        [[a, b, c], [a, c, d]]
-    });
-    TriangleMesh { positions, triangles: triangles.collect() }
+    let size = f64::from(steps);
+    sheets::sheet(steps as usize + 1, steps as usize + 1, |i, j| f(i / size, j / size))
 }
 
 /// The scan of `case` with shoulders, a neck and a wall behind, and a fifth of the face missing in holes.
@@ -184,10 +179,7 @@ fn the_same_bits_at_one_two_and_four_threads() {
     let case = case(&rig, 22);
     let place = any_pose(&mut ChaCha8Rng::seed_from_u64(4));
     let scan = moved(&case.scan, &place);
-    let [one, two, four] = [1, 2, 4].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| found(&rig, &scan))
-    });
+    let [one, two, four] = [1, 2, 4].map(|threads| on_threads(threads, || found(&rig, &scan)));
     assert_eq!(one, two);
     assert_eq!(one, four);
 }

@@ -13,15 +13,16 @@ fn mesh<P: AsRef<[u32]>>(positions: Vec<Vec3>, polygons: impl IntoIterator<Item 
     mesh
 }
 
+/// A sheet of quads, `columns` by `rows` vertices, at `place(column, row)`.
+pub fn quads(columns: u32, rows: u32, place: impl Fn(f64, f64) -> Vec3) -> PolygonMesh {
+    let positions = (0..columns * rows).map(|i| place(f64::from(i % columns), f64::from(i / columns))).collect();
+    let first = (0..(columns - 1) * (rows - 1)).map(|q| q + q / (columns - 1));
+    mesh(positions, first.map(|a| [a, a + 1, a + columns + 1, a + columns]))
+}
+
 /// A wavy sheet of quads of `size` millimetres a side, `columns` by `rows` vertices.
 pub fn sheet(columns: u32, rows: u32, size: f64) -> PolygonMesh {
-    let place = |i: u32| {
-        let (x, y) = (f64::from(i % columns), f64::from(i / columns));
-        Vec3::new(x, y, 1.5 * (0.7 * x).sin() * (0.9 * y + 0.3).cos()) * size
-    };
-    let quads = (0..(columns - 1) * (rows - 1)).map(|q| q + q / (columns - 1));
-    let quads = quads.map(|a| [a, a + 1, a + columns + 1, a + columns]);
-    mesh((0..columns * rows).map(place).collect(), quads)
+    quads(columns, rows, |x, y| Vec3::new(x, y, 1.5 * (0.7 * x).sin() * (0.9 * y + 0.3).cos()) * size)
 }
 
 /// The sheet that others are changes of: 63 vertices, about 80 by 60 mm.

@@ -1,7 +1,7 @@
 //! Every deformation model, data term and kernel on a random template: what laws are held against.
 #![allow(dead_code)] // every test binary uses its own part of this
 
-use nonrigid::energy::{DataTerm, DeformationModel, Pointwise, SampleResidual, Samples};
+use nonrigid::energy::{DataTerm, Deformation, DeformationModel, Pointwise, SampleResidual, Samples};
 use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::model::{
     Affine, AngleAxisMotion, Arap, ArapOptions, ArapSolver, Autodiff, EdgeWeights, Fem, Ffd, Frames, Free, FreeOptions,
@@ -213,6 +213,26 @@ impl Zoo {
         let triangles = if joined < 100 { far.collect() } else { self.mesh.triangles.clone() };
         Affine::new(&TriangleMesh { triangles, ..self.mesh.clone() }, 0.7, 1.3).expect("a finite mesh")
     }
+}
+
+/// A model under terms.
+pub type TestProblem = Deformation<Box<dyn TestModel>, Box<dyn TestTerm>>;
+
+/// Where the samples are at these parameters.
+pub fn sampled(problem: &mut TestProblem, x: &[f64]) -> Vec<Vec3> {
+    let vertices = problem.vertices(x).to_vec();
+    let mut positions = Vec::new();
+    problem.samples().positions(&vertices, &mut positions);
+    positions
+}
+
+/// The model under terms near its rest shape, and its parameters there.
+pub fn problem_at_rest(zoo: &Zoo, model: Box<dyn TestModel>, seed: u64) -> (TestProblem, Vec<f64>) {
+    let mut problem = Deformation::new(model, zoo.samples());
+    let rest = problem.model.rest_parameters();
+    let positions = sampled(&mut problem, &rest);
+    problem.terms = terms(&mut ChaCha8Rng::seed_from_u64(seed), &positions, Kernel::Huber { delta: 1.0 });
+    (problem, rest)
 }
 
 /// Two triangles in each quad of a grid.

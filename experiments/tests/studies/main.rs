@@ -4,6 +4,8 @@
 mod real_data;
 #[path = "../../../tests/support/skip.rs"]
 mod skip;
+#[path = "../../../tests/support/threads.rs"]
+mod threads;
 
 mod real_scans;
 mod scan_bench;

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::real_scans::{Arguments, RealScanRow, run};
 use nonrigid::evaluation::MeshQuality;
@@ -95,8 +96,7 @@ fn the_same_files_at_any_number_of_threads_and_any_number_of_columns() {
     let folder = folder.path();
     data(folder);
     for (out, threads) in [("one", 1), ("two", 2)] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| run(&arguments(folder, &[ModelKind::Similarity], out))).unwrap();
+        on_threads(threads, || run(&arguments(folder, &[ModelKind::Similarity], out))).unwrap();
     }
     for name in ["real-scans.csv", "real-scans.json", "real-scans.png", "anna/similarity.obj"] {
         assert!(fs::read(folder.join("one").join(name)).unwrap() == fs::read(folder.join("two").join(name)).unwrap());
