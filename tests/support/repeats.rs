@@ -12,15 +12,21 @@ fn of_machine(path: &Path) -> bool {
     name.contains(".timing.") || name == "machine.json"
 }
 
-fn files_below(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            files_below(&path, root, found);
-        } else if !of_machine(&path) {
-            found.insert(path.strip_prefix(root).unwrap().to_owned(), fs::read(&path).unwrap());
+/// Every file below `folder` by its path from there, but for what may differ.
+pub fn files_of(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(below) = folders.pop() {
+        for entry in fs::read_dir(below).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if !of_machine(&path) {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
         }
     }
+    found
 }
 
 /// What a run leaves: files by name, and what it printed.
@@ -39,8 +45,7 @@ pub fn leaves_equal_files(program: &str, folder: &Path, line: &str, stdout: bool
             command.args(line.replace("THREADS", threads).split_whitespace());
             let run = command.current_dir(folder).env("RAYON_NUM_THREADS", threads).output().unwrap();
             assert!(run.status.success(), "{line}\n{}", String::from_utf8_lossy(&run.stderr));
-            let mut found: Left = (BTreeMap::new(), if stdout { run.stdout } else { Vec::new() });
-            files_below(&out, &out, &mut found.0);
+            let found: Left = (files_of(&out), if stdout { run.stdout } else { Vec::new() });
             let Some(first) = &first else {
                 first = Some(found);
                 continue;

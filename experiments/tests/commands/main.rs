@@ -8,6 +8,8 @@ mod refusal;
 mod repeats;
 #[path = "../../../tests/support/skip.rs"]
 mod skip;
+#[path = "../../../tests/support/threads.rs"]
+mod threads;
 
 mod bad_input;
 mod ceres;

@@ -1,6 +1,5 @@
 //! The report at its smallest: what it leaves, that verdicts follow the tables, that equal runs leave equal files, how it fails.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -13,7 +12,10 @@ use nonrigid::energy::OptionsError;
 use nonrigid::model::ModelError;
 use nonrigid::registration::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 
-/// Everything, as small as it gets.
+use crate::repeats::files_of;
+use crate::threads::on_threads;
+
+/// Everything, as small as it gets: a quick report of less.
 fn tiny() -> Effort {
     let models = vec![
         ModelKind::Hybrid,
@@ -29,25 +31,18 @@ fn tiny() -> Effort {
         triangles: 6000,
         cases: vec!["same_open"],
         models: models.clone(),
-        kernels_and_terms: false,
         components: vec![5, 50, 150],
         components_of_paper: vec![5, 30, 50, 90],
         population: 160,
-        scans: 2,
-        repetitions: 1,
-        ablation_cases: 1,
         sweep_values: 2,
-        sweep_scans: 1,
         sweep_models: models,
-        sweep_vertices: 1000,
         sweep_triangles: 5000,
         resolutions: vec![1000, 1500],
-        resolution_cases: 1,
         silence_runs: 4,
         solver_sizes: vec![1000, 2000],
         solver_shapes: vec![5, 20],
         solver_nodes: vec![50, 100],
-        solver_repeats: 1,
+        ..Effort::quick()
     }
 }
 
@@ -86,30 +81,12 @@ fn report(out: &Path, threads: usize, only: &[&str]) -> (Vec<Judged>, String) {
 
 /// With rig and scans of the user's.
 fn report_of(own: Option<[PathBuf; 2]>, out: &Path, threads: usize, only: &[&str]) -> (Vec<Judged>, String) {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let only = only.iter().map(ToString::to_string).collect();
     let (rig, scans) = own.map(|[rig, scans]| (rig, scans)).unzip();
     let options = Options { only, rig, scans, out: out.to_owned(), ..Options::default() };
     let mut log = Vec::new();
-    let verdicts = pool.install(|| run(&options, &tiny(), program(), &[&Mine], &mut log)).unwrap();
+    let verdicts = on_threads(threads, || run(&options, &tiny(), program(), &[&Mine], &mut log)).unwrap();
     (verdicts, String::from_utf8(log).unwrap())
-}
-
-/// Every file below `folder` by its path from there.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    fn collect(folder: &Path, below: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
-        for entry in fs::read_dir(below).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                collect(folder, &path, found);
-            } else {
-                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
-            }
-        }
-    }
-    let mut found = BTreeMap::new();
-    collect(folder, folder, &mut found);
-    found
 }
 
 #[test]
@@ -156,7 +133,7 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
     let alone = tempfile::tempdir().unwrap();
     report(alone.path(), 1, &["ablations"]);
     let mut compared = 0;
-    for (name, bytes) in files(alone.path()) {
+    for (name, bytes) in files_of(alone.path()) {
         let of_study = name.to_string_lossy().starts_with("ablations");
         if of_study || name.starts_with("data") {
             assert!(fs::read(folder.path().join(&name)).unwrap() == bytes, "{}", name.display());
@@ -257,9 +234,8 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let runs = [("one", 1), ("two", 2)].map(|(name, threads)| {
         let out = folder.path().join(name);
         report(&out, threads, &["inputs", "extreme", "convergence"]);
-        let mut found = files(&out);
-        found.remove(Path::new("machine.json")).expect("processor and times, in a file of their own");
-        found
+        assert!(out.join("machine.json").exists(), "processor and times, in a file of their own");
+        files_of(&out)
     });
     assert_eq!(runs[0].keys().collect::<Vec<_>>(), runs[1].keys().collect::<Vec<_>>());
     let differing: Vec<_> = runs[0].iter().filter(|(name, bytes)| runs[1][*name] != **bytes).map(|f| f.0).collect();
