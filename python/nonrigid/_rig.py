@@ -222,7 +222,7 @@ class Rig:
 
     def write(self, path: PathLike, *, form: Literal["folder", "shapes"] = "folder") -> None:
         """Writes a rig: .npz or .glb by extension, otherwise a folder of arrays, or with form="shapes" of one .obj a shape. All of it or
-        nothing; what was read, or is another rig's, is never overwritten.
+        nothing; what was read is never overwritten; a rig that is there already is replaced.
 
         What a form does not hold: a folder of shapes has no families and landmarks; .npz no groups and materials.
 

@@ -25,7 +25,8 @@ class Schedule:
     def __init__(self, keys: str | Mapping[str, Any] = "hybrid") -> None:
         """keys: the name of a model, whose own schedule it is then, or all keys as a dict.
 
-        Raises ValueError for an unknown model or key, with the nearest known one, and for numbers out of their bounds.
+        Raises ValueError for an unknown model or key, with the nearest known one, and for numbers out of their bounds; for what belongs to a
+        model or data term alone, `register` does.
         """
         self._native = _nonrigid.Schedule.of_model(keys) if isinstance(keys, str) else _nonrigid.Schedule.of_dict(dict(keys))
 

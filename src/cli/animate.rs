@@ -18,7 +18,7 @@ use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, me
 #[derive(Debug, Args)]
 #[command(
     after_help = "Frames are meshes of one topology, such as `nonrigid batch` leaves for a sequence, in the order of their names\n\
-    or of --list. A frame that is missing, or jumps away from those round it, is lost: it is named, also in the .usda and .glb.\n\
+    (f2 before f10) or of --list. A frame that is missing, or jumps away from those round it, is lost: it is named, also in the .usda and .glb.\n\
     With --smooth what flickers from frame to frame goes, and lost frames are bridged by the motion of the others.\n\
     .usda: a mesh with points over time, millimetres, y up. .pc2: a point cache; load the first frame beside it.\n\
     .glb: morph targets. Without --rig one for each frame but the first; with it the rig's shapes and a pose, and one for each frame\n\
@@ -164,7 +164,8 @@ fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
             (stem.to_string_lossy().into_owned(), Some(a.meshes.join(line)))
         }
     };
-    let files: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).map(frame).collect();
+    let files: Vec<_> =
+        text.trim_start_matches('\u{feff}').lines().map(str::trim).filter(|line| !line.is_empty()).map(frame).collect();
     if files.iter().all(|(_, path)| path.is_none()) {
         return Err(Failure::loading(format!("{}: names no frame that is there", list.display())));
     }

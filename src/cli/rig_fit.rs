@@ -77,7 +77,10 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.path.display()));
     let basis = rig.select(ShapeSelection { names: a.shapes.as_deref(), identity_modes: 0 }).map_err(at_rig)?;
     if basis.is_empty() {
-        return Err(Failure::loading(format!("{}: no shapes to fit", a.rig.path.display())));
+        return Err(Failure::loading(format!(
+            "{}: no shapes to fit; identity modes are left out unless --shapes names them",
+            a.rig.path.display()
+        )));
     }
     let neutral = match &a.neutral {
         Some(path) => units.read_positions("neutral", path)?,

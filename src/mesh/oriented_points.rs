@@ -73,23 +73,24 @@ impl OrientedPoints {
         ClosestVertices::new(positions)?;
         let (points, mut normals) = merged(positions, normals);
         let tree = ClosestVertices::new(&points)?;
-        let near: Vec<Vec<ClosestVertex>> =
-            (0..points.len()).into_par_iter().map(|i| neighbours(&tree, &points, &normals, i)).collect();
+        let near: Vec<Near> = (0..points.len())
+            .into_par_iter()
+            .map_init(Vec::new, |found, i| neighbours(&tree, &points, &normals, i, found))
+            .collect();
         for _ in 0..smoothing {
             let average = |i: usize| {
-                let sum = near[i].iter().fold(normals[i], |sum, n| sum + normals[n.vertex as usize]);
+                let sum = near[i].vertices().iter().fold(normals[i], |sum, &v| sum + normals[v as usize]);
                 sum.try_normalize(0.0).unwrap_or(normals[i])
             };
             normals = (0..points.len()).into_par_iter().map(average).collect();
         }
-        let radius = |near: &Vec<ClosestVertex>| near.iter().take(DISC).next_back().map_or(0.0, |n| n.squared_distance);
-        let radii = near.iter().map(|near| radius(near).sqrt()).collect();
+        let radii = near.iter().map(|near| near.disc.sqrt()).collect();
         let edges: Vec<Option<Edge>> =
-            (0..points.len()).into_par_iter().map(|i| edge(&points, normals[i], i, &near[i])).collect();
+            (0..points.len()).into_par_iter().map(|i| edge(&points, normals[i], i, near[i].vertices())).collect();
         // Half the sector that neighbours fill, times the squared distance of the farthest, for each of them.
-        let share = |(near, edge): (&Vec<ClosestVertex>, &Option<Edge>)| {
+        let share = |(near, edge): (&Near, &Option<Edge>)| {
             let half_sector = std::f64::consts::PI - edge.map_or(0.0, |e| e.cosine.acos());
-            near.last().map_or(0.0, |n| half_sector * n.squared_distance / near.len() as f64)
+            if near.count == 0 { 0.0 } else { half_sector * near.farthest / near.count as f64 }
         };
         let area = near.iter().zip(&edges).map(share).sum();
         Ok(Self { points, normals, radii, edges, area, tree })
@@ -166,21 +167,49 @@ fn merged(positions: &[Vec3], normals: &[Vec3]) -> (Vec<Vec3>, Vec<Vec3>) {
     kept.into_iter().filter_map(|(i, sum)| Some((positions[i], sum.try_normalize(1e-6)?))).unzip()
 }
 
-/// The nearest neighbours of point `i` whose normals are less than 90 degrees from its own, nearest first.
-fn neighbours(tree: &ClosestVertices, points: &[Vec3], normals: &[Vec3], i: usize) -> Vec<ClosestVertex> {
-    let mut near = Vec::with_capacity(2 * NEIGHBOURS + 1);
-    tree.k_nearest(&points[i], 2 * NEIGHBOURS + 1, &mut near);
-    near.retain(|n| n.vertex as usize != i && normals[n.vertex as usize].dot(&normals[i]) > 0.0);
-    near.truncate(NEIGHBOURS);
-    near
+/// The nearest neighbours of a point whose normals are less than 90 degrees from its own, nearest first. Clouds have millions of these.
+struct Near {
+    vertices: [u32; NEIGHBOURS],
+    count: usize,
+    /// Squared distance to the neighbour up to which a disc reaches, and to the last; 0 where there is none.
+    disc: f64,
+    farthest: f64,
+}
+
+impl Near {
+    fn vertices(&self) -> &[u32] {
+        &self.vertices[..self.count]
+    }
+}
+
+/// The neighbours of point `i`; `found` is for all candidates.
+fn neighbours(
+    tree: &ClosestVertices,
+    points: &[Vec3],
+    normals: &[Vec3],
+    i: usize,
+    found: &mut Vec<ClosestVertex>,
+) -> Near {
+    tree.k_nearest(&points[i], 2 * NEIGHBOURS + 1, found);
+    found.retain(|n| n.vertex as usize != i && normals[n.vertex as usize].dot(&normals[i]) > 0.0);
+    found.truncate(NEIGHBOURS);
+    let mut vertices = [0; NEIGHBOURS];
+    vertices.iter_mut().zip(&*found).for_each(|(v, n)| *v = n.vertex);
+    let squared = |n: Option<&ClosestVertex>| n.map_or(0.0, |n| n.squared_distance);
+    Near {
+        vertices,
+        count: found.len(),
+        disc: squared(found.iter().take(DISC).next_back()),
+        farthest: squared(found.last()),
+    }
 }
 
 /// The widest gap between the directions to the neighbours of point `i`, if it is too wide.
-fn edge(points: &[Vec3], normal: Vec3, i: usize, near: &[ClosestVertex]) -> Option<Edge> {
+fn edge(points: &[Vec3], normal: Vec3, i: usize, near: &[u32]) -> Option<Edge> {
     let u = normal.cross(&Vec3::ith(normal.iamin(), 1.0)).normalize();
     let w = normal.cross(&u);
-    let direction = |n: &ClosestVertex| {
-        let offset = points[n.vertex as usize] - points[i];
+    let direction = |&v: &u32| {
+        let offset = points[v as usize] - points[i];
         offset.dot(&w).atan2(offset.dot(&u))
     };
     let mut angles: Vec<f64> = near.iter().map(direction).collect();

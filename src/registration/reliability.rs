@@ -24,9 +24,9 @@ const OFF_THE_SCAN: f64 = 0.009;
 const CONTRADICTED: f64 = 0.25;
 const UNSEEN: f64 = 0.75;
 
-/// How far a vertex stands out at least, as a share of the size (2 mm on a face), to be one of the [`spikes`], after which a result is as
-/// probably wrong as right at least: no median or percentile shows a few of them, and no result of a sound template has any.
-const SPIKE: f64 = 0.03;
+/// How far a vertex stands out at least, as a share of the size (10 mm on a face), to be one of the [`spikes`], after which a result is as
+/// probably wrong as right at least: no median or percentile shows a few of them. Edges within an open or a pursed mouth grow by 4 mm.
+const SPIKE: f64 = 0.15;
 
 /// [`StartSearch::rival`](super::StartSearch::rival) above which another place fits as well, such as a second face, and what is then
 /// the least probability: 3 of 14 such starts of the design set were wrong.

@@ -24,7 +24,7 @@ const LEAST_AREA: f64 = 1e-4;
 /// Shares of triangles that face backwards.
 const FOLDED: [f64; 2] = [0.02, 0.25];
 /// How far a vertex stands out at least, as a share of the size, to be a [spike](spikes).
-const SPIKE: f64 = 0.03;
+const SPIKE: f64 = 0.15;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
 const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
