@@ -235,7 +235,7 @@ fn warn_of_materials(out: &Path, path: &Path, mesh: &PolygonMesh, taken: &Materi
     if named && has_files && *taken == MaterialFiles::default() && !has_extension(out, "ply") {
         let (out, path) = (out.display(), path.display());
         warn(format_args!(
-            "{out}: materials are names alone; their colours and images stay with {path}, but from .obj to .obj"
+            "{out}: materials are names alone; their colours and images stay with {path}: they go along from .obj to .obj"
         ));
     }
 }

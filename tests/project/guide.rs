@@ -104,6 +104,7 @@ fn the_chapter_on_reports_names_every_doubt() {
         Doubt::LooseWeights { shift: 2.0 },
         Doubt::ManyFolds { folded: 9, intersections: 10 },
         Doubt::Stretched { longest: 3.0, shortest: 0.2 },
+        Doubt::Spikes { vertices: 3, longest: 9.0 },
         Doubt::FeaturesMoved { correlation: 0.4 },
         Doubt::Unsettled { motion: 2.0 },
         Doubt::Mirrored { odds: 30.0 },
