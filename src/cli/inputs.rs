@@ -47,7 +47,7 @@ pub fn read_landmarks(
 fn check_span(path: &Path, set: &LandmarkSet, mesh: &[Vec3]) -> Result<(), Failure> {
     let points: Vec<Vec3> = set.positions().map(|(_, p)| p).collect();
     let [span, whole] = [&points[..], mesh].map(bounding_box_diagonal);
-    if points.len() < 3 || (whole / 200.0..=20.0 * whole).contains(&span) {
+    if points.len() < 3 || (whole / 2000.0..=200.0 * whole).contains(&span) {
         return Ok(());
     }
     let message = format!("{}: the landmarks span {span:.4} mm, their mesh {whole:.1} mm", path.display());

@@ -244,7 +244,7 @@ const ROWS: &[Row] = &[
     ("measure", "--rig - --regions past_of_rig.json", LOADING, &["past_of_rig.json", "\"nose\"", "99999"]),
     ("measure", "--rig - --regions missing.json", LOADING, &["missing.json"]),
     ("measure", "--regions past_of_rig.json", ARGUMENTS, &["--regions", "--rig"]),
-    ("measure", "--rig missing", LOADING, &["missing/regions.json"]),
+    ("measure", "--rig missing", LOADING, &["missing", "cannot be read"]),
     ("measure", "--mask short_mask.npy", LOADING, &["short_mask.npy"]),
     ("measure", "--report -", ARGUMENTS, &["--report"]),
     ("measure", "--json OUT/m.txt", ARGUMENTS, &["m.txt", ".json"]),
