@@ -306,7 +306,7 @@ fn searched_model(name: &str) -> Result<ModelKind, String> {
 /// Searches and writes `MODEL.toml` for each model and `search.csv`.
 ///
 /// # Errors
-/// A [`Failure`] when something cannot be written; anything else is a failed computation.
+/// A [`Failure`](nonrigid::console::Failure) when something cannot be written; anything else is a failed computation.
 pub fn run(options: &Options) -> Result<()> {
     let Options { models, seeds, vertices, budget, out, .. } = options;
     say(format_args!(

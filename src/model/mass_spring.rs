@@ -130,7 +130,7 @@ impl MassSpring {
         Ok(Self::of(Springs { ends: Elements::new(net.ends), laws, now }, vertices, lambda_smooth))
     }
 
-    /// Ends, `k_ij` and `l_ij` of all springs. Ends from [`vertex_count`](DeformationModel::vertex_count) on are inner nodes.
+    /// Ends, `k_ij` and `l_ij` of all springs. Ends from [`vertex_count`](crate::energy::DeformationModel::vertex_count) on are inner nodes.
     pub fn springs(&self) -> impl Iterator<Item = ([u32; 2], f64, f64)> + '_ {
         let Springs { ends, laws, .. } = &self.regulariser;
         ends.nodes.iter().zip(laws).map(|(ends, law)| (*ends, law.stiffness, law.length))
