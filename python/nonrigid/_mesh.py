@@ -34,7 +34,7 @@ def is_npy(path: PathLike) -> bool:
     return os.fspath(path).lower().endswith(".npy")
 
 
-def _whole(what: str, values: ArrayLike) -> NDArray[Any]:
+def whole(what: str, values: ArrayLike) -> NDArray[Any]:
     """An array of which nothing is masked: what a mask hides would be taken for data."""
     if np.ma.is_masked(values):
         raise ValueError(f"{what}: expected an array without a mask; leave out what is masked")
@@ -43,7 +43,7 @@ def _whole(what: str, values: ArrayLike) -> NDArray[Any]:
 
 def points(what: str, values: ArrayLike, count: int | None = None) -> Floats:
     """(N, 3) float64, C order: converted from any real numbers, never from another shape."""
-    array = _whole(what, values)
+    array = whole(what, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{what}: expected numbers, found an array of {array.dtype}")
     if array.ndim != 2 or array.shape[1] != 3:
@@ -55,7 +55,7 @@ def points(what: str, values: ArrayLike, count: int | None = None) -> Floats:
 
 def indices(what: str, values: ArrayLike) -> NDArray[np.uint32]:
     """Vertex indices: whole numbers from 0."""
-    array = _whole(what, values)
+    array = whole(what, values)
     if array.size == 0:
         return np.zeros(array.shape, dtype=np.uint32)
     if array.dtype.kind not in "iu":
@@ -90,7 +90,7 @@ def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
 
 def _colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
     """(N, 3) of 0 to 255, from numbers of 0 to 1 as well, without transparency."""
-    array = _whole("colors", values)
+    array = whole("colors", values)
     if array.ndim != 2 or array.shape[1] not in (3, 4) or len(array) != count:
         raise ValueError(f"colors: expected an array of shape ({count}, 3), found {array.shape}")
     array = array[:, :3]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, is_npy, is_path, names_of, points, warn
+from ._mesh import Floats, Mesh, PathLike, is_npy, is_path, names_of, points, warn, whole
 from ._nonrigid import Step
 from ._rig import Rig
 from ._schedule import Schedule
@@ -185,9 +185,7 @@ def _mask(what: str, given: Any, vertices: int) -> _nonrigid.Mask | None:
         return None
     if is_path(given):
         return _nonrigid.Mask.read(os.fspath(given), vertices)
-    if np.ma.is_masked(given):
-        raise ValueError(f"{what}: expected an array without a mask")
-    values = np.asarray(given)
+    values = whole(what, given)
     if values.dtype.kind not in "fiub" or values.shape != (vertices,):
         raise ValueError(f"{what}: expected {vertices} numbers, one for each template vertex, found {values.dtype} of {values.shape}")
     return _nonrigid.Mask.of(np.ascontiguousarray(values, dtype=np.float64))

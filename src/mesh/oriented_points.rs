@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 
 use super::closest_point::{ClosestVertex, ClosestVertices};
-use super::{MeshError, Vec3};
+use super::{MeshError, Vec3, check_finite};
 
 /// Neighbours that have to surround a point.
 const NEIGHBOURS: usize = 16;
@@ -70,7 +70,7 @@ impl OrientedPoints {
     /// When there are not as many normals as points.
     pub fn new(positions: &[Vec3], normals: &[Vec3], smoothing: usize) -> Result<Self, MeshError> {
         assert_eq!(positions.len(), normals.len(), "one normal per point");
-        ClosestVertices::new(positions)?;
+        check_finite(positions)?;
         let (points, mut normals) = merged(positions, normals);
         let tree = ClosestVertices::new(&points)?;
         let near: Vec<Near> = (0..points.len())

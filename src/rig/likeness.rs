@@ -247,9 +247,12 @@ impl Rig {
         }
         let Likeness { doubts, pose } = compared((&self.neutral, self.mesh.as_ref()), what, subject)?;
         let shapes = self.select(selection)?;
-        let turn = pose.map(|pose| pose.rotation);
-        let turn = turn.filter(|turn| Rotation3::from_matrix_unchecked(*turn).angle() > TURNED);
-        Ok((turn.map_or_else(|| shapes.clone(), |turn| shapes.turned(&turn)), warnings(what, doubts)))
+        let is_turned = |pose: &Pose| Rotation3::from_matrix_unchecked(pose.rotation).angle() > TURNED;
+        let shapes = match pose.filter(is_turned) {
+            Some(pose) => shapes.turned(&pose.rotation),
+            None => shapes,
+        };
+        Ok((shapes, warnings(what, doubts)))
     }
 }
 
