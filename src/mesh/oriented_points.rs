@@ -73,10 +73,7 @@ impl OrientedPoints {
         check_finite(positions)?;
         let (points, mut normals) = merged(positions, normals);
         let tree = ClosestVertices::new(&points)?;
-        let near: Vec<Near> = (0..points.len())
-            .into_par_iter()
-            .map_init(Vec::new, |found, i| neighbours(&tree, &points, &normals, i, found))
-            .collect();
+        let near = tree.neighbourhoods(2 * NEIGHBOURS + 1, |i, found| Near::new(i, found, &normals));
         for _ in 0..smoothing {
             let average = |i: usize| {
                 let sum = near[i].vertices().iter().fold(normals[i], |sum, &v| sum + normals[v as usize]);
@@ -168,6 +165,7 @@ fn merged(positions: &[Vec3], normals: &[Vec3]) -> (Vec<Vec3>, Vec<Vec3>) {
 }
 
 /// The nearest neighbours of a point whose normals are less than 90 degrees from its own, nearest first. Clouds have millions of these.
+#[derive(Clone, Copy, Default)]
 struct Near {
     vertices: [u32; NEIGHBOURS],
     count: usize,
@@ -177,30 +175,24 @@ struct Near {
 }
 
 impl Near {
+    /// Those of point `i` among the nearest of all points.
+    fn new(i: u32, found: &[ClosestVertex], normals: &[Vec3]) -> Self {
+        let mut near = Self::default();
+        let normal = normals[i as usize];
+        let of_its_side = found.iter().filter(|n| n.vertex != i && normals[n.vertex as usize].dot(&normal) > 0.0);
+        for neighbour in of_its_side.take(NEIGHBOURS) {
+            near.vertices[near.count] = neighbour.vertex;
+            near.count += 1;
+            near.farthest = neighbour.squared_distance;
+            if near.count <= DISC {
+                near.disc = neighbour.squared_distance;
+            }
+        }
+        near
+    }
+
     fn vertices(&self) -> &[u32] {
         &self.vertices[..self.count]
-    }
-}
-
-/// The neighbours of point `i`; `found` is for all candidates.
-fn neighbours(
-    tree: &ClosestVertices,
-    points: &[Vec3],
-    normals: &[Vec3],
-    i: usize,
-    found: &mut Vec<ClosestVertex>,
-) -> Near {
-    tree.k_nearest(&points[i], 2 * NEIGHBOURS + 1, found);
-    found.retain(|n| n.vertex as usize != i && normals[n.vertex as usize].dot(&normals[i]) > 0.0);
-    found.truncate(NEIGHBOURS);
-    let mut vertices = [0; NEIGHBOURS];
-    vertices.iter_mut().zip(&*found).for_each(|(v, n)| *v = n.vertex);
-    let squared = |n: Option<&ClosestVertex>| n.map_or(0.0, |n| n.squared_distance);
-    Near {
-        vertices,
-        count: found.len(),
-        disc: squared(found.iter().take(DISC).next_back()),
-        farthest: squared(found.last()),
     }
 }
 

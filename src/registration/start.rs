@@ -16,7 +16,6 @@ use self::landmarks::{LandmarkPose, deviation, landmark_pose};
 use self::search::search_start;
 use super::{RegistrationError, ScanFlip};
 use crate::landmark::Landmark;
-use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{Pose, PoseError, PoseKind, TriangleMesh, Vec3};
 use crate::rig::ShapeBasis;
 
@@ -286,26 +285,3 @@ pub(super) fn find_start(
 const VAGUE: f64 = 8.0;
 /// Logarithm of the scale below which a rigid start keeps its own size.
 const OTHER_SIZE: f64 = 0.12;
-
-/// A point cloud as triangles for the search: one in the tangent plane of each point that has a normal, as wide as points lie
-/// apart, with the point's normal at its corners.
-pub(super) fn discs(cloud: &TriangleMesh, normals: &[Vec3]) -> (TriangleMesh, Vec<Vec3>) {
-    let mut mesh = TriangleMesh::default();
-    let mut of_corners = Vec::new();
-    let points = || cloud.positions.iter().zip(normals).filter(|(_, n)| n.norm_squared() > 0.0);
-    let centres: Vec<Vec3> = points().map(|p| *p.0).collect();
-    let Ok(tree) = ClosestVertices::new(&centres) else { return (mesh, of_corners) };
-    let mut found = Vec::new();
-    for (p, n) in points() {
-        tree.k_nearest(p, 2, &mut found);
-        let apart = found.last().map_or(0.0, |f| f.squared_distance.sqrt());
-        let u = n.cross(&Vec3::ith(n.iamin(), 1.0)).normalize() * apart;
-        let w = n.cross(&u) / n.norm();
-        let first = mesh.positions.len() as u32;
-        let (sin, cos) = (2.0 * std::f64::consts::PI / 3.0).sin_cos();
-        mesh.positions.extend([p + u, p + u * cos + w * sin, p + u * cos - w * sin]);
-        mesh.triangles.push([first, first + 1, first + 2]);
-        of_corners.extend([*n; 3]);
-    }
-    (mesh, of_corners)
-}

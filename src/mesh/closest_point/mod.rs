@@ -14,6 +14,8 @@
 mod box_tree;
 mod triangle;
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::{MeshError, TriangleMesh, Vec3};
@@ -46,6 +48,15 @@ type Point = [f64; 3];
 
 /// Triangles that look for others together.
 const TOGETHER: usize = 8;
+
+/// Vertices whose neighbours are looked for one after the other.
+const CHUNK: usize = 256;
+
+/// Vertices whose neighbours wait for their place in the vertices' order.
+const BATCH: usize = 256 * CHUNK;
+
+/// More than rounding adds to a sum of two distances.
+const ROUNDING: f64 = 1.0 + 1e-9;
 
 /// Answers closest-point queries on a triangle mesh. Queries only read, so threads may share it.
 #[derive(Debug, Clone)]
@@ -367,6 +378,39 @@ impl ClosestVertices {
             }
         });
     }
+
+    /// What `of` makes of every vertex and its `k` closest vertices, itself among them, nearest first.
+    ///
+    /// # Panics
+    /// If `k` is 0.
+    pub fn neighbourhoods<R: Copy + Default + Send>(
+        &self,
+        k: usize,
+        of: impl Fn(u32, &[ClosestVertex]) -> R + Sync,
+    ) -> Vec<R> {
+        assert!(k > 0, "of no neighbours nothing is made");
+        // In the tree's order: what the vertex before has found lies within its distance plus the way from there.
+        let of_slots = |slots: Range<usize>| -> Vec<R> {
+            let (mut found, mut before) = (Vec::<ClosestVertex>::with_capacity(k + 1), Vec3::zeros());
+            let of_slot = |slot: usize| {
+                let p = Vec3::from(self.points[slot]);
+                let farthest = found.get(k - 1).map_or(f64::INFINITY, |n| n.squared_distance.sqrt());
+                self.k_nearest_within(&p, k, (farthest + (p - before).norm()) * ROUNDING, &mut found);
+                before = p;
+                of(self.tree.order[slot], &found)
+            };
+            slots.map(of_slot).collect()
+        };
+        let (count, mut all) = (self.points.len(), vec![R::default(); self.points.len()]);
+        // A batch at a time: all of them in both orders would be much memory.
+        for batch in (0..count).step_by(BATCH) {
+            let slots = batch..count.min(batch + BATCH);
+            let chunks = slots.clone().into_par_iter().step_by(CHUNK);
+            let made: Vec<Vec<R>> = chunks.map(|first| of_slots(first..slots.end.min(first + CHUNK))).collect();
+            self.tree.order[slots].iter().zip(made.into_iter().flatten()).for_each(|(&v, r)| all[v as usize] = r);
+        }
+        all
+    }
 }
 
 #[cfg(test)]
@@ -505,7 +549,15 @@ mod tests {
             prop_assert_eq!(&found, &all);
             tree.k_nearest_within(&q, k, distance, &mut found);
             all.retain(|c| c.squared_distance <= distance * distance);
-            prop_assert_eq!(found, all);
+            prop_assert_eq!(&found, &all);
+            let vertices = |found: &[ClosestVertex]| -> [u32; 8] {
+                std::array::from_fn(|i| found.get(i).map_or(u32::MAX, |n| n.vertex))
+            };
+            let of_all = tree.neighbourhoods(k, |v, found| (v, vertices(found)));
+            for (i, p) in points.iter().enumerate() {
+                tree.k_nearest(p, k, &mut found);
+                prop_assert_eq!(of_all[i], (i as u32, vertices(&found)));
+            }
         }
     }
 

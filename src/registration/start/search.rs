@@ -76,8 +76,12 @@ pub(super) fn search_start(
     options: &StartOptions,
     given: Option<&Pose>,
 ) -> Result<(Pose, StartSearch), RegistrationError> {
-    let near = without_far(input.scan);
-    let input = &StartInput { scan: &near, ..*input };
+    let discs = input.scan.triangles.is_empty().then(|| discs(input.scan, input.scan_normals.unwrap_or_default()));
+    let (scan, scan_normals) = match &discs {
+        Some((mesh, normals)) => (mesh, Some(&normals[..])),
+        None => (input.scan, input.scan_normals),
+    };
+    let input = &StartInput { scan: &without_far(scan), scan_normals, ..*input };
     let size = |mesh: &TriangleMesh| face_areas(&mesh.positions, &mesh.triangles).iter().sum::<f64>().sqrt();
     let usable = |size: f64| size.is_finite() && size > 0.0;
     let (scan, template) = (size(input.scan), size(input.template));
@@ -142,6 +146,26 @@ fn without_far(scan: &TriangleMesh) -> Cow<'_, TriangleMesh> {
         return Cow::Borrowed(scan);
     }
     Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles })
+}
+
+/// A point cloud as triangles: one in the tangent plane of each point that has a normal, as wide as points lie apart, with the
+/// point's normal at its corners.
+fn discs(cloud: &TriangleMesh, normals: &[Vec3]) -> (TriangleMesh, Vec<Vec3>) {
+    let (centres, normals): (Vec<Vec3>, Vec<Vec3>) =
+        cloud.positions.iter().zip(normals).filter(|(_, n)| n.norm_squared() > 0.0).unzip();
+    let Ok(tree) = ClosestVertices::new(&centres) else { return Default::default() };
+    let to_nearest = tree.neighbourhoods(2, |_, found| found.last().map_or(0.0, |f| f.squared_distance.sqrt()));
+    let mut mesh = TriangleMesh::default();
+    for ((p, n), apart) in centres.iter().zip(&normals).zip(to_nearest) {
+        let u = n.cross(&Vec3::ith(n.iamin(), 1.0)).normalize() * apart;
+        let w = n.cross(&u) / n.norm();
+        let first = mesh.positions.len() as u32;
+        let (sin, cos) = (2.0 * std::f64::consts::PI / 3.0).sin_cos();
+        mesh.positions.extend([p + u, p + u * cos + w * sin, p + u * cos - w * sin]);
+        mesh.triangles.push([first, first + 1, first + 2]);
+    }
+    let of_corners = normals.iter().flat_map(|n| [*n; 3]).collect();
+    (mesh, of_corners)
 }
 
 /// Both surfaces as surfels, in the scan's frame.
