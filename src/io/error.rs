@@ -191,10 +191,14 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
 /// # Errors
 /// When it cannot be read, or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
-    String::from_utf8(read_file(path)?).map_err(|e| {
-        let source = std::io::Error::new(std::io::ErrorKind::InvalidData, e.utf8_error());
-        ReadError::io(path, source)
-    })
+    let bytes = read_file(path)?;
+    let text = std::str::from_utf8(without_mark(&bytes));
+    text.map(str::to_owned).map_err(|e| ReadError::io(path, std::io::Error::new(std::io::ErrorKind::InvalidData, e)))
+}
+
+/// Text without the byte order mark that some editors begin it with.
+pub(crate) fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
 /// The extension in lower case, empty if there is none.

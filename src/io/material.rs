@@ -8,7 +8,7 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use super::error::{check_side_file, excerpt};
+use super::error::{check_side_file, excerpt, without_mark};
 use super::{Place, ReadError, WriteError, read_file, write_atomically};
 use crate::mesh::srgb::to_light;
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
@@ -85,7 +85,7 @@ struct Stated {
 /// Materials of a library; what does not paint is skipped.
 fn parse_mtl(bytes: &[u8], path: &Path) -> Result<Vec<Stated>, ReadError> {
     let mut found: Vec<Stated> = Vec::new();
-    for (number, line) in (1..).zip(bytes.split(|b| *b == b'\n')) {
+    for (number, line) in (1..).zip(without_mark(bytes).split(|b| *b == b'\n')) {
         let text = String::from_utf8_lossy(line.trim_ascii()).into_owned();
         let (keyword, rest) = text.split_once([' ', '\t']).unwrap_or((&text, ""));
         let rest = rest.trim();
@@ -312,6 +312,7 @@ mod tests {
         assert_eq!(found[0].color, [0.5, 0.0, 1.0]);
         assert!(found[1].map.is_none());
         assert_eq!(found[2].map.as_ref().unwrap().name, "-mine.png");
+        assert_eq!(parsed(&format!("\u{feff}newmtl a\n{text}")).len(), 4);
     }
 
     #[test]

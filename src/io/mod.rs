@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 
 pub use atomic::write_atomically;
 pub use error::{Place, ReadError, WriteError, read_text};
-pub(crate) use error::{check_side_file, excerpt, extension, read_file};
+pub(crate) use error::{check_side_file, excerpt, extension, read_file, without_mark};
 #[cfg(feature = "cli")]
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
@@ -159,6 +159,15 @@ impl From<PolygonMesh> for MeshFile {
 /// As [`read_mesh_file`].
 pub fn read_polygon_mesh(path: &Path) -> Result<PolygonMesh, ReadError> {
     Ok(read_mesh_file(path)?.mesh)
+}
+
+/// Colours as bytes, of numbers from 0 to 1 or, where most that are not 0 are above 1, from 0 to 255: lights that are brighter than white
+/// do not make the rest black.
+fn color_bytes<T: Copy + Into<f64>>(colors: &[[T; 3]]) -> Vec<[u8; 3]> {
+    let values = || colors.as_flattened().iter().map(|&c| c.into());
+    let (above, below) = (values().filter(|c| *c > 1.0).count(), values().filter(|c| *c > 0.0 && *c <= 1.0).count());
+    let whole = if above > below { 1.0 } else { 255.0 };
+    colors.iter().map(|c| c.map(|c| (c.into() * whole).round() as u8)).collect() // `as` saturates, NaN gives 0
 }
 
 /// Reads a scan by extension. Flaws of real scans (unreferenced vertices, zero-area and duplicate triangles) are left as they

@@ -6,13 +6,13 @@
 //! written has those of its own shape. Points, lines and free-form statements are skipped.
 //!
 //! Red, green and blue after the coordinates are no part of the manual, but MeshLab, Blender, ZBrush and others write and read
-//! them. They are kept where every vertex has six numbers: from 0 to 1, or from 0 to 255 if any is above 1; sRGB.
+//! them. They are kept where every vertex has six numbers: from 0 to 1, or from 0 to 255 where most are above 1; sRGB.
 
 use std::io::Write;
 use std::path::Path;
 
-use super::error::{excerpt, read_file};
-use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
+use super::error::{excerpt, read_file, without_mark};
+use super::{MeshFile, Place, ReadError, WriteError, color_bytes, write_atomically};
 use crate::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
 use crate::text::obj_line;
 
@@ -40,7 +40,7 @@ pub(super) fn parse_obj_file(bytes: &[u8], path: &Path) -> Result<MeshFile, Read
     parser.mesh.starts.push(0);
     let mut number = 0;
     let mut joined: Vec<u8> = Vec::new(); // a logical line that spans several
-    for line in bytes.split(|&b| b == b'\n') {
+    for line in without_mark(bytes).split(|&b| b == b'\n') {
         number += 1;
         let line = line.trim_ascii_end();
         let fresh = joined.is_empty();
@@ -211,10 +211,7 @@ impl Parser<'_> {
                 return Err(self.error(range("texture", uvs), format!("{}", u64::from(*uv) + 1)));
             }
         }
-        let whole = if self.colors.as_flattened().iter().any(|c| *c > 1.0) { 1.0 } else { 255.0 };
-        let colored = self.colors.len() == vertices;
-        let bytes = |c: &[f64; 3]| c.map(|c| (c * whole).round() as u8); // `as` saturates
-        let colors = colored.then(|| self.colors.iter().map(bytes).collect());
+        let colors = (self.colors.len() == vertices).then(|| color_bytes(&self.colors));
         Ok(MeshFile { colors, ..self.mesh.into() })
     }
 }

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use super::error::excerpt;
+use super::error::{excerpt, without_mark};
 use super::{MeshFile, Place, ReadError};
 use crate::mesh::Vec3;
 
@@ -18,7 +18,7 @@ const SHORTEST: [usize; 2] = [6, 8];
 /// When the file is malformed: the message names the line. Counts that the file is too short for are refused before anything
 /// is allocated.
 pub fn parse_off(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
-    let mut lines = Lines { lines: bytes.split(|&b| b == b'\n'), path, number: 0, words: Vec::new() };
+    let mut lines = Lines { lines: without_mark(bytes).split(|&b| b == b'\n'), path, number: 0, words: Vec::new() };
     lines.advance("OFF")?;
     let keyword = String::from_utf8_lossy(lines.words.first().copied().unwrap_or_default()).into_owned();
     let kind = keyword.strip_suffix("OFF").map(|k| k.strip_prefix("ST").unwrap_or(k));

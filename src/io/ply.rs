@@ -13,11 +13,11 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use super::error::{excerpt, read_file};
-use super::{MeshFile, Place, ReadError, WriteError, write_atomically};
+use super::error::{excerpt, read_file, without_mark};
+use super::{MeshFile, Place, ReadError, WriteError, color_bytes, write_atomically};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
-/// What a PLY file holds. Colours stored as floats are taken as 0-1, or as 0-255 if any is above 1; as 16 bits as 0-65535.
+/// What a PLY file holds. Colours stored as floats are taken as 0-1, or as 0-255 where most are above 1; as 16 bits as 0-65535.
 pub type Ply = MeshFile;
 
 /// Reads a PLY file.
@@ -124,6 +124,7 @@ struct Header {
 /// # Errors
 /// As [`read_ply`].
 pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<Ply, ReadError> {
+    let bytes = without_mark(bytes);
     let header = parse_header(bytes, path)?;
     let mut body = Body { bytes, path, at: header.body, line: header.lines, format: header.format };
     let mut ply = Ply::default();
@@ -443,8 +444,7 @@ impl<'a> Body<'a> {
                 }));
             }
         }
-        let whole = if floats.as_flattened().iter().any(|c| *c > 1.0) { 1.0 } else { 255.0 };
-        colors.extend(floats.iter().map(|c| c.map(|c| (c * whole).round() as u8))); // `as` saturates, NaN gives 0
+        colors.extend(color_bytes(&floats));
         ply.normals = normal.map(|_| normals);
         ply.colors = color.map(|_| colors);
         Ok(())

@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use super::error::excerpt;
+use super::error::{excerpt, without_mark};
 use super::{Place, ReadError};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
@@ -21,11 +21,12 @@ const TRIANGLE: usize = 50;
 pub fn parse_stl(bytes: &[u8], path: &Path) -> Result<PolygonMesh, ReadError> {
     let count = bytes.get(80..HEADER).and_then(|c| c.try_into().ok()).map(u32::from_le_bytes);
     let length = count.map(|n| HEADER as u64 + TRIANGLE as u64 * u64::from(n));
+    let text = without_mark(bytes);
     let mut merged = Merged::default();
     if length == Some(bytes.len() as u64) {
         binary(bytes, path, &mut merged)?;
-    } else if bytes.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"solid")) {
-        ascii(bytes, path, &mut merged)?;
+    } else if text.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"solid")) {
+        ascii(text, path, &mut merged)?;
     } else {
         let expected = match (count, length) {
             (Some(count), Some(length)) => format!("{length} bytes for {count} triangles"),

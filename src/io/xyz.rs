@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use super::error::excerpt;
+use super::error::{excerpt, without_mark};
 use super::{MeshFile, Place, ReadError};
 use crate::mesh::Vec3;
 
@@ -19,7 +19,7 @@ pub fn parse_xyz(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
     let mut file = MeshFile::default();
     let mut others: Vec<Vec3> = Vec::new();
     let mut columns = 0;
-    for (i, line) in bytes.split(|&b| b == b'\n').enumerate() {
+    for (i, line) in without_mark(bytes).split(|&b| b == b'\n').enumerate() {
         let error = |expected: String, found: String| ReadError::malformed(path, Place::Line(i + 1), expected, found);
         let line = line.trim_ascii();
         if line.is_empty() || line.starts_with(b"#") || line.starts_with(b"//") {

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 
 use super::{Place, ReadError};
+use crate::io::without_mark;
 use crate::mesh::Vec3;
 
 pub(super) enum Json {
@@ -19,7 +20,7 @@ pub(super) enum Json {
 
 impl Json {
     pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, ReadError> {
-        serde_json::from_slice(bytes).map_err(|error| {
+        serde_json::from_slice(without_mark(bytes)).map_err(|error| {
             let place = if error.line() == 0 { Place::File } else { Place::Line(error.line()) };
             ReadError::malformed(path, place, "JSON", error.to_string())
         })

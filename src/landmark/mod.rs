@@ -29,7 +29,8 @@ pub use pairs::{
 pub use places::{LandmarkError, PlaceKind};
 
 use crate::io::{
-    LengthUnit, Place, ReadError, WriteError, check_coordinates, excerpt, extension, read_file, write_atomically,
+    LengthUnit, Place, ReadError, WriteError, check_coordinates, excerpt, extension, read_file, without_mark,
+    write_atomically,
 };
 use crate::mesh::Vec3;
 use crate::text::{LONGEST_NAME, is_hidden};
@@ -296,7 +297,7 @@ pub fn parse_landmark_set(bytes: &[u8], path: &Path) -> Result<LandmarkSet, Read
 }
 
 fn parse(bytes: &[u8], path: &Path, side: Side) -> Result<LandmarkSet, ReadError> {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = without_mark(bytes);
     let start = bytes.trim_ascii_start();
     let is_json = start.starts_with(b"{") || start.starts_with(b"[");
     let set = match (extension(path).as_str(), is_json) {

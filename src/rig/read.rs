@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape, first_not_finite};
 use crate::io::{
     Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh,
-    refuse_unfinished,
+    refuse_unfinished, without_mark,
 };
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 use crate::text;
@@ -207,7 +207,7 @@ fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigErro
 
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
     let bytes = read_file(path)?;
-    serde_json::from_slice(&bytes)
+    serde_json::from_slice(without_mark(&bytes))
         .map_err(|e| ReadError::malformed(path, Place::Line(e.line().max(1)), expected, e.to_string()))
 }
 

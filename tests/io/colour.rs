@@ -179,6 +179,8 @@ fn colours_of_others_are_understood() {
     let expected = Some(vec![[255, 0, 128], [0, 255, 3], [1, 2, 3]]);
     assert_eq!(obj("v 0 0 0 1 0 .5\nv 1 0 0 0 1 0.011\nv 0 1 0 0.004 0.008 0.012\n"), expected);
     assert_eq!(obj("v 0 0 0 255 0 128\nv 1 0 0 0 255 3\nv 0 1 0 1 2 3\n"), expected);
+    // a light brighter than white
+    assert_eq!(obj("v 0 0 0 7 0 .5\nv 1 0 0 0 1.0001 0.011\nv 0 1 0 0.004 0.008 0.012\n"), expected);
     assert_eq!(obj("v 0 0 0 1 0 .5\nv 1 0 0\nv 0 1 0 0.004 0.008 0.012\n"), None);
     assert_eq!(obj("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\n"), None);
     assert_eq!(obj("v 0 0 0 1 0 x\nv 1 0 0 0 1 0\nv 0 1 0 0 0 0\n"), None);

@@ -54,6 +54,33 @@ fn ascii_stl(mesh: &TriangleMesh) -> String {
 }
 
 #[test]
+fn a_byte_order_mark_is_no_part_of_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let header =
+        "property float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices";
+    let texts = [
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_owned()),
+        ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n".to_owned()),
+        ("a.xyz", "0 0 0\n1 0 0\n0 1 0\n".to_owned()),
+        (
+            "a.ply",
+            format!("ply\nformat ascii 1.0\nelement vertex 3\n{header}\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"),
+        ),
+        (
+            "a.stl",
+            "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+                .to_owned(),
+        ),
+    ];
+    for (name, text) in texts {
+        let plain = read_mesh_file(&write(folder.path(), name, &text)).unwrap();
+        let marked = read_mesh_file(&write(folder.path(), name, format!("\u{feff}{text}"))).unwrap();
+        assert_eq!(plain.mesh.positions.len(), 3);
+        assert_eq!(marked, plain, "{name}");
+    }
+}
+
+#[test]
 fn a_face_is_the_same_in_every_format_packed_or_not() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = face();

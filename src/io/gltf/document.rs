@@ -10,7 +10,7 @@ use base64::Engine as _;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use crate::io::error::excerpt;
+use crate::io::error::{excerpt, without_mark};
 use crate::io::{Place, ReadError, inputs};
 
 /// Extensions that do not change what a mesh is, or that only allow further types of numbers.
@@ -99,7 +99,7 @@ impl<'a> Loaded<'a> {
     pub fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self, ReadError> {
         let (json, binary) = if bytes.starts_with(b"glTF") { chunks(bytes, path)? } else { (bytes, None) };
         let expected = "a glTF 2.0 file: glTF and version 2, or JSON";
-        let document: Document = serde_json::from_slice(json).map_err(|e| {
+        let document: Document = serde_json::from_slice(without_mark(json)).map_err(|e| {
             let place = if binary.is_some() { Place::File } else { Place::Line(e.line().max(1)) };
             ReadError::malformed(path, place, expected, e.to_string())
         })?;
