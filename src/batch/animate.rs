@@ -1,5 +1,6 @@
 //! Making the animated file of a sequence, by `nonrigid animate`, when its frames are done.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write as _;
 
@@ -61,15 +62,16 @@ impl Run<'_> {
             None => {
                 let outputs = Record::hashes(self.aside, &self.batch.outputs(&job.name));
                 let (key, status, start) = (Some(key), Status::Done, Start::Cold);
-                Record { key, status, start, error: None, outputs, others: Vec::new(), kept: None }
+                let (replaced, others) = (BTreeMap::new(), Vec::new());
+                Record { key, status, start, error: None, outputs, replaced, others, kept: None }
             }
         };
         let said = format!("log/{}.txt", job.name);
         let others = if record.others.contains(&said) { record.others.clone() } else { vec![said] };
         match self.publish(&job, known.as_ref(), Record { others, ..record }) {
-            Err(stranger @ BatchError::Stranger { .. }) => {
+            Err(theirs @ (BatchError::Stranger { .. } | BatchError::Changed(_))) => {
                 self.clear(&job);
-                self.write_record(&job, &Record::failed(None, Start::Cold, stranger.to_string(), None))?;
+                self.write_record(&job, &Record::failed(None, Start::Cold, theirs.to_string(), known.as_ref()))?;
             }
             published => drop(published?),
         }
@@ -79,7 +81,9 @@ impl Run<'_> {
     /// What the list of frames says of one, and what decides it.
     fn line(&self, job: &Job, record: &Record) -> String {
         let mesh = format!("{}.{}", job.name, self.batch.format);
-        match record.outputs.get(&mesh).filter(|_| record.status == Status::Done) {
+        // as it is now: somebody may have changed it
+        let hashes = Record::hashes(&self.batch.folder, std::slice::from_ref(&mesh));
+        match hashes.get(&mesh).filter(|_| record.status == Status::Done && record.outputs.contains_key(&mesh)) {
             Some(hash) => format!("{mesh}\t{hash}"),
             None => format!("- {}", job.name),
         }

@@ -42,6 +42,9 @@ pub enum BatchError {
         /// How many more there are.
         others: usize,
     },
+    /// A result is not as it was made.
+    #[error("{}: was changed since it was made, and stays; to have it made anew, move it away or delete it", .0.display())]
+    Changed(PathBuf),
 }
 
 impl BatchError {

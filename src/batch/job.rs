@@ -155,6 +155,9 @@ pub struct Record {
     pub error: Option<String>,
     /// SHA-256 of each output; of a job that failed, those that an earlier run has left.
     pub outputs: BTreeMap<String, String>,
+    /// SHA-256 of what these replaced: a run that ended between this record and its files has left that.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub replaced: BTreeMap<String, String>,
     /// Other files that it has written: what was said, times.
     pub others: Vec<String>,
     /// Of a job that failed: the run whose outputs are still there.
@@ -190,11 +193,22 @@ impl Record {
         }
     }
 
-    /// [`Self::standing`], if it has this key and its outputs are in `folder` as they were written.
+    /// [`Self::standing`], if it has this key and its outputs are in `folder`, as they were written or as somebody has made them since.
     #[must_use]
     pub fn of_done(&self, key: &str, folder: &Path) -> Option<Self> {
-        let intact = |(name, hash): (&String, &String)| hash_of(&folder.join(name)).as_ref() == Some(hash);
-        self.standing().filter(|done| done.key.as_deref() == Some(key) && done.outputs.iter().all(intact))
+        let there = |(name, hash): (&String, &String)| {
+            hash_of(&folder.join(name)).is_some_and(|found| found == *hash || self.replaced.get(name) != Some(&found))
+        };
+        self.standing().filter(|done| done.key.as_deref() == Some(key) && done.outputs.iter().all(there))
+    }
+
+    /// The outputs in `folder` that somebody has changed since they were written.
+    pub fn changed<'a>(&'a self, folder: &'a Path) -> impl Iterator<Item = &'a String> {
+        let changed = move |(name, hash): &(&String, &String)| {
+            let found = hash_of(&folder.join(name));
+            found.is_some_and(|found| found != **hash && self.replaced.get(*name) != Some(&found))
+        };
+        self.outputs.iter().filter(changed).map(|output| output.0)
     }
 
     /// Whether a file of the folder of results is one that this job has written.
@@ -270,7 +284,16 @@ mod tests {
         assert_eq!(outputs.len(), 1);
         let (start, others) = (Start::Cold, vec!["log/a.txt".into()]);
         let key = Some("k".to_owned());
-        let record = Record { key: key.clone(), status: Status::Done, start, error: None, outputs, others, kept: None };
+        let record = Record {
+            key: key.clone(),
+            status: Status::Done,
+            start,
+            error: None,
+            outputs,
+            replaced: BTreeMap::new(),
+            others,
+            kept: None,
+        };
         let holds = |record: &Record, key: &str| record.of_done(key, folder.path()).is_some();
         assert!(holds(&record, "k") && !holds(&record, "l"));
         assert!(record.lists("a.obj") && record.lists("log/a.txt") && !record.lists("a.png"));

@@ -1,6 +1,6 @@
 //! Running jobs, several at once, each in a process of its own.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -459,6 +459,9 @@ impl<'a> Run<'a> {
             return Ok(Some(Outcome { seconds: 0.0, ..outcome(record, true) }));
         }
         let mut start = if before.is_some() { Start::Warm } else { Start::Cold };
+        if let Err(changed) = self.refuse_changed(job, known.as_ref()) {
+            return Ok(Some(outcome(Record::failed(None, start, changed.to_string(), None), false)));
+        }
         let mut ended = self.process(job, before.map(|b| b.0))?;
         if start == Start::Warm && !ended.interrupted && (ended.error.is_some() || self.is_doubtful(job)) {
             self.clear(job);
@@ -492,25 +495,34 @@ impl<'a> Run<'a> {
                 let outputs = Record::hashes(self.aside, &self.results(job));
                 let others = others(&job.name).to_vec();
                 let (key, status) = (Some(key), Status::Done);
-                let record = Record { key, status, start, error: None, outputs, others, kept: None };
+                let record =
+                    Record { key, status, start, error: None, outputs, replaced: BTreeMap::new(), others, kept: None };
                 self.publish(job, known.as_ref(), record)
             }
         };
         let record = match published {
             Ok(record) => record,
-            // somebody has put it there while this job ran
-            Err(stranger @ BatchError::Stranger { .. }) => {
+            // somebody has put it there, or changed it, while this job ran
+            Err(theirs @ (BatchError::Stranger { .. } | BatchError::Changed(_))) => {
                 self.clear(job);
-                Record::failed(None, start, stranger.to_string(), None)
+                Record::failed(None, start, theirs.to_string(), None)
             }
             Err(error) => return Err(error),
         };
         Ok(Some(outcome(record, false)))
     }
 
+    /// Refuses to replace results that somebody has changed.
+    fn refuse_changed(&self, job: &Job, known: Option<&Record>) -> Result<(), BatchError> {
+        let folder = &self.batch.folder;
+        let names = self.results(job);
+        let changed = known.into_iter().flat_map(|known| known.changed(folder)).find(|name| names.contains(name));
+        changed.map_or(Ok(()), |name| Err(BatchError::Changed(folder.join(name))))
+    }
+
     /// Puts what was made aside in the place of what an earlier run has left. The record comes first: what it lists and is not there
     /// as listed counts as not done.
-    pub(super) fn publish(&self, job: &Job, known: Option<&Record>, record: Record) -> Result<Record, BatchError> {
+    pub(super) fn publish(&self, job: &Job, known: Option<&Record>, mut record: Record) -> Result<Record, BatchError> {
         let folder = &self.batch.folder;
         let names: Vec<String> = self.results(job).into_iter().chain(others(&job.name)).collect();
         let made = |name: &String| self.aside.join(name).exists();
@@ -519,6 +531,10 @@ impl<'a> Run<'a> {
             names.iter().filter(|name| made(name)).find(|name| folder.join(name).exists() && !of_known(name));
         if let Some(name) = stranger {
             return Err(BatchError::Stranger { file: folder.join(name), others: 0 });
+        }
+        if record.status == Status::Done {
+            self.refuse_changed(job, known)?;
+            record.replaced = Record::hashes(folder, &record.outputs.keys().cloned().collect::<Vec<_>>());
         }
         if let (Status::Done, Some(known)) = (record.status, known) {
             // of an earlier format, or a picture: nobody has changed it since, and it would be taken for one of this run's
@@ -626,7 +642,8 @@ impl Record {
             Status::Failed => known.kept.clone(),
         });
         let outputs = known.filter(|_| kept.is_some()).map(|known| known.outputs.clone()).unwrap_or_default();
+        let replaced = known.filter(|_| kept.is_some()).map(|known| known.replaced.clone()).unwrap_or_default();
         let others = known.map(|known| known.others.clone()).unwrap_or_default();
-        Self { key, status: Status::Failed, start, error: Some(error), outputs, others, kept }
+        Self { key, status: Status::Failed, start, error: Some(error), outputs, replaced, others, kept }
     }
 }

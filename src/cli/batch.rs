@@ -193,7 +193,7 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
     let plan = Plan::new(batch, &a.manifest, &manifest, shard, |row| job(row, &a.of_register.0, &settings, &columns));
     let count = plan.count();
     let interrupt = Interrupt::listen()?;
-    let progress = Progress::new(count, &plan.jobs);
+    let progress = Progress::new(count, &plan.jobs, &a.out);
     let finished = plan
         .run(&|| interrupt.asked(), &|outcome| progress.finished(outcome), &|said| warn(said))
         .map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))?;
@@ -280,6 +280,8 @@ fn line(timing: &Timing) -> String {
 struct Progress<'a> {
     bar: ProgressBar,
     jobs: &'a [Job],
+    /// Of results.
+    folder: &'a Path,
     count: usize,
     clock: Instant,
     /// Scans that ended, and how many of them ran.
@@ -287,13 +289,13 @@ struct Progress<'a> {
 }
 
 impl<'a> Progress<'a> {
-    fn new(count: usize, jobs: &'a [Job]) -> Self {
+    fn new(count: usize, jobs: &'a [Job], folder: &'a Path) -> Self {
         let terminal = std::io::stderr().is_terminal();
         let bar = if terminal { ProgressBar::new(count as u64) } else { ProgressBar::hidden() };
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len}  {msg}") {
             bar.set_style(style);
         }
-        Self { bar, jobs, count, clock: Instant::now(), ended: Mutex::new((0, 0)) }
+        Self { bar, jobs, folder, count, clock: Instant::now(), ended: Mutex::new((0, 0)) }
     }
 
     fn finished(&self, outcome: &Outcome) {
@@ -304,7 +306,10 @@ impl<'a> Progress<'a> {
         let left = if ended.0 == self.count { String::new() } else { format!(", about {} left", duration(left)) };
         let what = match (&outcome.record.error, outcome.before) {
             (Some(error), _) => format!("failed: {error}"),
-            (None, true) => "done before".to_owned(),
+            (None, true) => match outcome.record.changed(self.folder).next() {
+                Some(file) => format!("done before; {} was changed since, and stays", text::short(file)),
+                None => "done before".to_owned(),
+            },
             (None, false) => format!("{:.1} s", outcome.seconds),
         };
         let name = &self.jobs[outcome.job].name;

@@ -145,9 +145,9 @@ fn what_is_done_is_known_and_a_change_goes_through_a_sequence() {
     rows.rotate_right(1);
     list(&bench, &rows);
     assert_eq!(ran(&format!("{command} --jobs 1 --threads 1")), [""; 0]);
-    // an output that is gone or was changed
+    // an output that is gone
     fs::remove_file(bench.path("out/person.obj")).unwrap();
-    bench.write("out/f3_scan.json", "{}");
+    fs::remove_file(bench.path("out/f3_scan.json")).unwrap();
     assert_eq!(ran(&command), ["f3_scan", "person"]);
     let mut again = left(&bench, "out");
     for name in ["summary.csv", "index.html"] {
@@ -162,6 +162,38 @@ fn what_is_done_is_known_and_a_change_goes_through_a_sequence() {
     // the template decides everything
     bench.write("rig/regions.json", "{}");
     assert_eq!(ran(&format!("{command} --identity-bounds=-2,2")).len(), 5);
+}
+
+#[test]
+fn what_somebody_has_changed_stays() {
+    let bench = bench();
+    list(&bench, &["case/scan.ply,case/landmarks.json,,person,", "f0/scan.ply,f0/landmarks.json,,other,"]);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    bench.done(&command);
+    let (made, record) = (bench.read("out/person.obj"), bench.read("out/log/person.json"));
+    bench.write("out/person.obj", "retouched");
+    let run = bench.run(&command);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("person: done before; person.obj was changed since, and stays"), "{}", run.stderr);
+    for option in ["--again", "--identity-bounds=-2,2"] {
+        let run = bench.run(&format!("{command} {option}"));
+        assert_eq!(run.code, 2, "{}", run.stderr);
+        assert!(run.stderr.contains("person.obj: was changed since it was made, and stays"), "{}", run.stderr);
+        assert!(!run.stderr.contains("other: failed"), "{}", run.stderr);
+        assert_eq!(bench.read("out/person.obj"), b"retouched");
+    }
+    fs::remove_file(bench.path("out/person.obj")).unwrap();
+    bench.done(&command);
+    assert!(bench.read("out/person.obj") == made);
+
+    // A run that ends between its record and its results leaves those of the run before: they are nobody's work.
+    let mut ended: serde_json::Value = serde_json::from_slice(&record).unwrap();
+    ended["replaced"] = serde_json::json!({ "person.obj": ended["outputs"]["person.obj"] });
+    ended["outputs"]["person.obj"] = "another".into();
+    bench.write("out/log/person.json", &ended.to_string());
+    let run = bench.run(&command);
+    assert!(run.code == 0 && !run.stderr.contains("person: done before"), "{}", run.stderr);
+    assert!(bench.read("out/person.obj") == made);
 }
 
 #[test]
