@@ -3,8 +3,11 @@
 use std::path::Path;
 
 use base64::Engine as _;
-use nonrigid::io::{GltfMesh, parse_gltf, parse_obj, read_gltf, read_polygon_mesh, write_glb, write_polygon_mesh};
-use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::io::{
+    GltfMesh, Motion, parse_gltf, parse_obj, read_gltf, read_polygon_mesh, write_animated_glb, write_glb,
+    write_polygon_mesh,
+};
+use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
 use serde_json::{Map, Value, json};
 
@@ -112,6 +115,29 @@ fn targets_and_extras_come_back() {
     let far = read.target_deltas.iter().zip(&deltas).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(far < 1e-5 && read.target_deltas.len() == deltas.len(), "{far}");
     assert!(write_glb(&path, &mesh, &["one"], &deltas, &extras).unwrap_err().to_string().contains("in 1 targets"));
+}
+
+#[test]
+fn normals_move_with_what_is_animated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let mesh = parse_obj(b"v 0 0 0\nv 10 0 0\nv 10 10 0\nv 0 10 0\nf 1 2 3 4\n", Path::new("a.obj")).unwrap();
+    // Half a right angle about x.
+    let lifted: Vec<f32> = mesh.positions.iter().flat_map(|p| [0.0, 0.0, p.y as f32]).collect();
+    let poses = [Pose::identity(); 2];
+    let (weights, lost) = ([vec![0.0], vec![1.0]], []);
+    let motion = Motion { frames_per_second: 30.0, poses: &poses, weights: &weights, lost: &lost };
+    write_animated_glb(&path, &mesh, None, &["lifted"], &lifted, &motion).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let target = &document["meshes"][0]["primitives"][0]["targets"][0]["NORMAL"];
+    let accessor = &document["accessors"][target.as_u64().unwrap() as usize];
+    let expected = [0.0, -0.5f64.sqrt(), 0.5f64.sqrt() - 1.0];
+    for (bound, k) in ["min", "max"].iter().flat_map(|bound| (0..3).map(move |k| (bound, k))) {
+        let found = accessor[bound][k].as_f64().unwrap();
+        assert!((found - expected[k]).abs() < 1e-6, "{accessor}");
+    }
 }
 
 #[test]

@@ -22,7 +22,8 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 /// Writes a mesh as `.glb`, with normals, and morph targets if there are any: `target_deltas` target by target, vertex by
 /// vertex, x y z, in millimetres. Targets that move few vertices are stored sparsely. `extras` comes back from
-/// [`read_gltf`](super::read_gltf) as it is. A mesh without polygons becomes points. Targets have no normals of their own.
+/// [`read_gltf`](super::read_gltf) as it is. A mesh without polygons becomes points. Targets have no normals of their own, but where they
+/// are [animated](write_animated_glb).
 ///
 /// # Errors
 /// When the file cannot be written, a coordinate is not finite in 32 bits, texture indices do not belong to the corners, a
@@ -105,18 +106,21 @@ pub(in crate::io) fn write_painted_glb(
         attributes["COLOR_0"] = json!(file.floats(&light, "VEC3"));
     }
     let mut primitive = Map::new();
+    // of the mesh, not of the copies, so that no seam shows; and of what is written, so that it is written the same again
+    let own = points[..mesh.positions.len()].iter();
+    let written: Vec<Vec3> = own.map(|p| Vec3::from(p.map(f64::from)) * MILLIMETRES_PER_METRE).collect();
+    let fans = mesh.triangulate().triangles;
+    let normals_at = |points: &[Vec3]| -> Vec<Vec3> {
+        let normals = vertex_normals(points, &fans, NormalWeighting::Area).into_iter();
+        normals.map(|n| if n == Vec3::zeros() { Vec3::z() } else { n }).collect()
+    };
+    let normals = normals_at(&written);
+    let short = |v: &Vec3| [v.x as f32, v.y as f32, v.z as f32];
     if triangles.is_empty() {
         primitive.insert("mode".into(), json!(0));
     } else {
-        // of the mesh, not of the copies, so that no seam shows; and of what is written, so that it is written the same again
-        let written: Vec<Vec3> = points[..mesh.positions.len()]
-            .iter()
-            .map(|p| Vec3::from(p.map(f64::from)) * MILLIMETRES_PER_METRE)
-            .collect();
-        let normals = vertex_normals(&written, &mesh.triangulate().triangles, NormalWeighting::Area);
-        let normal = |v: usize| if normals[v] == Vec3::zeros() { Vec3::z() } else { normals[v] };
-        let normals: Vec<f32> = sources().map(normal).flat_map(|n| [n.x as f32, n.y as f32, n.z as f32]).collect();
-        attributes["NORMAL"] = json!(file.floats(&normals, "VEC3"));
+        attributes["NORMAL"] =
+            json!(file.floats(sources().map(|v| short(&normals[v])).collect::<Vec<_>>().as_flattened(), "VEC3"));
         if !uvs.is_empty() {
             let uvs: Vec<f32> = uvs.iter().flat_map(|uv| [uv[0] as f32, (1.0 - uv[1]) as f32]).collect();
             attributes["TEXCOORD_0"] = json!(file.floats(&uvs, "VEC2"));
@@ -131,7 +135,18 @@ pub(in crate::io) fn write_painted_glb(
             let deltas = &target_deltas[k * width..(k + 1) * width];
             let deltas: Vec<[f32; 3]> =
                 sources().map(|v| [0, 1, 2].map(|a| metres(f64::from(deltas[3 * v + a])))).collect();
-            json!({ "POSITION": file.displacements(&deltas) })
+            let mut target = json!({ "POSITION": file.displacements(&deltas) });
+            if motion.is_some() && !triangles.is_empty() {
+                let moved: Vec<Vec3> = written
+                    .iter()
+                    .zip(target_deltas[k * width..].chunks_exact(3))
+                    .map(|(p, d)| p + Vec3::new(d[0].into(), d[1].into(), d[2].into()))
+                    .collect();
+                let turned = normals_at(&moved);
+                let turns: Vec<[f32; 3]> = sources().map(|v| short(&(turned[v] - normals[v]))).collect();
+                target["NORMAL"] = json!(file.displacements(&turns));
+            }
+            target
         };
         primitive.insert("targets".into(), (0..target_names.len()).map(target).collect());
         of_mesh.insert("weights".into(), json!(vec![0.0; target_names.len()]));
