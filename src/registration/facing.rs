@@ -2,6 +2,7 @@
 //! whose normals point inwards is turned over.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -11,9 +12,14 @@ use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
 use crate::mesh::rows::Rows;
 use crate::mesh::{TriangleMesh, Vec3};
 
-/// What was done to a scan so that it faces outwards.
+/// What was done to a scan so that it is one surface that faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct ScanFacing {
+    /// Vertices of triangles that are where one before them is, bit for bit, and count as that one: some files keep the corners of each
+    /// triangle, or the two sides of a seam, apart. Normals of the file are not used then.
+    pub joined: usize,
+    /// Triangles that were left out, since two of their corners are at one place: strips are sewn with such.
+    pub collapsed: usize,
     /// Triangles that were left out, since one before them has the same corners: a scan whose surface is there twice, for both sides
     /// to be seen, faces nowhere.
     pub repeated: usize,
@@ -53,9 +59,26 @@ impl ScanFacing {
         scan: &'a TriangleMesh,
         normals: Option<&'a [Vec3]>,
     ) -> (Cow<'a, TriangleMesh>, Option<Cow<'a, [Vec3]>>) {
-        let normals = normals.filter(|_| !self.normals_ignored);
-        let scan = if self.repeated + self.turned > 0 { agreeing(scan).0 } else { Cow::Borrowed(scan) };
+        let normals = normals.filter(|_| !self.normals_ignored && self.joined == 0);
+        let scan = if self.joined + self.collapsed > 0 { joined(scan).0 } else { Cow::Borrowed(scan) };
+        let scan = if self.repeated + self.turned > 0 { agreeing(scan).0 } else { scan };
         if self.flipped { flipped((scan, normals.map(Cow::Borrowed))) } else { (scan, normals.map(Cow::Borrowed)) }
+    }
+
+    /// Which of the scan's triangles each one of [`apply`](Self::apply) is; `None` if none was left out.
+    #[must_use]
+    pub fn sources(&self, scan: &TriangleMesh) -> Option<Vec<u32>> {
+        if self.collapsed + self.repeated == 0 {
+            return None;
+        }
+        let first = first_at_place(&scan.positions);
+        let corners = |t: u32| scan.triangles[t as usize].map(|v| first[v as usize]);
+        let mut left: Vec<u32> = (0..scan.triangles.len() as u32).filter(|&t| !is_collapsed(&corners(t))).collect();
+        if self.repeated > 0 {
+            let triangles = left.iter().map(|&t| corners(t)).collect();
+            leave_out(&mut left, &shared_edges(&TriangleMesh { positions: scan.positions.clone(), triangles }).1);
+        }
+        Some(left)
     }
 }
 
@@ -66,22 +89,58 @@ pub(super) fn flipped((scan, normals): Faced<'_>) -> Faced<'_> {
     (Cow::Owned(scan), normals.map(|n| Cow::Owned(n.iter().map(|n| -n).collect())))
 }
 
+/// The scan with the first vertex at each place for all that are there, and without triangles that have two corners at one.
+pub(super) fn joined(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing) {
+    if scan.triangles.is_empty() {
+        return (Cow::Borrowed(scan), ScanFacing::default());
+    }
+    let first = first_at_place(&scan.positions);
+    let corners = scan.triangles.as_flattened().iter().copied();
+    let mut again: Vec<u32> = corners.filter(|&v| first[v as usize] != v).collect();
+    again.sort_unstable();
+    again.dedup();
+    let triangles = scan.triangles.iter().map(|t| t.map(|v| first[v as usize]));
+    let triangles: Vec<[u32; 3]> = triangles.filter(|t| !is_collapsed(t)).collect();
+    let collapsed = scan.triangles.len() - triangles.len();
+    // Where nothing would be left, whoever asks for its area says so.
+    if triangles.is_empty() || again.len() + collapsed == 0 {
+        return (Cow::Borrowed(scan), ScanFacing::default());
+    }
+    let facing = ScanFacing { joined: again.len(), collapsed, ..ScanFacing::default() };
+    (Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles }), facing)
+}
+
+/// The first of the vertices at each one's place.
+fn first_at_place(positions: &[Vec3]) -> Vec<u32> {
+    let mut at = HashMap::with_capacity(positions.len());
+    // `+ 0.0`: the two zeros are one place
+    let place = |p: &Vec3| p.map(|x| (x + 0.0).to_bits());
+    (0..).zip(positions).map(|(v, p)| *at.entry(place(p)).or_insert(v)).collect()
+}
+
+fn is_collapsed([a, b, c]: &[u32; 3]) -> bool {
+    a == b || b == c || c == a
+}
+
 /// The scan without triangles that repeat others, where triangles on both sides of an edge that only they share run along it in opposite
 /// directions. Parts where some do not are made so, by turning those of the smaller area; what cannot be, as a Moebius strip, is left
 /// alone. The scan, and what was done to it.
-pub(super) fn agreeing(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing) {
-    let (shared, mut repeated) = shared_edges(scan);
-    let (mut once, turned) = turned_alike(Cow::Borrowed(scan), shared);
-    repeated.sort_unstable();
-    repeated.dedup();
+pub(super) fn agreeing(scan: Cow<'_, TriangleMesh>) -> (Cow<'_, TriangleMesh>, ScanFacing) {
+    let (shared, repeated) = shared_edges(&scan);
+    let (mut once, turned) = turned_alike(scan, shared);
     if !repeated.is_empty() {
-        let (mut k, mut left_out) = (0, repeated.iter().peekable());
-        once.to_mut().triangles.retain(|_| {
-            k += 1;
-            left_out.next_if_eq(&&(k - 1)).is_none()
-        });
+        leave_out(&mut once.to_mut().triangles, &repeated);
     }
     (once, ScanFacing { repeated: repeated.len(), turned, ..ScanFacing::default() })
+}
+
+/// Takes out those at these indices, which are in order.
+fn leave_out<T>(items: &mut Vec<T>, indices: &[u32]) {
+    let (mut k, mut left_out) = (0, indices.iter().peekable());
+    items.retain(|_| {
+        k += 1;
+        left_out.next_if_eq(&&(k - 1)).is_none()
+    });
 }
 
 /// Turns triangles until neighbours agree, and says how many. Of two at an edge that only they share is known whether they run along it
@@ -134,14 +193,13 @@ fn turned_alike(scan: Cow<'_, TriangleMesh>, shared: Vec<(u32, u32, bool)>) -> (
 }
 
 /// The triangles at each edge that has just two, and whether both run along it in the same direction, by the edges' vertices; and triangles
-/// that have the corners of one before them, which do not count, some of them more than once.
+/// that have the corners of one before them, which do not count.
 fn shared_edges(scan: &TriangleMesh) -> (Vec<(u32, u32, bool)>, Vec<u32>) {
     let side = |s: u32| {
         let (t, corner) = (scan.triangles[s as usize / 3], s as usize % 3);
         (t[corner], t[(corner + 1) % 3])
     };
-    let flat = |[a, b, c]: [u32; 3]| a == b || b == c || c == a;
-    let proper = (0..scan.triangles.len() as u32).filter(|&k| !flat(scan.triangles[k as usize]));
+    let proper = (0..scan.triangles.len() as u32).filter(|&k| !is_collapsed(&scan.triangles[k as usize]));
     let sides = proper.flat_map(|k| 3 * k..3 * k + 3);
     let lowest = Rows::sorted(scan.positions.len(), sides.map(|s| (side(s).0.min(side(s).1), s)));
     let third = |k: u32| scan.triangles[k as usize].iter().fold(0, |all, v| all ^ v);
@@ -169,6 +227,8 @@ fn shared_edges(scan: &TriangleMesh) -> (Vec<(u32, u32, bool)>, Vec<u32>) {
             }
         }
     }
+    repeated.sort_unstable();
+    repeated.dedup();
     (shared, repeated)
 }
 
@@ -218,12 +278,12 @@ mod tests {
     fn triangles_of_either_winding_agree_with_the_larger_part_of_each_piece() {
         let one = sheet(12, 9, |c, r| Vec3::new(c, r, 0.1 * c * r));
         let both = side_by_side(&one, &one);
-        let (same, turned) = agreeing(&both);
+        let (same, turned) = agreeing(Cow::Borrowed(&both));
         assert!(matches!(same, Cow::Borrowed(_)) && turned == ScanFacing::default());
         for which in [&(|k: usize| k.is_multiple_of(5)) as &dyn Fn(usize) -> bool, &|k| k < 60, &|k| noise(k) > 0.3] {
             let scan = turned_over(&both, which);
             let wrong = (0..both.triangles.len()).filter(|&k| which(k)).count();
-            let (found, turned) = agreeing(&scan);
+            let (found, turned) = agreeing(Cow::Borrowed(&scan));
             assert!(wrong > 20 && turned == ScanFacing { turned: wrong, ..turned }, "{turned:?} of {wrong}");
             assert_eq!(found.triangles, both.triangles);
             let facing = ScanFacing { flipped: true, ..turned };
@@ -238,7 +298,7 @@ mod tests {
         let turned = one.triangles.iter().map(|&[a, b, c]| [b, a, c]);
         for again in [alike.clone().collect::<Vec<_>>(), turned.clone().collect(), turned.chain(alike).collect()] {
             let scan = TriangleMesh { triangles: [&one.triangles[..], &again].concat(), ..one.clone() };
-            let (once, facing) = agreeing(&scan);
+            let (once, facing) = agreeing(Cow::Borrowed(&scan));
             assert_eq!(once.triangles, one.triangles);
             assert_eq!(facing, ScanFacing { repeated: again.len(), ..ScanFacing::default() });
             assert_eq!(facing.apply(&scan, None).0.triangles, one.triangles);
@@ -247,7 +307,35 @@ mod tests {
         assert_eq!([remarks(4), remarks(WORTH_A_WORD)], [0, 1]);
         // Two sides of one triangle share all their edges with each other alone.
         let leaf = TriangleMesh { triangles: vec![[0, 1, 2], [0, 2, 1]], ..one.clone() };
-        assert_eq!(agreeing(&leaf).1.repeated, 1);
+        assert_eq!(agreeing(Cow::Borrowed(&leaf)).1.repeated, 1);
+    }
+
+    #[test]
+    fn corners_that_are_kept_apart_are_joined() {
+        let one = sheet(12, 9, |c, r| Vec3::new(c, r, 0.1 * c * r));
+        assert!(matches!(joined(&one), (Cow::Borrowed(_), ScanFacing { joined: 0, collapsed: 0, .. })));
+        let corners = |mesh: &TriangleMesh| {
+            let at = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize]));
+            at.collect::<Vec<[Vec3; 3]>>()
+        };
+        let positions = one.triangles.as_flattened().iter().map(|&v| one.positions[v as usize]).collect::<Vec<_>>();
+        let apart: Vec<[u32; 3]> = (0..one.triangles.len() as u32).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+        // A strip goes on from each triangle to the next by one that has no area.
+        let sewn = apart.iter().flat_map(|&[a, b, c]| [[a, b, c], [c, c, (c + 1) % positions.len() as u32]]).collect();
+        for (triangles, collapsed) in [(apart.clone(), 0), (sewn, apart.len())] {
+            let scan = TriangleMesh { positions: positions.clone(), triangles };
+            let (found, facing) = joined(&scan);
+            assert_eq!(corners(&found), corners(&one));
+            let used: std::collections::HashSet<u32> = found.triangles.as_flattened().iter().copied().collect();
+            assert_eq!(used.len(), 12 * 9);
+            assert_eq!(facing, ScanFacing { joined: positions.len() - 12 * 9, collapsed, ..ScanFacing::default() });
+            assert_eq!(facing.apply(&scan, Some(&positions)), (found, None));
+        }
+        // A surface that is there twice, with vertices of its own for each side, is there once.
+        let back = turned_over(&one, |_| true);
+        let both = side_by_side(&one, &back);
+        let (found, facing) = agreeing(joined(&both).0);
+        assert_eq!((&found.triangles, facing.repeated), (&one.triangles, one.triangles.len()));
     }
 
     #[test]
@@ -279,7 +367,7 @@ mod tests {
             let [c, d] = if k == 11 { [1, 0] } else { [2 * k + 2, 2 * k + 3] };
             strip.triangles.extend([[a, b, c], [b, d, c]]);
         }
-        let (found, turned) = agreeing(&strip);
+        let (found, turned) = agreeing(Cow::Borrowed(&strip));
         assert_eq!((found.triangles.clone(), turned), (strip.triangles.clone(), ScanFacing::default()));
     }
 }

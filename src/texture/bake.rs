@@ -55,6 +55,8 @@ pub struct BakeInput<'a> {
     pub scan_normals: Option<&'a [Vec3]>,
     /// Its colours; none: only the shape can be baked.
     pub painter: Option<&'a Painter>,
+    /// Which of the painter's triangles each one of the scan is; none: the same.
+    pub sources: Option<&'a [u32]>,
 }
 
 /// A texture; rows from the top, texels from the left.
@@ -117,7 +119,8 @@ struct Counts {
 /// # Errors
 /// As [`bake`].
 pub fn check_bake(template: &PolygonMesh, scan: &TriangleMesh, options: &BakeOptions) -> Result<(), BakeError> {
-    atlas_of(&BakeInput { template, mask: None, scan, scan_normals: None, painter: None }, options).map(drop)
+    atlas_of(&BakeInput { template, mask: None, scan, scan_normals: None, painter: None, sources: None }, options)
+        .map(drop)
 }
 
 fn atlas_of(input: &BakeInput<'_>, options: &BakeOptions) -> Result<Atlas, BakeError> {
@@ -327,8 +330,9 @@ impl<'a> Projection<'a> {
                 let Some(shown) = self.shown(&p, &unit, &mut hint) else { return };
                 let at = shown.at.triangle as usize;
                 if let Some(painter) = self.input.painter {
-                    let own = painter.turned(at, self.input.scan.triangles[at], shown.at.barycentric);
-                    let Some(found) = painter.light(at, own, area) else { return };
+                    let (scan, source) = (self.input.scan, self.input.sources.map_or(at, |of| of[at] as usize));
+                    let own = painter.turned(source, scan, scan.triangles[at], shown.at.barycentric);
+                    let Some(found) = painter.light(source, own, area) else { return };
                     (0..3).for_each(|k| light[texel][k] += found[k] as f32);
                 }
                 if let Some(texel) = shape.get_mut(texel) {

@@ -62,7 +62,8 @@ impl std::fmt::Debug for Painter {
 
 impl Painter {
     /// The light of `scan`, its vertices in millimetres, by `paint` where that has an image, else by `colors` of its vertices, 0-255
-    /// in sRGB, else by the colour of its material. `None` if there is neither an image, nor a colour.
+    /// in sRGB, else by the colour of its material. `None` if no triangle has one: no image with coordinates in it, no colour but the
+    /// white of materials that state none.
     ///
     /// # Errors
     /// When an image cannot be decoded, or there is not one colour for each vertex, or coordinates for each triangle.
@@ -105,8 +106,17 @@ impl Painter {
             painter.uvs.clone_from(&paint.uvs);
             painter.density = (0..scan.triangles.len()).map(|t| painter.density(scan, t)).collect();
         }
-        let any = painter.vertices.is_some() || !painter.coats.is_empty();
+        let any = painter.vertices.is_some() || (0..scan.triangles.len()).any(|t| painter.is_painted(t));
         Ok(any.then_some(painter))
+    }
+
+    /// Whether a material has something to say of a triangle.
+    fn is_painted(&self, triangle: usize) -> bool {
+        let coat = self.coat_of.get(triangle).and_then(|&coat| self.coats.get(coat as usize));
+        coat.is_some_and(|coat| match coat.image {
+            Some(_) => self.uvs[triangle].as_flattened().iter().all(|x| x.is_finite()),
+            None => coat.light != Vec3::repeat(1.0),
+        })
     }
 
     /// The images, by file, with what is worth a word about them.
@@ -121,13 +131,20 @@ impl Painter {
         self.kinds.iter().any(|(_, kind)| kind.sixteen_bits)
     }
 
-    /// The same for triangles of which some were turned: other corners come first.
-    pub(super) fn turned(&self, triangle: usize, corners: [u32; 3], barycentric: [f64; 3]) -> [f64; 3] {
+    /// The same for a triangle that was turned, or has other vertices at the same places: other corners come first.
+    pub(super) fn turned(
+        &self,
+        triangle: usize,
+        scan: &TriangleMesh,
+        corners: [u32; 3],
+        barycentric: [f64; 3],
+    ) -> [f64; 3] {
         let own = self.triangles[triangle];
         if own == corners {
             return barycentric;
         }
-        own.map(|v| corners.iter().position(|c| *c == v).map_or(0.0, |k| barycentric[k]))
+        let place = |v: u32| scan.positions[v as usize];
+        own.map(|v| corners.iter().position(|&c| place(c) == place(v)).map_or(0.0, |k| barycentric[k]))
     }
 
     /// The light at a point of a triangle, for a sample that stands for so many square millimetres; `None` where nothing is painted.

@@ -7,9 +7,12 @@ use crate::sheets::sheet;
 use crate::support::{Bench, Run};
 use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
-use nonrigid::io::{Paint, PlyOptions, read_obj, read_painted_scan, read_polygon_mesh, write_obj, write_ply};
+use nonrigid::io::{
+    Material, Paint, PlyOptions, Wrap, read_obj, read_painted_scan, read_polygon_mesh, write_obj, write_ply,
+};
 use nonrigid::mesh::srgb::{from_light, to_light};
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::registration::ScanFacing;
 use nonrigid::texture::{BakeError, BakeInput, BakeOptions, Baked, Painter, bake};
 
 /// From the front: where on the image a point of the subject lies, 240 mm being its side, and back.
@@ -106,8 +109,14 @@ fn on_the_true_surface_colours_stay_where_they_are() {
     let (scan, paint) = read_painted_scan(&bench.path("scan.obj")).unwrap();
     let painter = Painter::new(&scan.mesh, paint.as_ref(), None).unwrap().unwrap();
     let template = read_obj(&bench.path("rig/template.obj")).unwrap().with_positions(bench.case.truth.clone());
-    let input =
-        BakeInput { template: &template, mask: None, scan: &scan.mesh, scan_normals: None, painter: Some(&painter) };
+    let input = BakeInput {
+        template: &template,
+        mask: None,
+        scan: &scan.mesh,
+        scan_normals: None,
+        painter: Some(&painter),
+        sources: None,
+    };
     let options = BakeOptions { side: 1024, shape: true, ..BakeOptions::default() };
     let baked = bake(&input, &options).unwrap();
     assert!(baked.seen_share() > 0.7 && baked.sixteen_bits && baked.shared < 0.001, "{}", baked.seen_share());
@@ -173,7 +182,14 @@ fn the_shape_that_the_template_is_too_coarse_for_is_in_its_maps() {
         if mirrored {
             template.metadata.uvs.iter_mut().for_each(|uv| uv[0] = 1.0 - uv[0]);
         }
-        let input = BakeInput { template: &template, mask: None, scan: &scan, scan_normals: None, painter: None };
+        let input = BakeInput {
+            template: &template,
+            mask: None,
+            scan: &scan,
+            scan_normals: None,
+            painter: None,
+            sources: None,
+        };
         let baked = bake(&input, &BakeOptions { side: 128, shape: true, ..BakeOptions::default() }).unwrap();
         assert!(baked.light.is_none() && baked.seen.iter().all(|s| *s));
         for (i, texel) in baked.shape.unwrap().iter().enumerate() {
@@ -202,7 +218,8 @@ fn what_the_scan_does_not_show_is_not_seen() {
     let options = BakeOptions { side: 64, ..BakeOptions::default() };
     let seen = |scan: &TriangleMesh, mask: Option<&[f64]>| {
         let painter = colored(scan);
-        let input = BakeInput { template: &template, mask, scan, scan_normals: None, painter: Some(&painter) };
+        let input =
+            BakeInput { template: &template, mask, scan, scan_normals: None, painter: Some(&painter), sources: None };
         bake(&input, &options).unwrap()
     };
     let front = square(1.0).triangulate();
@@ -228,8 +245,14 @@ fn what_the_scan_does_not_show_is_not_seen() {
     assert!((masked - 0.5).abs() < 0.02, "{masked}");
     // turned over by somebody else: the same colours
     let painter = colored(&back);
-    let input =
-        BakeInput { template: &template, mask: None, scan: &front, scan_normals: None, painter: Some(&painter) };
+    let input = BakeInput {
+        template: &template,
+        mask: None,
+        scan: &front,
+        scan_normals: None,
+        painter: Some(&painter),
+        sources: None,
+    };
     assert_eq!(bake(&input, &options).unwrap(), seen(&front, None));
 }
 
@@ -240,7 +263,8 @@ fn coordinates_outside_the_tile_repeat_and_odd_ones_are_counted() {
     let painter = Painter::new(&scan, None, Some(&colors)).unwrap().unwrap();
     let options = BakeOptions { side: 32, ..BakeOptions::default() };
     let baked = |template: &PolygonMesh| {
-        let input = BakeInput { template, mask: None, scan: &scan, scan_normals: None, painter: Some(&painter) };
+        let input =
+            BakeInput { template, mask: None, scan: &scan, scan_normals: None, painter: Some(&painter), sources: None };
         bake(&input, &options)
     };
     let plain = baked(&square(0.0)).unwrap();
@@ -266,10 +290,18 @@ fn coordinates_outside_the_tile_repeat_and_odd_ones_are_counted() {
     let mut cloud = scan.clone();
     cloud.triangles.clear();
     let template = square(0.0);
-    let input = BakeInput { template: &template, mask: None, scan: &cloud, scan_normals: None, painter: None };
+    let input =
+        BakeInput { template: &template, mask: None, scan: &cloud, scan_normals: None, painter: None, sources: None };
     assert_eq!(bake(&input, &options).unwrap_err(), BakeError::NoSurface);
     for side in [0, 15, 8193, 1_000_000] {
-        let input = BakeInput { template: &template, mask: None, scan: &scan, scan_normals: None, painter: None };
+        let input = BakeInput {
+            template: &template,
+            mask: None,
+            scan: &scan,
+            scan_normals: None,
+            painter: None,
+            sources: None,
+        };
         let refused = bake(&input, &BakeOptions { side, ..options.clone() }).unwrap_err();
         assert_eq!(refused, BakeError::Size(side));
     }
@@ -290,9 +322,59 @@ fn middle_of(folder: &Path, library: &str) -> Result<Vec3, String> {
 fn light_in_the_middle(scan: &TriangleMesh, paint: Option<&Paint>) -> Result<Vec3, String> {
     let painter = Painter::new(scan, paint, None).map_err(|e| e.to_string())?.ok_or("no paint")?;
     let template = square(0.0);
-    let input = BakeInput { template: &template, mask: None, scan, scan_normals: None, painter: Some(&painter) };
+    let input =
+        BakeInput { template: &template, mask: None, scan, scan_normals: None, painter: Some(&painter), sources: None };
     let baked = bake(&input, &BakeOptions { side: 17, ..BakeOptions::default() }).unwrap();
     Ok(Vec3::from(baked.light.unwrap()[8 * 17 + 8].map(f64::from)))
+}
+
+/// The baked light of a scan is that of its file's triangles, also where some were left out, joined or turned before it was registered.
+#[test]
+fn triangles_that_are_left_out_leave_their_neighbours_their_colours() {
+    let template = square(0.0);
+    let plain = template.triangulate();
+    let light = |scan: &TriangleMesh, facing: ScanFacing| {
+        // Material k of triangle k: red tells which.
+        let reds: Vec<f64> = (0..scan.triangles.len()).map(|k| 0.1 + 0.2 * k as f64).collect();
+        let material = |&red: &f64| Material {
+            name: String::new(),
+            light: Vec3::new(red, 0.0, 0.0),
+            image: None,
+            wrap: [Wrap::Repeat; 2],
+        };
+        let paint = Paint {
+            materials: reds.iter().map(material).collect(),
+            material_of: (0..scan.triangles.len() as u32).collect(),
+            uvs: vec![[[f32::NAN; 2]; 3]; scan.triangles.len()],
+            images: Vec::new(),
+        };
+        let painter = Painter::new(scan, Some(&paint), None).unwrap().unwrap();
+        let (faced, _) = facing.apply(scan, None);
+        let sources = facing.sources(scan);
+        let painter = Some(&painter);
+        let input = BakeInput {
+            template: &template,
+            mask: None,
+            scan: &faced,
+            scan_normals: None,
+            painter,
+            sources: sources.as_deref(),
+        };
+        let baked = bake(&input, &BakeOptions { side: 17, ..BakeOptions::default() }).unwrap();
+        baked.light.unwrap().iter().map(|light| light[0]).collect::<Vec<f32>>()
+    };
+    let [first, second] = [plain.triangles[0], plain.triangles[1]];
+    let of_two = light(&plain, ScanFacing::default());
+    let near = |red: f32| of_two.iter().any(|r| (r - red).abs() < 1e-5);
+    assert!(near(0.1) && near(0.3), "{of_two:?}");
+    // The first again, and one with two corners at one place, before the second.
+    let [a, b, _] = first;
+    let faulty = TriangleMesh { triangles: vec![first, first, [a, a, b], second], ..plain.clone() };
+    let facing = ScanFacing { repeated: 1, collapsed: 1, ..ScanFacing::default() };
+    // The second is at 0.7 now; texels between the two are mixed.
+    for (red, found) in of_two.iter().zip(light(&faulty, facing)) {
+        assert!((0.1 + 3.0 * (red - 0.1) - found).abs() < 1e-5, "{red} {found}");
+    }
 }
 
 #[test]
@@ -338,6 +420,7 @@ fn images_of_every_kind_are_read_and_others_named() {
         ("newmtl skin\nmap_Kd bomb.png\n", ["bomb.png", "60000 x 60000", "map_Kd"]),
         ("newmtl skin\nmap_Kd my images\n", ["my images", "a folder", "map_Kd"]),
         ("newmtl skin\nmap_Kd a.<UDIM>.png\n", ["a.mtl: line 2", "<UDIM>", "material of its own"]),
+        ("newmtl skin\nmap_Ke sixteen.png\n", ["no paint"; 3]),
         ("newmtl other\n", ["a.obj", "\"skin\"", "[\"other\"]"]),
     ] {
         let error = middle_of(folder.path(), library).unwrap_err();

@@ -6,7 +6,7 @@ use super::RegistrationProblem;
 use crate::correspondence::{ScanFlip, ScanOptions, ScanSurface};
 use crate::energy::{DeformationModel as _, Options, Samples};
 use crate::landmark::{Landmark, TemplatePoint};
-use crate::mesh::{Pose, TriangleMesh, Vec3};
+use crate::mesh::{Pose, Vec3};
 use crate::model::ModelInput;
 use crate::nlls::Problem as _;
 use crate::registration::facing::{self, Faced};
@@ -32,18 +32,18 @@ pub fn find_start(
     Ok((start.pose, start.search))
 }
 
-/// The scan, each triangle once and facing as its neighbours do, unless it has normals of its own, or the template's do not either;
-/// and what was done to it.
+/// The scan, each vertex and triangle once and facing as its neighbours do, unless it has normals of its own, or the template's do not
+/// either; and what was done to it.
 fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, ScanFacing) {
     let own = |normals: &&[Vec3]| normals.len() != input.scan.positions.len() || facing::belong(input.scan, normals);
-    match input.scan_normals.filter(own) {
-        Some(normals) => ((Cow::Borrowed(input.scan), Some(Cow::Borrowed(normals))), ScanFacing::default()),
+    let template_agrees = || facing::agreeing(Cow::Owned(input.template.triangulate())).1.turned == 0;
+    let ((scan, joined), template_agrees) = rayon::join(|| facing::joined(input.scan), template_agrees);
+    match input.scan_normals.filter(|_| joined.joined == 0).filter(own) {
+        Some(normals) => ((scan, Some(Cow::Borrowed(normals))), joined),
         None => {
-            let (scan, facing) = match facing::agreeing(&input.template.triangulate()).1.turned {
-                0 => facing::agreeing(input.scan),
-                _ => (Cow::Borrowed(input.scan), ScanFacing::default()),
-            };
-            ((scan, None), ScanFacing { normals_ignored: input.scan_normals.is_some(), ..facing })
+            let (scan, agreed) = if template_agrees { facing::agreeing(scan) } else { (scan, ScanFacing::default()) };
+            let normals_ignored = input.scan_normals.is_some() && joined.joined == 0;
+            ((scan, None), ScanFacing { joined: joined.joined, collapsed: joined.collapsed, normals_ignored, ..agreed })
         }
     }
 }
@@ -55,14 +55,8 @@ fn start_of(
     schedule: &Schedule,
     cancel: start::Cancel<'_>,
 ) -> Result<Start, RegistrationError> {
-    let (scan, scan_normals): (&TriangleMesh, Option<&[Vec3]>) = (scan, scan_normals.as_deref());
     let at = |l: &Landmark| l.template.position(&rest.mesh.positions) + rest.centre;
     let landmarks: Vec<_> = input.landmarks.iter().map(|l| (at(l), l)).collect();
-    let discs = scan.triangles.is_empty().then(|| start::discs(scan, scan_normals.unwrap_or_default()));
-    let (scan, scan_normals) = match &discs {
-        Some((mesh, normals)) => (mesh, Some(&normals[..])),
-        None => (scan, scan_normals),
-    };
     let search = StartInput {
         template: &rest.mesh,
         ignored: &rest.masks.unseen(),
@@ -70,7 +64,7 @@ fn start_of(
         unit: rest.unit,
         shapes: input.shapes,
         scan,
-        scan_normals,
+        scan_normals: scan_normals.as_deref(),
         landmarks: &landmarks,
         sigma: schedule.sigma.landmark * rest.unit,
         flip: schedule.scan.flip,
