@@ -135,7 +135,7 @@ class Job(Generic[Result]):
         error = self._error
         if isinstance(error, (Problem, Cancelled)):
             raise error
-        if isinstance(error, (ValueError, TypeError, OSError, MemoryError, package().ComputationError)):
+        if isinstance(error, (ValueError, TypeError, OSError, MemoryError, ImportError, package().ComputationError)):
             raise Problem(str(error) or type(error).__name__) from error
         raise error
 
@@ -230,11 +230,7 @@ def read_rig(source: str | dict[str, np.ndarray], template: Surface) -> Any:
         families = {name: "identity" if name.startswith("identity") else "expression" for name in source}
         return nonrigid.Rig(template.mesh(), source, families=families)
     rig = nonrigid.Rig.read(source)
-    if len(rig.neutral) != len(template.positions):
-        raise Problem(
-            f"The rig has {len(rig.neutral)} vertices and the template {len(template.positions)}: a rig moves the vertices of its own "
-            "template, in their order"
-        )
+    _refuse_other_mesh(rig, "the template", len(template.positions))
     linear, moved = similarity(rig.neutral, template.positions)
     off = np.abs(rig.neutral @ linear.T + moved - template.positions).max()
     same_shape = off < 1e-3 * np.ptp(template.positions, axis=0).max()
@@ -245,18 +241,25 @@ def read_rig(source: str | dict[str, np.ndarray], template: Surface) -> Any:
     return nonrigid.Rig(template.mesh(), shapes, families=families, landmarks=rig.landmarks, regions=rig.regions or None)
 
 
-def rig_landmarks(path: str) -> list[int]:
-    """The vertices of a rig's 68 landmarks. Raises Problem where the rig cannot be read or has none."""
+def _refuse_other_mesh(rig: Any, name: str, vertices: int) -> None:
+    if len(rig.neutral) != vertices:
+        raise Problem(f"The rig has {len(rig.neutral)} vertices and {name} {vertices}: a rig moves the vertices of its own template, in their order")
+
+
+def rig_landmarks(path: str, name: str, vertices: int) -> list[int]:
+    """The vertices of a rig's 68 landmarks, on a mesh of this name and count of vertices. Raises Problem where the rig cannot be read, is of
+    another mesh, or has none."""
     nonrigid = package()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", nonrigid.NonrigidWarning)
-            marks = nonrigid.Rig.read(path, identity_modes=0).landmarks
-    except (ValueError, OSError) as error:
+            rig = nonrigid.Rig.read(path, identity_modes=0)
+    except (ValueError, OSError, ImportError) as error:
         raise Problem(str(error)) from error
-    if marks is None:
+    _refuse_other_mesh(rig, name, vertices)
+    if rig.landmarks is None:
         raise Problem(f"The rig at {path} has no landmarks")
-    return [int(v) for v in marks]
+    return [int(v) for v in rig.landmarks]
 
 
 def similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -144,10 +144,8 @@ class NONRIGID_OT_landmarks_of_rig(bpy.types.Operator):
             chosen = context.scene.nonrigid
             thing = _object(context, "TEMPLATE")
             path = bpy.path.abspath(chosen.rig_path)
-            vertices = bridge.rig_landmarks(path)
             points = scene.basis(thing)
-            if max(vertices) >= len(points):
-                raise Problem(f"The rig at {path} is of another mesh than {thing.name}: that has only {len(points)} vertices")
+            vertices = bridge.rig_landmarks(path, thing.name, len(points))
             there = scene.landmarks(thing)
             made = 0
             for k, vertex in enumerate(vertices):

@@ -37,10 +37,7 @@ def morph_landmarks(context: bpy.types.Context, thing: bpy.types.Object, surface
     path = bpy.path.abspath(context.scene.nonrigid.rig_path)
     if not path:
         raise Problem(f"{thing.name} has no landmarks: morphs are drawn by the 68 of Multi-PIE, named 0 to 67. Choose a rig that has them")
-    marks = bridge.rig_landmarks(path)
-    if max(marks) >= len(surface.positions):
-        raise Problem(f"The rig at {path} is of another mesh than {thing.name}: that has only {len(surface.positions)} vertices")
-    return {str(k): vertex for k, vertex in enumerate(marks)}
+    return {str(k): vertex for k, vertex in enumerate(bridge.rig_landmarks(path, thing.name, len(surface.positions)))}
 
 
 class NONRIGID_OT_morph_add(bpy.types.Operator):
@@ -61,10 +58,7 @@ class NONRIGID_OT_morph_add(bpy.types.Operator):
         thing = context.object
         try:
             names = [self.preset] if self.preset != ALL else [name for name, _ in bridge.preset_names()]
-            if scene.MILLIMETRES in thing:
-                factor = float(thing[scene.MILLIMETRES])
-            else:
-                factor = scene.millimetres(context.scene) * scene.even_scale(thing)
+            factor = float(thing.get(scene.MILLIMETRES, scene.millimetres(context.scene))) * scene.even_scale(thing)
             surface = scene.base_surface(thing, factor)
             landmarks = morph_landmarks(context, thing, surface, factor)
             there = set() if thing.data.shape_keys is None else set(thing.data.shape_keys.key_blocks.keys())

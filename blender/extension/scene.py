@@ -171,6 +171,8 @@ class Places:
     """Where the scan lies."""
     scan_factor: float
     """Millimetres of a unit of the scan's coordinates."""
+    unit: float
+    """Millimetres of a Blender unit."""
 
 
 def make_result(context: bpy.types.Context, places: Places, wrapped: Wrapped, worst: float) -> tuple[bpy.types.Object, str | None]:
@@ -215,7 +217,7 @@ def make_result(context: bpy.types.Context, places: Places, wrapped: Wrapped, wo
     result["nonrigid_error_probability"] = wrapped.error_probability
     result["nonrigid_doubts"] = "\n".join(wrapped.doubts)
     result[LANDMARKS] = json.dumps(wrapped.landmarks)
-    result[MILLIMETRES] = places.scan_factor
+    result[MILLIMETRES] = places.unit
     mesh.update()
     return result, lost
 

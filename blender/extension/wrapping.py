@@ -52,7 +52,7 @@ class Run:
             free_mask=scene.group_weights(template, chosen.free_mask),
             regions=tuple(name.strip() for name in chosen.free_regions.split(",") if name.strip()),
         )
-        self.places = scene.Places(template.name, scan.name, surface, factor, scan.matrix_world.copy(), scan_factor)
+        self.places = scene.Places(template.name, scan.name, surface, factor, scan.matrix_world.copy(), scan_factor, unit)
         self.worst = chosen.worst
         self.job: Job[Wrapped] = Job(partial(bridge.wrap, given))
 

@@ -105,6 +105,12 @@ def rig_of_another_mesh(scene: Scene) -> None:
     scene.chosen.rig_path = str(path)
 
 
+def rig_in_hdf5(scene: Scene) -> None:
+    path = Path(bpy.app.tempdir) / "basel.h5"
+    path.write_bytes(b"\x89HDF\r\n")
+    scene.chosen.rig_path = str(path)
+
+
 def no_rig_in_the_folder(scene: Scene) -> None:
     folder = Path(bpy.app.tempdir) / "no rig"
     folder.mkdir(exist_ok=True)
@@ -151,6 +157,7 @@ def scan_like_a_line(scene: Scene) -> None:
         (missing_rig, "no rig at '/nowhere/rig'"),
         (no_rig_path, "no rig at ''"),
         (rig_of_another_mesh, r"The rig has 4 vertices and the template \d+"),
+        (rig_in_hdf5, "read by h5py"),
         (no_rig_in_the_folder, "no rig"),
         (no_shape_keys, "face has no shape keys"),
         (no_such_group, "no vertex group 'beard'"),

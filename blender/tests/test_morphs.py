@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 from conftest import Data, Scene, everything, grow, numbers, seen
 
 from test_wrap import part, wrap
@@ -42,6 +43,20 @@ def test_sliders_are_millimetres(scene: Scene, data: Data) -> None:
         assert np.abs(mask - expected.mask).max() < 1e-3
 
 
+def test_a_result_may_be_scaled(scene: Scene) -> None:
+    """A slider's millimetre is one of the world as it was wrapped, whether the object's scale is applied or not."""
+    result = wrap()
+    for key in result.data.shape_keys.key_blocks[1:]:
+        key.value = 0.0
+    result.data.transform(Matrix.Scale(0.001, 4), shape_keys=True)
+    result.scale *= 1000.0
+    bpy.context.view_layer.update()
+    neutral = seen(result)
+    assert bpy.ops.nonrigid.morph_add(preset="chin-forward") == {"FINISHED"}
+    result.data.shape_keys.key_blocks["morph chin-forward"].value = 2.0
+    assert 1.8 < 1000.0 * np.linalg.norm(seen(result) - neutral, axis=1).max() < 2.2
+
+
 def test_any_mesh_with_landmarks(scene: Scene) -> None:
     """The template too, by its empties; its vertices stay."""
     template = scene.template
@@ -73,12 +88,15 @@ def test_what_is_there_stays(scene: Scene) -> None:
     assert np.array_equal(numbers(key.data), edited) and key.value == 2.0
 
 
-def test_no_landmarks(scene: Scene) -> None:
+def test_no_landmarks(scene: Scene, data: Data) -> None:
     scene.chosen.rig_path = ""
     bpy.context.view_layer.objects.active = scene.scan
     for empty in list(scene.scan.children):
         bpy.data.objects.remove(empty)
     before = everything()
     with pytest.raises(RuntimeError, match="has no landmarks"):
+        bpy.ops.nonrigid.morph_add(preset="nose-bridge")
+    scene.chosen.rig_path = str(data.rig)
+    with pytest.raises(RuntimeError, match=r"The rig has \d+ vertices and scan \d+"):
         bpy.ops.nonrigid.morph_add(preset="nose-bridge")
     assert everything() == before
