@@ -16,6 +16,8 @@ from ._mesh import Mesh, PathLike, indices, points, warn
 from ._rig import Rig
 
 ICT_NEUTRAL = "generic_neutral_mesh.obj"
+SMPL_SHAPES = 10
+"""SMPL has identity modes alone."""
 ICT_FACE = (9409, 9230)
 """Vertices and polygons of ICT-FaceKit's face: the first ones. Eyes, teeth and neck follow."""
 
@@ -177,16 +179,17 @@ def _flame_arrays(path: Path) -> dict[str, Any]:
 
 
 def read_flame(
-    path: PathLike, *, identity_modes: int | None = None, expressions: int | None = None, identities: int = 300, unit: str = "m"
+    path: PathLike, *, identity_modes: int | None = None, expressions: int | None = None, identities: int | None = None, unit: str = "auto"
 ) -> Rig:
     """Reads FLAME (Li et al. 2017, flame.is.tue.mpg.de), or SMPL's like: `v_template` (V, 3), `shapedirs` (V, 3, K) and `f` (F, 3) of an .npz or
     a pickle. A pickle is read without running any code: arrays are taken, also those that chumpy holds, and a pickle that needs other classes
     is refused by their name. Rotations of neck, jaw and eyes are no blendshapes, so they and their correctives are left out.
 
-    identities: of the K shapes, how many are identity modes; in FLAME 300, then 100 expressions. identity_modes, expressions: how many of
-    the first of each to take, all unless stated. unit: FLAME is in metres.
+    identities: of the K shapes, how many are identity modes; in FLAME 300, then 100 expressions. Where K is not 400 and nothing is said, the
+    first 300 are, with a warning. identity_modes, expressions: how many of the first of each to take, all unless stated. unit: FLAME is in
+    metres ("auto").
 
-    Raises OSError if the file cannot be read, ValueError if it is malformed or refused.
+    Raises OSError if the file cannot be read, ValueError if it is malformed or refused, or if nothing of its size in metres is a head or body.
     """
     file = Path(path)
     arrays = _flame_arrays(file)
@@ -197,8 +200,12 @@ def read_flame(
     shapes = np.asarray(arrays["shapedirs"])
     if shapes.dtype.kind != "f" or shapes.ndim != 3 or shapes.shape[:2] != neutral.shape:
         raise ValueError(f"{file}: shapedirs: expected numbers of shape ({len(neutral)}, 3, K), found {shapes.dtype} of {shapes.shape}")
-    count = shapes.shape[2]
-    identities = min(identities, count)
+    count, size = shapes.shape[2], float(np.ptp(neutral, axis=0).max())
+    if unit == "auto" and not 0.05 < size < 5.0:
+        raise ValueError(f'{file}: {size:.3g} m in size, if FLAME\'s metres are its unit; say which is, such as unit="mm"')
+    if identities is None and count not in (400, SMPL_SHAPES):
+        warn(f"{file}: {count} shapes where FLAME has 400: the first 300 are taken for identity modes; identities= says how many are")
+    identities = min(300 if identities is None else identities, count)
     chosen = list(range(identities))[:identity_modes]
     chosen_expressions = list(range(identities, count))[:expressions]
     names = [f"expression{k - identities:03}" for k in chosen_expressions] + [f"identity{k:03}" for k in chosen]

@@ -144,6 +144,16 @@ def test_flame_arrays_and_pickles(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     few = nonrigid.read_flame(tmp_path / "flame.pkl", identity_modes=2, expressions=1)
     assert few.names == ["expression000", "identity000", "identity001"]
 
+    # made smaller, or in millimetres
+    np.savez(tmp_path / "small.npz", **{**arrays, "shapedirs": arrays["shapedirs"][:, :, :150]})
+    with pytest.warns(nonrigid.NonrigidWarning, match="150 shapes where FLAME has 400"):
+        assert Rig.read(tmp_path / "small.npz").families == ["identity"] * 150
+    assert nonrigid.read_flame(tmp_path / "small.npz", identities=100).families == ["expression"] * 50 + ["identity"] * 100
+    np.savez(tmp_path / "mm.npz", **{**arrays, "v_template": 1000 * arrays["v_template"], "shapedirs": 1000 * arrays["shapedirs"]})
+    with pytest.raises(ValueError, match=r'm in size.*unit="mm"'):
+        Rig.read(tmp_path / "mm.npz")
+    assert np.allclose(nonrigid.read_flame(tmp_path / "mm.npz", unit="mm").neutral, 1000 * arrays["v_template"])
+
     # as chumpy and SciPy leave them in the files that are handed out; neither is asked
     chumpy = types.ModuleType("chumpy")
     ch = types.ModuleType("chumpy.ch")
