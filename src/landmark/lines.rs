@@ -51,6 +51,16 @@ impl Line<'_> {
         self.error(expected, excerpt(self.text.as_bytes()))
     }
 
+    /// No fields past the last column, unless they are empty.
+    pub(super) fn check_width(&self, fields: &[String], columns: usize) -> Result<(), ReadError> {
+        let filled = fields.len() - fields.iter().rev().take_while(|f| f.is_empty()).count();
+        if filled <= columns {
+            return Ok(());
+        }
+        let expected = format!("at most {columns} fields, with points in decimals, not commas");
+        Err(self.error(expected, format!("{filled} fields")))
+    }
+
     /// Three finite coordinates.
     pub(super) fn point(&self, fields: &[impl AsRef<str>]) -> Result<Vec3, ReadError> {
         if fields.len() != 3 {

@@ -3,7 +3,8 @@
 //! with `#` for comments. Neither states a unit.
 //!
 //! Of an uncertainty the root mean square of the three deviations is kept as the landmark's sigma. A first CSV line
-//! `label,x,y,z`, or with `l,p,s` or `r,a,s` as 3D Slicer exports tables, is a header.
+//! `label,x,y,z`, or with `l,p,s` or `r,a,s` as 3D Slicer exports tables, is a header, and may have further columns. A line of more
+//! fields is refused: numbers with decimal commas have them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -47,22 +48,24 @@ pub(super) fn parse_json(json: &Json, path: &Path) -> Result<LandmarkSet, ReadEr
 
 pub(super) fn parse_csv(text: &str, path: &Path) -> Result<LandmarkSet, ReadError> {
     let mut set = LandmarkSet { format: LandmarkFormat::Csv, named: true, ..LandmarkSet::default() };
+    let mut columns = 4;
     for (i, line) in Lines::new(text, path).filter(|l| !l.text.starts_with('#')).enumerate() {
         let fields = split_quoted(line.text);
         let axes = fields.get(1..4).map(|f| f.iter().map(|f| f.to_lowercase()).collect::<String>());
-        match axes.as_deref() {
-            Some("xyz") if i == 0 => continue,
-            Some("lps") if i == 0 => {
-                set.space = Some(PatientSpace::Lps);
-                continue;
-            }
-            Some("ras") if i == 0 => {
-                set.space = Some(PatientSpace::Ras);
-                continue;
-            }
-            None => return Err(line.error("a line `name,x,y,z`", format!("{} fields", fields.len()))),
-            Some(_) => {}
+        let space = match axes.as_deref() {
+            Some("xyz") => Some(None),
+            Some("lps") => Some(Some(PatientSpace::Lps)),
+            Some("ras") => Some(Some(PatientSpace::Ras)),
+            _ => None,
+        };
+        if let Some(space) = space.filter(|_| i == 0) {
+            (set.space, columns) = (space, fields.len());
+            continue;
         }
+        if axes.is_none() {
+            return Err(line.error("a line `name,x,y,z`", format!("{} fields", fields.len())));
+        }
+        line.check_width(&fields, columns)?;
         let position = line.point(&fields[1..4])?;
         let place = LandmarkPlace::Position(set.space.map_or(position, |space| space.to_lps(position)));
         set.landmarks.push(PlacedLandmark { name: from_csv_field(&fields[0]).to_owned(), place, sigma: None });

@@ -16,7 +16,9 @@ use crate::text::{csv_field, from_csv_field};
 
 const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#";
 const COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID";
-/// Codes of the column after those: not defined, and missing (`vtkMRMLMarkupsNode::PositionStatus`).
+/// Fields that newer versions add without naming them: the status of the position, and another.
+const UNNAMED: usize = 2;
+/// Codes of the first of them: not defined, and missing (`vtkMRMLMarkupsNode::PositionStatus`).
 const NOT_PLACED: [&str; 2] = ["0", "3"];
 
 pub(super) fn is(json: &Json) -> bool {
@@ -108,6 +110,7 @@ pub(super) fn parse_fcsv(text: &str, path: &Path) -> Result<LandmarkSet, ReadErr
         let (Some(x), Some(y), Some(z)) = (x, y, z) else {
             return Err(line.error(format!("columns {}", columns.names), format!("{} fields", fields.len())));
         };
+        line.check_width(&fields, columns.count + UNNAMED)?;
         let named = label.or(id).filter(|n| !n.is_empty()).map(|n| from_csv_field(n).to_owned());
         let name = named.unwrap_or_else(|| (set.landmarks.len() + set.missing.len()).to_string());
         let status = fields.get(columns.count);
