@@ -55,6 +55,18 @@ pub enum PlanError {
         /// Where that would be written.
         other: PathBuf,
     },
+    /// A file and a folder would have one name.
+    #[error("{what} {}: {first} writes a file {}, which cannot be a folder as well; give one of them another name", path.display(), other.display())]
+    Below {
+        /// The output inside the folder.
+        what: String,
+        /// Where it would be written.
+        path: PathBuf,
+        /// The output that is a file.
+        first: String,
+        /// Where that would be written.
+        other: PathBuf,
+    },
     /// A folder stands where a file would be written.
     #[error("{}: cannot be written: it is a folder, not a file ({what})", path.display())]
     Folder {
@@ -79,7 +91,7 @@ impl PlanError {
     /// Whether other arguments would help, not another place to write to.
     #[must_use]
     pub fn is_clash(&self) -> bool {
-        matches!(self, Self::Clash { .. } | Self::Inside { .. } | Self::Twice { .. })
+        matches!(self, Self::Clash { .. } | Self::Inside { .. } | Self::Twice { .. } | Self::Below { .. })
     }
 }
 
@@ -130,8 +142,8 @@ impl FilePlan {
     /// Whether it can be carried out without harm.
     ///
     /// # Errors
-    /// The first output, in the order in which they were given, that is a file that is read, is another output, is a folder, or
-    /// has a name that no file can have.
+    /// The first output, in the order in which they were given, that is a file that is read, is another output or its folder, is a
+    /// folder, or has a name that no file can have.
     pub fn check(&self) -> Result<(), PlanError> {
         check_files(|| self.reads.iter().cloned(), || self.writes.iter().cloned(), &self.folders)
     }
@@ -180,6 +192,9 @@ where
     // what is wrong with an output itself, which those before it come first of
     let mut wrong = None;
     let mut written = Vec::new();
+    // the folders that outputs would be in, and those that are outputs
+    let mut above: HashSet<u64> = HashSet::new();
+    let mut last_folder = None;
     let mut count = 0;
     for (what, path) in writes() {
         match std::fs::symlink_metadata(where_names_are_judged(&path)) {
@@ -193,13 +208,21 @@ where
             }
             _ => {}
         }
-        written.extend(places.of(&path).written_keys().iter().map(|key| hasher.hash_one(key)));
+        let place = places.of(&path);
+        written.extend(place.written_keys().iter().map(|key| hasher.hash_one(key)));
+        let folder = place.path.parent().map(Path::to_owned);
+        if folder != last_folder {
+            above.extend(place.folder_keys().map(|key| hasher.hash_one(key)));
+            last_folder = folder;
+        }
         count += 1;
     }
+    above.extend(folder_places.iter().flat_map(Place::folder_keys).map(|key| hasher.hash_one(key)));
+    above.extend(folder_places.iter().map(|place| hasher.hash_one(place.any_case())));
     written.sort_unstable();
     let twice = written.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| pair[0]);
     let mut suspects: HashSet<u64> = twice.collect();
-    suspects.extend(written.iter().filter(|hash| read.binary_search(hash).is_ok()));
+    suspects.extend(written.iter().filter(|hash| read.binary_search(hash).is_ok() || above.contains(hash)));
     if !suspects.is_empty() {
         // whether the keys are the same as well, and of which files
         let suspect = |key: &Key| suspects.contains(&hasher.hash_one(key));
@@ -220,6 +243,17 @@ where
                     return Err(PlanError::Twice { what, path, first, other });
                 }
                 written_at.insert(key, (what.clone(), path.clone()));
+            }
+        }
+        let below = |place: &Place| place.folder_keys().find_map(|key| written_at.get(&key)).cloned();
+        for (what, path) in writes().take(count) {
+            if let Some((first, other)) = below(&places.of(&path)) {
+                return Err(PlanError::Below { what, path, first, other });
+            }
+        }
+        for ((what, path), place) in folders.iter().zip(&folder_places) {
+            if let Some((first, other)) = below(place).or_else(|| written_at.get(&place.any_case()).cloned()) {
+                return Err(PlanError::Below { what: what.clone(), path: path.clone(), first, other });
             }
         }
     }
@@ -269,8 +303,16 @@ impl Place {
     }
 
     fn written_keys(&self) -> Vec<Key> {
-        let any_case = Key::AnyCase(self.path.to_string_lossy().to_lowercase());
-        self.keys().into_iter().chain([any_case]).collect()
+        self.keys().into_iter().chain([self.any_case()]).collect()
+    }
+
+    fn any_case(&self) -> Key {
+        Key::AnyCase(self.path.to_string_lossy().to_lowercase())
+    }
+
+    /// Of the folders that it is in.
+    fn folder_keys(&self) -> impl Iterator<Item = Key> {
+        self.path.ancestors().skip(1).map(|folder| Key::AnyCase(folder.to_string_lossy().to_lowercase()))
     }
 }
 
@@ -363,6 +405,17 @@ mod tests {
             assert!(matches!(error, PlanError::Twice { .. }), "{a} {b}: {error}");
         }
         two("new.ply", "none/new.ply").unwrap();
+        for (a, b) in
+            [("new.ply", "new.ply/page.html"), ("new.ply/page.html", "new.ply"), ("New.ply", "new.ply/pages/1.html")]
+        {
+            let error = two(a, b).unwrap_err();
+            assert!(matches!(error, PlanError::Below { .. }) && error.is_clash(), "{a} {b}: {error}");
+        }
+        for folder in ["new.ply", "new.ply/pages"] {
+            let plan = FilePlan::new().writes("--out", at("new.ply")).writes_in("--report", at(folder));
+            assert!(matches!(plan.check(), Err(PlanError::Below { .. })), "{folder}");
+        }
+        FilePlan::new().writes("--out", at("pages/new.ply")).writes_in("--report", at("pages")).check().unwrap();
 
         let error = FilePlan::new().writes("--out", at("sub")).check().unwrap_err().to_string();
         assert!(error.contains("is a folder"), "{error}");
