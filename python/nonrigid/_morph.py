@@ -195,17 +195,19 @@ def measure(
     """Measures a face, or what a change did to it: distances, angles, ratios, symmetry, areas and volumes by region. `glossary` has every
     measurement with its formula and landmarks.
 
-    mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path. landmarks: {name: vertex or point}, the 68 vertex indices of
-    Multi-PIE, files, or a list of these; those of the rig unless stated. rig, regions: parts of the face; the groups of the mesh unless
-    stated. align: move the face after onto the one before first.
+    mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path, measured along the axes of the face before, however the head
+    is held. landmarks: {name: vertex or point}, the 68 vertex indices of Multi-PIE, files, or a list of these; unless stated those of the
+    rig, with the landmarks by name in its folder. rig, regions: parts of the face; the groups of the mesh unless stated. align: move the
+    face after onto the one before first, which displacements and volumes alone depend on.
 
-    Raises ValueError where nothing can be measured, or vertices do not correspond; OSError.
+    Warns of points off the mesh. Raises ValueError where nothing can be measured, or vertices do not correspond; OSError.
     """
     before = Mesh.of(mesh, unit=unit)
     moved = None if after is None else _vertices("after", after)
     of_rig = None if rig is None else Rig.of(rig)
     parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
     found = _nonrigid.measure_mesh(before._native, moved, _marks(landmarks), None if of_rig is None else of_rig._native, parts, align)
+    warn(found[3])
     return _measured(json.loads(found[0]), found[1], found[2])
 
 

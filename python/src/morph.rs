@@ -66,18 +66,17 @@ fn recipe(py: Python<'_>, kind: &str, given: &Bound<'_, PyAny>) -> PyResult<Reci
 }
 
 /// Names of landmarks and where they are on a mesh: those given, or else a rig's.
-fn places(landmarks: &[&Landmarks], rig: Option<&Rig>, mesh: &Mesh) -> PyResult<Vec<Vec<(String, TemplatePoint)>>> {
+fn places(landmarks: &[&Landmarks], rig: Option<&Rig>, mesh: &Mesh) -> PyResult<Vec<(String, TemplatePoint)>> {
     if landmarks.is_empty() {
-        let of_rig = rig.and_then(|r| r.rig.landmarks());
-        let points =
-            of_rig.map(|marks| marks.iter().enumerate().map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))));
-        return Ok(points.map(Iterator::collect).into_iter().collect());
+        let of_rig = rig.and_then(|r| r.rig.landmarks()).unwrap_or_default().iter().enumerate();
+        return Ok(of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect());
     }
-    let on_mesh = |landmarks: &&Landmarks| {
+    let mut points = Vec::new();
+    for landmarks in landmarks {
         let (set, _) = landmarks.in_millimetres(None, mesh)?;
-        set.on_template(&landmarks.path, mesh.polygons()).map_err(input)
-    };
-    landmarks.iter().map(on_mesh).collect()
+        points.extend(set.on_template(&landmarks.path, mesh.polygons()).map_err(input)?);
+    }
+    Ok(points)
 }
 
 /// Step by step: positions, report (JSON), and of each mask its name and weights.
@@ -119,7 +118,7 @@ fn morph_mesh<'py>(
         if let Some(bounds) = bounds {
             basis = basis.with_bounds(|_| bounds);
         }
-        let points: Vec<(String, TemplatePoint)> = places(&landmarks, rig, mesh)?.into_iter().flatten().collect();
+        let points = places(&landmarks, rig, mesh)?;
         let mut moved: PolygonMesh = mesh.polygons().clone();
         let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
@@ -141,7 +140,7 @@ fn morph_mesh<'py>(
     outcomes.into_iter().map(step).collect()
 }
 
-/// Everything as JSON, as CSV, and in words.
+/// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks.
 #[pyfunction]
 #[pyo3(signature = (mesh, after, landmarks, rig, regions, align))]
 fn measure_mesh(
@@ -152,7 +151,7 @@ fn measure_mesh(
     rig: Option<&Rig>,
     regions: Option<Vec<(String, Vec<u32>)>>,
     align: bool,
-) -> PyResult<(String, String, String)> {
+) -> PyResult<(String, String, String, Option<String>)> {
     let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     compute(py, None, || {
@@ -162,11 +161,15 @@ fn measure_mesh(
         if let Some(after) = &after {
             check_order(mesh.polygons(), "after", after).map_err(input)?;
         }
-        let mut known = measurement::Landmarks::default();
-        for points in places(&landmarks, rig, mesh)? {
-            known.add(&points).map_err(input)?;
-        }
         let polygons = mesh.polygons();
+        let mut known = match rig.filter(|_| landmarks.is_empty()) {
+            Some(rig) => measurement::Landmarks::of_rig(rig.folder(), rig.rig.landmarks(), polygons).map_err(input)?,
+            None => measurement::Landmarks::default(),
+        };
+        for landmarks in &landmarks {
+            let (set, _) = landmarks.in_millimetres(None, mesh)?;
+            known.add_set(&landmarks.path, set, polygons).map_err(input)?;
+        }
         let regions = match regions {
             Some(regions) => Regions::new(polygons.positions.len(), regions).map_err(input)?,
             None => Regions::of(rig.map(|r| &r.rig), polygons),
@@ -176,13 +179,17 @@ fn measure_mesh(
             let pose = nonrigid::mesh::closest_pose(&pairs, nonrigid::mesh::PoseKind::Rigid).map_err(computation)?;
             after.iter_mut().for_each(|p| *p = pose.apply(*p));
         }
-        let named = |name| NamedRegion { name, vertices: regions.vertices(name).unwrap_or_default() };
+        let named = |name| NamedRegion {
+            name,
+            vertices: regions.vertices(name).unwrap_or_default(),
+            polygons: regions.polygons(name),
+        };
         let regions: Vec<NamedRegion<'_>> = regions.names().map(named).collect();
         let subject =
             measurement::Subject { mesh: polygons, after: after.as_deref(), landmarks: &known, regions: &regions };
         let measured = subject.measure().map_err(input)?;
         let json = serde_json::to_string(&measured).map_err(value)?;
-        Ok((json, measured.to_csv(), measured.to_string()))
+        Ok((json, measured.to_csv(), measured.to_string(), known.doubt()))
     })
 }
 

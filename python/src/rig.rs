@@ -1,7 +1,7 @@
 //! Blendshape rigs: read, made of arrays, written, transferred, fitted, and found by principal components.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nonrigid::io::{Input, Inputs, KnownUnit, LengthUnit};
 use nonrigid::mesh::{PoseKind, Vec3};
@@ -29,6 +29,13 @@ impl Rig {
     /// A rig of arrays.
     pub fn of_rig(rig: rig::Rig, notes: Vec<String>) -> Self {
         Self { rig, known: None, files: Vec::new(), notes }
+    }
+
+    /// The folder that it was read from, if it was one: there may be landmarks by name, which no rig holds.
+    pub fn folder(&self) -> Option<&Path> {
+        let neutral = ["neutral.npy", "neutral.obj", "neutral.ply", "template.obj", "template.ply"];
+        let is_neutral = |path: &&Path| path.file_name().is_some_and(|name| neutral.iter().any(|n| name == *n));
+        self.files.iter().map(|file| file.path.as_path()).find(is_neutral)?.parent()
     }
 }
 

@@ -76,6 +76,12 @@ def test_measurements(face: data_gen.Face, data: Data, tmp_path: Path) -> None:
     assert dict(pickle.loads(pickle.dumps(found))) == dict(found)
     with pytest.raises(KeyError):
         found.value("nothing")
+    # landmarks of the rig: the 68, and those by name in its folder
+    for of_rig in (data.rig, rig, pickle.loads(pickle.dumps(rig))):
+        assert dict(nonrigid.measure(data.template, tmp_path / "after.obj", rig=of_rig)) == dict(found)
+    heights = [face.rig.neutral[face.anthropometric[name]] for name in ("nasion", "menton")]
+    with pytest.warns(nonrigid.NonrigidWarning, match="1 landmark lies off the mesh, menton by"):
+        nonrigid.measure(face.rig.mesh, landmarks={"nasion": heights[0], "menton": heights[1] - [0, 5, 0]})
     alone = nonrigid.measure(face.rig.mesh, landmarks=face.anthropometric)
     assert alone.value("face_height") is not None
     with pytest.raises(ValueError, match="no landmark"):

@@ -81,25 +81,15 @@ pub enum ShapeKindArgument {
 }
 
 impl RigArguments {
-    /// Reads the rig and takes out the shapes that are asked for, and as many identity modes as are usual if the subject's own neutral
-    /// is known or is not; with the rig's regions, if it has any. `subject`, what they are to deform, has the rig's vertices.
-    pub fn read(
-        &self,
-        units: &mut Units<'_>,
-        own_neutral: bool,
-        subject: (&'static str, &[Vec3]),
-    ) -> Result<(ShapeBasis, Option<Regions>), Failure> {
-        self.choose(self.open(own_neutral)?, units, own_neutral, subject)
-    }
-
-    /// What [`read`](Self::read) reads: it needs nothing of other inputs, so that those can be read meanwhile.
+    /// Reads the rig: that needs nothing of other inputs, so that those can be read meanwhile.
     pub fn open(&self, own_neutral: bool) -> Result<Option<OpenRig>, Failure> {
         let most = if own_neutral { 0 } else { IDENTITY_MODES };
         let open = |folder| open_rig(folder, self.identity_modes.unwrap_or(most), self.shape_kind);
         self.rig.as_deref().map(open).transpose()
     }
 
-    /// What [`read`](Self::read) makes of it.
+    /// Takes out of the rig the shapes that are asked for, and as many identity modes as are usual if the subject's own neutral is known
+    /// or is not; with the rig's regions, if it has any. `subject`, what they are to deform, has the rig's vertices.
     pub fn choose(
         &self,
         open: Option<OpenRig>,

@@ -5,19 +5,22 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::inputs::{open_rig, read_mask};
+use super::inputs::{open_rig, read_mask, rig_files};
 use super::units::{UnitArguments, Units};
 use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say, warn};
 use crate::io::{FilePlan, LengthUnit, write_atomically};
 use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
-use crate::rig::{Regions, check_order};
+use crate::rig::{Regions, Rig, check_order};
 
 /// Arguments of `nonrigid measure`.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Landmarks are {\"name\": vertex, ...} with the names that --list prints, or the 68 numbered ones of Multi-PIE/iBUG, which have\n\
     neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing.\n\n\
+    A face after is measured along the axes of the face before, carried along by the motion of the head: the rigid motion that leaves the\n\
+    least sum of displacements. So it does not matter how a head is held, and where nothing moves nothing changes.\n\n\
+    A group of an .obj is its polygons; of a region of vertices a triangle counts by a third for each corner in it. So parts add up.\n\n\
     Examples, on what `data-gen --seed 7 --out out/data` and the examples of `nonrigid morph` make:\n  \
     nonrigid measure --list\n  \
     nonrigid measure --mesh wrapped.obj --after morphed.obj --rig out/data/rig --csv measurements.csv --report before_after\n  \
@@ -31,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     after: Vec<PathBuf>,
     /// Move the face after onto the one before first, by the rigid motion that fits all vertices best; else displacements and
-    /// volumes are also those of the head's motion
+    /// volumes are also those of the head's motion. Nothing else depends on it
     #[arg(long, requires = "after")]
     align: bool,
     /// Landmarks on the mesh, in any format that 'nonrigid landmarks' reads, once or more; names stand before numbers, later files before earlier ones
@@ -41,8 +44,8 @@ pub struct Arguments {
     /// Regions (.json): {"name": [vertex, ...], ...} [default: the groups of an .obj]
     #[arg(long, value_name = "FILE", conflicts_with = "rig")]
     regions: Option<PathBuf>,
-    /// Take the regions of this rig, its regions.json, and unless others are given its landmarks
-    #[arg(long, value_name = "DIR")]
+    /// Take the regions of this rig, if it has any, and unless others are given its landmarks
+    #[arg(long, value_name = "DIR|FILE")]
     rig: Option<PathBuf>,
     /// Mask of a morph (.npy, N numbers from 0 to 1), shown in red over the face in the report
     #[arg(long, value_name = "FILE", requires = "report")]
@@ -87,12 +90,6 @@ impl ClientArguments {
     }
 }
 
-/// The landmark files that a rig has, those by name last.
-pub(super) fn landmarks_of_rig(rig: &Path) -> Vec<PathBuf> {
-    let files = ["landmarks_multipie68.json", "landmarks_anthropometric.json"].map(|name| rig.join(name));
-    files.into_iter().filter(|path| path.exists()).collect()
-}
-
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     match &a.mesh {
@@ -105,31 +102,31 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     a.json.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     a.csv.as_deref().map_or(Ok(()), |p| check_output(p, &["csv"]))?;
     a.report.as_deref().map_or(Ok(()), check_output_folder)?;
-    let regions_path = a.regions.clone().or_else(|| a.rig.as_ref().map(|folder| folder.join("regions.json")));
-    let of_rig = || a.rig.as_deref().map(landmarks_of_rig).unwrap_or_default();
-    let landmark_files = if a.landmarks.is_empty() { of_rig() } else { a.landmarks.clone() };
-    if let (true, Some(rig)) = (landmark_files.is_empty(), &a.rig) {
-        return Err(Failure::loading(format!("{}: the rig has no landmarks; give --landmarks", rig.display())));
-    }
-    let others = [("regions", regions_path.as_ref()), ("mask", a.mask.as_ref())];
+    let others = [("regions", a.regions.as_ref()), ("mask", a.mask.as_ref())];
     let plan = FilePlan::new()
         .reads_all(meshes(
             std::iter::once(("mesh", a.mesh.as_ref())).chain(a.after.iter().map(|path| ("after", Some(path)))),
         ))
-        .reads_all(landmark_files.iter().map(|path| ("landmarks", path)))
+        .reads_all(a.landmarks.iter().map(|path| ("landmarks", path)))
+        .reads_all(a.rig.iter().flat_map(|rig| rig_files(rig)))
         .reads_all(others.into_iter().filter_map(|(role, path)| Some((role, path?))))
         .writes_all(a.json.iter().map(|path| ("--json", path)))
         .writes_all(a.csv.iter().map(|path| ("--csv", path)))
         .writes_all(a.report.iter().flat_map(|folder| report::FILES.map(|name| ("--report", folder.join(name)))));
     check_plan(&plan)?;
-    let mut units = a.units.of(&["mesh", "after", "landmarks"])?;
+    let given = [("mesh", true), ("after", !a.after.is_empty()), ("landmarks", !a.landmarks.is_empty())];
+    let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
+    let mut units = a.units.of(&given)?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
-    if let Some(folder) = &a.rig {
+    let rig = a.rig.as_deref().map(|folder| -> Result<(&Path, Rig), Failure> {
+        let (rig, _) = open_rig(folder, 0, None)?;
         // in another order, regions and landmarks of the rig would lie anywhere on it
         let at_rig = |e| Failure::loading(format!("{}: {e}", folder.display()));
-        open_rig(folder, 0, None)?.0.check_subject("mesh", &mesh.positions).map_err(at_rig)?;
-    }
+        rig.check_subject("mesh", &mesh.positions).map_err(at_rig)?;
+        Ok((folder, rig))
+    });
+    let rig = rig.transpose()?;
     let mut after: Vec<Vec<Vec3>> =
         a.after.iter().map(|path| read_after(path, &mesh, &mut units)).collect::<Result<_, _>>()?;
     for (path, after) in a.after.iter().zip(&after) {
@@ -142,16 +139,29 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         after.iter_mut().for_each(|p| *p = pose.apply(*p));
     }
     let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
-    let landmarks = Landmarks::read(&landmark_files, &mesh, unit).map_err(Failure::loading)?;
+    let landmarks = match &rig {
+        Some((folder, rig)) if a.landmarks.is_empty() => Landmarks::of_rig(Some(folder), rig.landmarks(), &mesh),
+        _ => Landmarks::read(&a.landmarks, &mesh, unit),
+    };
+    let landmarks = landmarks.map_err(Failure::loading)?;
     units.say();
     if landmarks.is_empty() {
-        let names: Vec<String> = landmark_files.iter().map(|p| p.display().to_string()).collect();
-        return Err(Failure::loading(format!("{}: no landmarks", names.join(", "))));
+        let message = match &rig {
+            Some((folder, _)) if a.landmarks.is_empty() => {
+                format!("{}: the rig has no landmarks; give --landmarks", folder.display())
+            }
+            _ => {
+                let names: Vec<String> = a.landmarks.iter().map(|p| p.display().to_string()).collect();
+                format!("{}: no landmarks", names.join(", "))
+            }
+        };
+        return Err(Failure::loading(message));
     }
+    landmarks.doubt().iter().for_each(warn);
     let mask = a.mask.as_deref().map(|path| read_mask(path, vertices)).transpose()?;
-    let regions = match regions_path {
-        Some(path) => Regions::read(&path, vertices).map_err(Failure::loading)?,
-        None => Regions::of_groups(&mesh),
+    let regions = match &a.regions {
+        Some(path) => Regions::read(path, vertices).map_err(Failure::loading)?,
+        None => Regions::of(rig.as_ref().map(|(_, rig)| rig), &mesh),
     };
     let regions = named_regions(&regions);
 
@@ -167,7 +177,8 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
             let mut about = a.client.about();
             about.push(line("face", before));
             about.extend(a.after.iter().map(|p| line("after", p)));
-            about.extend(landmark_files.iter().map(|p| line("landmarks", p)));
+            about.extend(a.rig.as_deref().map(|p| line("rig", p)));
+            about.extend(a.landmarks.iter().map(|p| line("landmarks", p)));
             about.extend(a.mask.as_deref().map(|p| line("mask", p)));
             let report = report::Report {
                 about: &about,
@@ -203,7 +214,11 @@ pub(super) fn plan_names(files: &[PathBuf]) -> Vec<String> {
 
 /// Regions as measurements take them.
 pub(super) fn named_regions(regions: &Regions) -> Vec<NamedRegion<'_>> {
-    let named = |name| NamedRegion { name, vertices: regions.vertices(name).unwrap_or_default() };
+    let named = |name| NamedRegion {
+        name,
+        vertices: regions.vertices(name).unwrap_or_default(),
+        polygons: regions.polygons(name),
+    };
     regions.names().map(named).collect()
 }
 

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args};
 
 use super::inputs::{RigArguments, bounds, rig_files};
-use super::measure::{self, ClientArguments, landmarks_of_rig, named_regions, plan_names};
+use super::measure::{self, ClientArguments, named_regions, plan_names};
 use super::units::{UnitArguments, Units};
 use super::{
     Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, say, warn,
     warn_of_format, warn_of_materials,
 };
-use crate::io::{self, FilePlan, LengthUnit, write_atomically};
+use crate::io::{self, FilePlan, write_atomically};
 use crate::landmark;
 use crate::landmark::TemplatePoint;
 use crate::measurement::{Landmarks, Plan, Subject as Measured, report};
@@ -121,7 +121,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let jobs = jobs(a)?;
     let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;
     check_plan(&plan(a, mesh, out, &jobs, &others))?;
-    let mut units = a.units.of(&["mesh", "rig", "landmarks"])?;
+    let given = [("mesh", true), ("rig", a.rig.rig.is_some()), ("landmarks", a.landmarks.is_some())];
+    let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
+    let mut units = a.units.of(&given)?;
     let before = units.read_mesh("mesh", mesh)?;
     let materials = materials_for(out, mesh, &before);
     let copies = materials.writes(out).into_iter().map(|path| ("--out", path));
@@ -129,12 +131,14 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
     warn_of_materials(out, mesh, &before, &materials);
     let mut mesh = before.clone();
-    let (mut shapes, regions) = a.rig.read(&mut units, true, ("the mesh", &mesh.positions))?;
+    let rig = a.rig.open(true)?;
+    let of_rig = rig.as_ref().and_then(|(rig, _)| rig.landmarks().map(<[u32]>::to_vec));
+    let (mut shapes, regions) = a.rig.choose(rig, &mut units, true, ("the mesh", &mesh.positions))?;
     if let Some(bounds) = a.weight_bounds {
         shapes = shapes.with_bounds(|_| bounds);
     }
     let regions = regions.unwrap_or_else(|| Regions::of_groups(&mesh));
-    let landmarks = landmarks(a, &mesh, &mut units)?;
+    let landmarks = landmarks(a, of_rig.as_deref(), &mesh, &mut units)?;
     units.say();
     let follow = |jobs: &[(Recipe, Option<f64>)], until| -> Result<Vec<StepOutcome>, Failure> {
         let mut mesh = before.clone();
@@ -160,8 +164,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if let Some(folder) = &a.report {
         let mut known = Landmarks::default();
         if let (None, Some(rig)) = (&a.landmarks, &a.rig.rig) {
-            known =
-                Landmarks::read(&landmarks_of_rig(rig), &before, LengthUnit::Millimetre).map_err(Failure::loading)?;
+            known = Landmarks::of_rig(Some(rig), of_rig.as_deref(), &before).map_err(Failure::loading)?;
         }
         if known.is_empty() {
             known = Landmarks::among(&landmarks).map_err(measure::failure)?;
@@ -309,13 +312,18 @@ fn failure(error: RecipeError) -> Failure {
     }
 }
 
+/// Those that are given, or else the 68 of the rig: in its folder, or `of_rig`.
 fn landmarks(
     a: &Arguments,
+    of_rig: Option<&[u32]>,
     mesh: &PolygonMesh,
     units: &mut Units<'_>,
 ) -> Result<Vec<(String, TemplatePoint)>, Failure> {
-    let of_rig = || Some(a.rig.rig.as_ref()?.join(RIG_LANDMARKS)).filter(|path| path.exists());
-    let Some(path) = a.landmarks.clone().or_else(of_rig) else { return Ok(Vec::new()) };
+    let in_folder = || Some(a.rig.rig.as_ref()?.join(RIG_LANDMARKS)).filter(|path| path.exists());
+    let Some(path) = a.landmarks.clone().or_else(in_folder) else {
+        let numbered = of_rig.unwrap_or_default().iter().enumerate();
+        return Ok(numbered.map(|(n, vertex)| (n.to_string(), TemplatePoint::Vertex(*vertex))).collect());
+    };
     let mut set = landmark::read_landmark_set(&path).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", &path, "mesh", &mut set)?;
     set.on_template(&path, mesh).map_err(Failure::loading)

@@ -49,11 +49,11 @@ pub struct Units<'a> {
 }
 
 impl UnitArguments {
-    /// For a command with these inputs.
+    /// For a command that is given these inputs.
     ///
     /// # Errors
     /// When `--unit` names another input, or one twice.
-    pub fn of(&self, inputs: &[&'static str]) -> Result<Units<'_>, Failure> {
+    pub fn of(&self, inputs: &[&str]) -> Result<Units<'_>, Failure> {
         for (k, choice) in self.choices.iter().enumerate() {
             let fail = |message: String| Err(Failure::new(Stage::Arguments, format!("--unit: {message}")));
             match &choice.input {

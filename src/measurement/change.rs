@@ -1,12 +1,13 @@
 //! What a change of shape sweeps and moves, by region.
 //!
-//! A region is a set of vertices; each triangle's area and volume go to its corners, a third each. So the regions of a partition add up
-//! to the whole, whatever runs along their borders.
+//! A third of a triangle belongs to each of its corners. A region of vertices has the thirds of its vertices, a group of polygons has its
+//! polygons whole: either way the parts of a partition add up to the whole.
 
 use serde::Serialize;
 
-use crate::mesh::Vec3;
-use crate::mesh::normals::vertex_areas;
+use super::NamedRegion;
+use crate::mesh::normals::face_areas;
+use crate::mesh::{PolygonMesh, Vec3};
 
 /// Signed volume that a triangle sweeps as its corners move straight from `before` to `after`, cubic millimetres; positive outwards.
 ///
@@ -39,12 +40,66 @@ pub struct Change {
     pub displacement_max: f64,
 }
 
-/// Changes per vertex, from which regions are summed.
+/// A part of a surface.
+pub(super) struct Part {
+    /// Its vertices, each once.
+    pub vertices: Vec<usize>,
+    /// Its thirds of triangles: the triangle, and the corner at which the third is.
+    thirds: Vec<(usize, usize)>,
+}
+
+impl Part {
+    /// Everything.
+    pub fn whole(mesh: &PolygonMesh, triangles: &[[u32; 3]]) -> Self {
+        let vertices = 0..mesh.positions.len();
+        Self { vertices: vertices.collect(), thirds: thirds(triangles.iter().enumerate()).collect() }
+    }
+
+    /// # Panics
+    /// When a vertex of the region is none of the mesh.
+    pub fn of(region: &NamedRegion<'_>, mesh: &PolygonMesh, triangles: &[[u32; 3]]) -> Self {
+        let mut inside = vec![false; mesh.positions.len()];
+        region.vertices.iter().for_each(|v| inside[*v as usize] = true);
+        let vertices = (0..inside.len()).filter(|v| inside[*v]).collect();
+        let Some(polygons) = region.polygons else {
+            let of_vertices = thirds(triangles.iter().enumerate()).filter(|(_, v)| inside[*v]);
+            return Self { vertices, thirds: of_vertices.collect() };
+        };
+        let mut chosen = vec![false; mesh.polygon_count()];
+        polygons.iter().for_each(|f| chosen[*f as usize] = true);
+        // the fan of a polygon has two triangles less than corners
+        let fan = |f: usize| std::iter::repeat_n(chosen[f], mesh.polygon(f).len().saturating_sub(2));
+        let chosen = (0..mesh.polygon_count()).flat_map(fan);
+        let of_polygons = triangles.iter().enumerate().zip(chosen).filter(|t| t.1).map(|t| t.0);
+        Self { vertices, thirds: thirds(of_polygons).collect() }
+    }
+}
+
+fn thirds<'a>(triangles: impl Iterator<Item = (usize, &'a [u32; 3])>) -> impl Iterator<Item = (usize, usize)> {
+    triangles.flat_map(|(t, corners)| corners.map(|v| (t, v as usize)))
+}
+
+/// Areas of the triangles of a shape, square millimetres.
+pub(super) struct Areas(Vec<f64>);
+
+impl Areas {
+    pub fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+        Self(face_areas(positions, triangles))
+    }
+
+    pub fn of(&self, part: &Part) -> f64 {
+        part.thirds.iter().map(|(t, _)| self.0[*t]).sum::<f64>() / 3.0
+    }
+}
+
+/// Changes of triangles and vertices, of which those of regions are made.
 pub(super) struct Changes {
-    /// Before.
-    areas: Vec<f64>,
-    volume: Vec<f64>,
-    displacement: Vec<f64>,
+    /// Of each triangle before.
+    areas: Areas,
+    /// That each triangle sweeps.
+    volumes: Vec<f64>,
+    /// Of each vertex.
+    displacements: Vec<f64>,
 }
 
 impl Changes {
@@ -52,29 +107,23 @@ impl Changes {
     /// When the numbers of vertices differ or a triangle indexes past them.
     pub fn new(before: &[Vec3], after: &[Vec3], triangles: &[[u32; 3]]) -> Self {
         assert_eq!(before.len(), after.len(), "vertices before and after");
-        let mut volume = vec![0.0; before.len()];
-        for t in triangles {
-            let corners = |p: &[Vec3]| t.map(|v| p[v as usize]);
-            let third = swept_volume(corners(before), corners(after)) / 3.0;
-            t.iter().for_each(|&v| volume[v as usize] += third);
-        }
+        let corners = |p: &[Vec3], t: &[u32; 3]| t.map(|v| p[v as usize]);
         Self {
-            areas: vertex_areas(before, triangles),
-            volume,
-            displacement: before.iter().zip(after).map(|(b, a)| (a - b).norm()).collect(),
+            areas: Areas::new(before, triangles),
+            volumes: triangles.iter().map(|t| swept_volume(corners(before, t), corners(after, t))).collect(),
+            displacements: before.iter().zip(after).map(|(b, a)| (a - b).norm()).collect(),
         }
     }
 
     /// # Panics
-    /// When there is no such vertex.
-    pub fn of(&self, vertices: impl Iterator<Item = usize> + Clone) -> Change {
-        let sum = |values: &[f64]| vertices.clone().map(|v| values[v]).sum::<f64>();
-        let area = sum(&self.areas);
-        let moved: f64 = vertices.clone().map(|v| self.areas[v] * self.displacement[v]).sum();
+    /// When the part is of another surface.
+    pub fn of(&self, part: &Part) -> Change {
+        let area = self.areas.of(part);
+        let moved = part.thirds.iter().map(|(t, v)| self.areas.0[*t] * self.displacements[*v]).sum::<f64>() / 3.0;
         Change {
-            volume: sum(&self.volume),
+            volume: part.thirds.iter().map(|(t, _)| self.volumes[*t]).sum::<f64>() / 3.0,
             displacement_mean: if area > 0.0 { moved / area } else { 0.0 },
-            displacement_max: vertices.map(|v| self.displacement[v]).fold(0.0, f64::max),
+            displacement_max: part.vertices.iter().map(|v| self.displacements[*v]).fold(0.0, f64::max),
         }
     }
 }

@@ -2,15 +2,18 @@
 //!
 //! **Frame.** The mid-sagittal plane is the mirror plane that best maps the left landmarks on the right ones and those of the midline
 //! on themselves ([`MirrorPlane::of_pairs`]). Its normal, towards the subject's left, is the lateral axis; the vertical axis is the
-//! direction from menton to nasion in that plane. Nothing depends on how the mesh lies in its file. Projections are the exception that
-//! compares: they are measured forwards of the vertical of the face before, or a chin that moves would turn what it is measured by.
+//! direction from menton to nasion in that plane. Which side is left is said by the landmarks that have a side, or else by the surface:
+//! landmarks lie on the front of a face. Nothing depends on how the mesh lies in its file.
+//!
+//! A face after has the frame of the face before, carried along by the motion of the head ([`head_motion`](super::motion::head_motion)):
+//! a frame of its own would turn with a chin that moves, and change what is measured where nothing does.
 
 use std::fmt;
 
-use super::landmarks::{Placed, index, mirrored};
+use super::landmarks::{LANDMARKS, Placed, index, mirrored};
 use crate::mesh::adjacency::middle_of_parts;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::{MirrorPlane, TriangleMesh, Vec3};
+use crate::mesh::{MirrorPlane, Pose, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// An axis of the face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,7 +22,7 @@ pub enum Axis {
     Lateral,
     /// From menton to nasion, in the mid-sagittal plane.
     Vertical,
-    /// At right angles to both, out of the face; of the face before.
+    /// At right angles to both, out of the face.
     Forwards,
 }
 
@@ -228,6 +231,8 @@ pub enum Missing {
     Landmarks(Vec<&'static str>),
     /// The landmarks do not fix the mid-sagittal plane: there is no pair, and no three of the midline off one line.
     Plane,
+    /// No landmark says which side is left, and those of the midline do not say where the front is.
+    Front,
     /// Landmarks coincide, or a length to divide by is zero.
     Degenerate,
 }
@@ -237,6 +242,9 @@ impl fmt::Display for Missing {
         match self {
             Self::Landmarks(names) => write!(f, "not given: {}", names.join(", ")),
             Self::Plane => f.write_str("the landmarks do not fix the mid-sagittal plane"),
+            Self::Front => {
+                f.write_str("nothing says where the face's front is; give landmarks of the left and the right")
+            }
             Self::Degenerate => f.write_str("landmarks coincide"),
         }
     }
@@ -252,31 +260,43 @@ pub struct FacialFrame {
 }
 
 impl FacialFrame {
-    /// The frame of landmarks that are in their places, if they fix the mid-sagittal plane.
-    pub(super) fn of(placed: &Placed) -> Option<Self> {
+    /// The frame of landmarks that are in their places on a mesh, or why they fix none.
+    pub(super) fn of(placed: &Placed, mesh: &TriangleMesh) -> Result<Self, Missing> {
         let pairs: Vec<(Vec3, Vec3, f64)> =
             mirrored().filter_map(|[a, b]| Some((placed[a]?, placed[b]?, 1.0))).collect();
-        let leftwards: Vec3 = pairs.iter().map(|(right, left, _)| left - right).sum();
-        let plane = MirrorPlane::of_pairs(pairs.iter().copied())?.towards(leftwards);
+        let plane = MirrorPlane::of_pairs(pairs.iter().copied()).ok_or(Missing::Plane)?;
+        let in_plane = |up: Vec3| (up - plane.normal * plane.normal.dot(&up)).try_normalize(1e-9);
         let find = |name| index(name).and_then(|i| placed[i]);
-        let vertical = find("nasion").zip(find("menton")).and_then(|(top, bottom)| {
-            let up = top - bottom;
-            (up - plane.normal * plane.normal.dot(&up)).try_normalize(1e-9)
-        });
-        Some(Self { plane, vertical })
+        let vertical = find("nasion").zip(find("menton")).and_then(|(top, bottom)| in_plane(top - bottom));
+        let leftwards: Vec3 = sided(placed).map(|(p, side)| (p - plane.point) * side).sum();
+        let (left, least) = if sided(placed).next().is_some() {
+            (plane.normal.dot(&leftwards), 1e-9 * leftwards.norm())
+        } else {
+            // The table goes from top to bottom.
+            let midline = || placed.iter().flatten().copied();
+            let ends = midline().next().zip(midline().last()).and_then(|(top, bottom)| in_plane(top - bottom));
+            let up = vertical.or(ends).ok_or(Missing::Front)?;
+            let size =
+                bounding_box_diagonal(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+            (plane.normal.cross(&up).dot(&out_of_face(placed, mesh)), FRONT_SHARE * size)
+        };
+        if left.abs() <= least {
+            return Err(Missing::Front);
+        }
+        Ok(Self { plane: MirrorPlane { normal: plane.normal * left.signum(), ..plane }, vertical })
     }
 
-    /// Whether the landmarks lie behind the middle of their face, by the frame's front.
+    /// Whether the landmarks lie behind the middle of their face, by the frame's front. Those of the midline alone have no other.
     pub(super) fn is_mirrored(&self, placed: &Placed, mesh: &TriangleMesh) -> bool {
-        let (Some(up), Ok(tree)) = (self.vertical, ClosestVertices::new(&mesh.positions)) else { return false };
-        // Midline points alone do not say which side is left.
-        if !mirrored().any(|[a, b]| a != b && placed[a].is_some() && placed[b].is_some()) {
-            return false;
-        }
-        let points: Vec<Vec3> = placed.iter().flatten().copied().collect();
-        let vertices = points.iter().filter_map(|p| tree.query(p)).map(|found| found.vertex);
-        let forwards = points.iter().sum::<Vec3>() / points.len() as f64 - middle_of_parts(mesh, vertices);
-        self.plane.normal.cross(&up).dot(&forwards) < 0.0
+        let Some(up) = self.vertical.filter(|_| sided(placed).next().is_some()) else { return false };
+        self.plane.normal.cross(&up).dot(&out_of_face(placed, mesh)) < 0.0
+    }
+
+    /// The frame of a face that a motion has moved.
+    pub(super) fn carried(&self, motion: &Pose) -> Self {
+        let turned = |axis: Vec3| motion.rotation * axis;
+        let plane = MirrorPlane { point: motion.apply(self.plane.point), normal: turned(self.plane.normal) };
+        Self { plane, vertical: self.vertical.map(turned) }
     }
 
     /// Coordinates along the lateral axis, the vertical one and forwards, from the plane's point; without a vertical axis, `p`.
@@ -288,12 +308,33 @@ impl FacialFrame {
     }
 }
 
-/// The values of [`DEFINITIONS`], in their order. `upright` is the frame of the face before.
-pub(super) fn evaluate(
-    placed: &Placed,
-    frame: Option<&FacialFrame>,
-    upright: Option<&FacialFrame>,
-) -> Vec<Result<f64, Missing>> {
+/// Landmarks of the midline say where the front is if they lie before the middle of the face by more than this share of its size.
+const FRONT_SHARE: f64 = 0.01;
+
+/// Landmarks that have a side, and which: 1 is left, -1 right.
+fn sided(placed: &Placed) -> impl Iterator<Item = (Vec3, f64)> {
+    LANDMARKS.iter().zip(placed).filter_map(|(landmark, p)| {
+        let side = if landmark.name.ends_with("_left") {
+            1.0
+        } else if landmark.name.ends_with("_right") {
+            -1.0
+        } else {
+            return None;
+        };
+        Some(((*p)?, side))
+    })
+}
+
+/// From the middle of the parts of the mesh that landmarks lie on to the middle of the landmarks: about forwards.
+fn out_of_face(placed: &Placed, mesh: &TriangleMesh) -> Vec3 {
+    let points: Vec<Vec3> = placed.iter().flatten().copied().collect();
+    let Ok(tree) = ClosestVertices::new(&mesh.positions) else { return Vec3::zeros() };
+    let vertices = points.iter().filter_map(|p| tree.query(p)).map(|found| found.vertex);
+    points.iter().sum::<Vec3>() / points.len() as f64 - middle_of_parts(mesh, vertices)
+}
+
+/// The values of [`DEFINITIONS`], in their order, in a frame or, without one, those that need none.
+pub(super) fn evaluate(placed: &Placed, frame: &Result<FacialFrame, Missing>) -> Vec<Result<f64, Missing>> {
     let mut values: Vec<Result<f64, Missing>> = Vec::with_capacity(DEFINITIONS.len());
     for definition in DEFINITIONS {
         let value = match definition.formula {
@@ -313,26 +354,20 @@ pub(super) fn evaluate(
                     (Err(missing), _) | (_, Err(missing)) => Err(missing),
                 }
             }
-            formula => of_landmarks(formula, placed, frame, upright),
+            formula => of_landmarks(formula, placed, frame),
         };
         values.push(value.and_then(|v| if v.is_finite() { Ok(v) } else { Err(Missing::Degenerate) }));
     }
     values
 }
 
-fn of_landmarks(
-    formula: Formula,
-    placed: &Placed,
-    frame: Option<&FacialFrame>,
-    upright: Option<&FacialFrame>,
-) -> Result<f64, Missing> {
-    let plane = || frame.map(|f| f.plane).ok_or(Missing::Plane);
-    let vertical_of = |frame: Option<&FacialFrame>| match frame.map(|f| f.vertical) {
-        Some(Some(up)) => Ok(up),
-        Some(None) => points(placed, ["nasion", "menton"]).and(Err(Missing::Degenerate)),
-        None => Err(Missing::Plane),
+fn of_landmarks(formula: Formula, placed: &Placed, frame: &Result<FacialFrame, Missing>) -> Result<f64, Missing> {
+    let frame = || frame.as_ref().map_err(Clone::clone);
+    let plane = || frame().map(|f| f.plane);
+    let vertical = || match frame()?.vertical {
+        Some(up) => Ok(up),
+        None => points(placed, ["nasion", "menton"]).and(Err(Missing::Degenerate)),
     };
-    let vertical = || vertical_of(frame);
     match formula {
         Formula::Distance(a, b) => points(placed, [a, b]).map(|[a, b]| (b - a).norm()),
         Formula::Extent(axis, a, b) => {
@@ -340,10 +375,7 @@ fn of_landmarks(
             let axis = match axis {
                 Axis::Lateral => plane()?.normal,
                 Axis::Vertical => vertical()?,
-                Axis::Forwards => {
-                    let up = vertical_of(upright)?;
-                    upright.ok_or(Missing::Plane)?.plane.normal.cross(&up)
-                }
+                Axis::Forwards => plane()?.normal.cross(&vertical()?),
             };
             Ok((b - a).dot(&axis))
         }

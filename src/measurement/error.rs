@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::io::{ReadError, WriteError};
-use crate::mesh::MeshError;
+use crate::mesh::{MeshError, PoseError};
 
 /// Why nothing was measured, or not written.
 #[derive(Debug, thiserror::Error)]
@@ -51,6 +51,19 @@ pub enum MeasurementError {
         /// Number of vertices.
         vertices: usize,
     },
+    /// A region names a polygon that does not exist.
+    #[error("region {region:?} has polygon {polygon}, expected one below {polygons}")]
+    NoSuchPolygon {
+        /// The region.
+        region: String,
+        /// The polygon.
+        polygon: u32,
+        /// Number of polygons.
+        polygons: usize,
+    },
+    /// Before and after have nothing in common that says how the head has moved.
+    #[error("how the head has moved from before to after is not known: {0}")]
+    Motion(#[from] PoseError),
     /// Numbers per vertex of another mesh.
     #[error("{what} has {found} vertices, the mesh has {expected}; they must correspond")]
     VertexCount {

@@ -1,10 +1,10 @@
 //! Named landmarks of facial anthropometry, and where they are on a template.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::MeasurementError;
 use crate::io::LengthUnit;
-use crate::landmark::{LandmarkPlace, TemplatePoint, read_landmark_set};
+use crate::landmark::{LandmarkFormat, LandmarkPlace, LandmarkSet, TemplatePoint, read_landmark_set};
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// A landmark: what its name means.
@@ -62,6 +62,11 @@ const NUMBERED: usize = 68;
 
 /// A position farther from the mesh than this share of its size is on another mesh, or in another unit.
 const OFF_SHARE: f64 = 0.05;
+/// A position farther from the mesh than this, millimetres, is worth a word.
+const NEAR: f64 = 1.0;
+
+/// Landmarks in the folder of a rig: the 68, and those by name.
+const FILES_OF_RIG: [&str; 2] = ["landmarks_multipie68.json", "landmarks_anthropometric.json"];
 
 /// Index in [`LANDMARKS`].
 pub(super) fn index(name: &str) -> Option<usize> {
@@ -74,12 +79,14 @@ pub(super) fn index(name: &str) -> Option<usize> {
 pub struct Landmarks {
     /// Of each of [`LANDMARKS`], the points whose mean it is, and whether they were given by its name.
     points: [Option<(Vec<TemplatePoint>, bool)>; LANDMARKS.len()],
+    /// Positions off the mesh: their names, and by how many millimetres.
+    off: Vec<(String, f64)>,
 }
 
 impl Landmarks {
     /// No landmarks.
     pub(super) const fn none() -> Self {
-        Self { points: [const { None }; LANDMARKS.len()] }
+        Self { points: [const { None }; LANDMARKS.len()], off: Vec::new() }
     }
 
     /// Of points of any names those that it knows: others are left out, and so are numbers where not all 68 are there.
@@ -151,24 +158,69 @@ impl Landmarks {
         for path in paths.iter().map(AsRef::as_ref) {
             let mut set = read_landmark_set(path)?;
             set.assume(unit);
-            let points = set.on_template(path, template)?;
-            let most = OFF_SHARE
-                * bounding_box_diagonal(&surface_points(&template.positions, template.corners.iter().copied()));
-            let far = set.landmarks.iter().zip(&points).find_map(|(landmark, (_, point))| match landmark.place {
-                LandmarkPlace::Position(p) => {
-                    let distance = (point.position(&template.positions) - p).norm();
-                    (distance > most).then(|| MeasurementError::OffSurface { name: landmark.name.clone(), distance })
-                }
-                _ => None,
-            });
-            if let Some(source) = far {
-                return Err(MeasurementError::File { path: path.to_owned(), source: Box::new(source) });
-            }
-            landmarks
-                .add(&points)
-                .map_err(|error| MeasurementError::File { path: path.to_owned(), source: Box::new(error) })?;
+            landmarks.add_set(path, set, template)?;
         }
         Ok(landmarks)
+    }
+
+    /// Adds the landmarks of a file, millimetres; `path` is named in errors. A position is the closest point of the template's surface.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn add_set(
+        &mut self,
+        path: &Path,
+        mut set: LandmarkSet,
+        template: &PolygonMesh,
+    ) -> Result<(), MeasurementError> {
+        let failed = |source| MeasurementError::File { path: path.to_owned(), source: Box::new(source) };
+        // Positions of plain JSON would be vertices otherwise, which can be millimetres off.
+        set.format = LandmarkFormat::Native;
+        let points = set.on_template(path, template)?;
+        self.add(&points).map_err(failed)?;
+        let most =
+            OFF_SHARE * bounding_box_diagonal(&surface_points(&template.positions, template.corners.iter().copied()));
+        for (landmark, (_, point)) in set.landmarks.iter().zip(&points) {
+            let LandmarkPlace::Position(p) = landmark.place else { continue };
+            let distance = (point.position(&template.positions) - p).norm();
+            if distance > most {
+                return Err(failed(MeasurementError::OffSurface { name: landmark.name.clone(), distance }));
+            }
+            if distance > NEAR {
+                self.off.push((landmark.name.clone(), distance));
+            }
+        }
+        Ok(())
+    }
+
+    /// Those that a rig has: the 68 in its folder, or else those that it holds itself, and those by name in its folder.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn of_rig(
+        folder: Option<&Path>,
+        numbered: Option<&[u32]>,
+        template: &PolygonMesh,
+    ) -> Result<Self, MeasurementError> {
+        let files = FILES_OF_RIG.map(|name| folder.map(|folder| folder.join(name)).filter(|path| path.exists()));
+        let of_files: Vec<&PathBuf> = files.iter().flatten().collect();
+        let mut landmarks = Self::read(&of_files, template, LengthUnit::Millimetre)?;
+        if let (None, Some(numbered)) = (&files[0], numbered) {
+            let point = |(n, vertex): (usize, &u32)| (n.to_string(), TemplatePoint::Vertex(*vertex));
+            landmarks.add(&numbered.iter().enumerate().map(point).collect::<Vec<_>>())?;
+        }
+        Ok(landmarks)
+    }
+
+    /// What is to be said of positions off the mesh.
+    #[must_use]
+    pub fn doubt(&self) -> Option<String> {
+        let (name, distance) = self.off.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let many = if self.off.len() == 1 { "landmark lies" } else { "landmarks lie" };
+        Some(format!(
+            "{} {many} off the mesh, {name} by {distance:.1} mm: what is measured is the closest point of the mesh",
+            self.off.len()
+        ))
     }
 
     /// Names of those that are known, in the order of [`LANDMARKS`].

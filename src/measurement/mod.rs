@@ -5,8 +5,9 @@
 //! [`report::write`] puts them into a folder with pictures and a page. What is measured is one table, [`DEFINITIONS`], over the
 //! landmarks of another, [`LANDMARKS`]. A measurement whose landmarks are not given has no value, and says which.
 //!
-//! Everything moves with the mesh: turned and shifted, it measures the same. Lengths are millimetres. [`Subject::compare`] puts several
-//! shapes after beside each other.
+//! Everything moves with the mesh: turned and shifted, it measures the same, and so does a face after whose head is held otherwise; only
+//! displacements and volumes are those of the motion too. Lengths are millimetres. [`Subject::compare`] puts several shapes after beside
+//! each other.
 //!
 //! ```
 //! use nonrigid::measurement::{Landmarks, Subject};
@@ -27,6 +28,7 @@ mod change;
 mod definitions;
 mod error;
 mod landmarks;
+mod motion;
 mod output;
 pub mod report;
 mod symmetry;
@@ -40,9 +42,10 @@ pub use landmarks::{LANDMARKS, LandmarkDefinition, Landmarks};
 pub use output::glossary;
 pub use symmetry::{Asymmetry, Symmetry, SymmetryOptions};
 
-use change::Changes;
+use change::{Areas, Changes, Part};
 use definitions::evaluate;
 use landmarks::Placed;
+use motion::head_motion;
 
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, check_finite};
 
@@ -59,13 +62,15 @@ pub struct Subject<'a> {
     pub regions: &'a [NamedRegion<'a>],
 }
 
-/// A named set of vertices.
+/// A named part of a face: a set of vertices, or a group of polygons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NamedRegion<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Its vertices, each once.
+    /// Its vertices.
     pub vertices: &'a [u32],
+    /// Its polygons, which count whole, if it is a group of them. Of a set of vertices a triangle counts by a third for each corner in it.
+    pub polygons: Option<&'a [u32]>,
 }
 
 /// What a plan makes of a face.
@@ -95,7 +100,8 @@ impl<'a> Subject<'a> {
         self.check()?;
         let triangles = self.mesh.triangulate().triangles;
         let before = Face::new("the mesh", &self.mesh.positions, &triangles, self.landmarks, None)?;
-        let after = self.after.map(|p| Face::new("the mesh after", p, &triangles, self.landmarks, Some(&before)));
+        let of_before = (&before, &self.mesh.positions[..]);
+        let after = self.after.map(|p| Face::new("the mesh after", p, &triangles, self.landmarks, Some(of_before)));
         let after = after.transpose()?;
         let changes = self.after.map(|after| Changes::new(&self.mesh.positions, after, &triangles));
 
@@ -113,23 +119,22 @@ impl<'a> Subject<'a> {
             let given = self.landmarks.names().collect::<Vec<_>>().join(", ");
             return Err(MeasurementError::NothingMeasured { given });
         }
-        let region = |name: &str, vertices: &[usize]| {
+        let region = |name: &str, part: &Part| {
             let state = |face: &Face| RegionState {
-                area: vertices.iter().map(|v| face.symmetry.areas[*v]).sum(),
-                asymmetry: face.symmetry.of(vertices.iter().copied()),
+                area: face.areas.of(part),
+                asymmetry: face.symmetry.of(part.vertices.iter().copied()),
             };
             RegionMeasurement {
                 name: name.to_owned(),
-                vertices: vertices.len(),
+                vertices: part.vertices.len(),
                 before: state(&before),
                 after: after.as_ref().map(state),
-                change: changes.as_ref().map(|c| c.of(vertices.iter().copied())),
+                change: changes.as_ref().map(|c| c.of(part)),
             }
         };
-        let whole: Vec<usize> = (0..self.mesh.positions.len()).collect();
-        let parts =
-            self.regions.iter().map(|r| region(r.name, &r.vertices.iter().map(|v| *v as usize).collect::<Vec<_>>()));
-        let regions = std::iter::once(region(WHOLE, &whole)).chain(parts).collect();
+        let parts = self.regions.iter().map(|r| region(r.name, &Part::of(r, self.mesh, &triangles)));
+        let whole = region(WHOLE, &Part::whole(self.mesh, &triangles));
+        let regions = std::iter::once(whole).chain(parts).collect();
         Ok(Measurements {
             version: env!("CARGO_PKG_VERSION"),
             values,
@@ -171,6 +176,10 @@ impl<'a> Subject<'a> {
                 let what = format!("region {:?}", region.name);
                 return Err(MeasurementError::NoSuchVertex { what, vertex, vertices });
             }
+            let polygons = self.mesh.polygon_count();
+            if let Some(&polygon) = region.polygons.unwrap_or_default().iter().find(|f| **f as usize >= polygons) {
+                return Err(MeasurementError::NoSuchPolygon { region: region.name.to_owned(), polygon, polygons });
+            }
         }
         if let Some(&vertex) = self.mesh.corners.iter().find(|v| **v as usize >= vertices) {
             return Err(MeasurementError::NoSuchVertex { what: "a polygon".to_owned(), vertex, vertices });
@@ -188,7 +197,8 @@ pub const WHOLE: &str = "whole";
 /// One of the two shapes.
 struct Face {
     placed: Placed,
-    frame: Option<FacialFrame>,
+    areas: Areas,
+    frame: Result<FacialFrame, Missing>,
     values: Vec<Result<f64, Missing>>,
     symmetry: Symmetry,
 }
@@ -199,24 +209,27 @@ impl Face {
         positions: &[Vec3],
         triangles: &[[u32; 3]],
         landmarks: &Landmarks,
-        before: Option<&Self>,
+        before: Option<(&Self, &[Vec3])>,
     ) -> Result<Self, MeasurementError> {
         let placed = landmarks.placed(positions)?;
-        let frame = FacialFrame::of(&placed);
         let mesh = TriangleMesh { positions: positions.to_vec(), triangles: triangles.to_vec() };
-        if frame.is_some_and(|frame| frame.is_mirrored(&placed, &mesh)) {
+        let mut frame = FacialFrame::of(&placed, &mesh);
+        if frame.as_ref().is_ok_and(|frame| frame.is_mirrored(&placed, &mesh)) {
             return Err(MeasurementError::Mirrored(what));
         }
-        let start = frame.map(|f| f.plane).or(before.map(|b| b.symmetry.plane));
+        let start = frame.as_ref().ok().map(|f| f.plane).or(before.map(|(b, _)| b.symmetry.plane));
         let symmetry = Symmetry::find(&mesh, start, &SymmetryOptions::default(), what)?;
-        let upright = before.map_or(frame, |b| b.frame);
-        let values = evaluate(&placed, frame.as_ref(), upright.as_ref());
-        Ok(Self { placed, frame, values, symmetry })
+        if let Some((before, of_before)) = before {
+            let motion = head_motion(of_before, positions, &before.symmetry.areas)?;
+            frame = before.frame.clone().map(|frame| frame.carried(&motion));
+        }
+        let values = evaluate(&placed, &frame);
+        Ok(Self { placed, areas: Areas::new(positions, triangles), frame, values, symmetry })
     }
 
     fn into_state(self) -> FaceState {
         let landmarks = LANDMARKS.iter().zip(self.placed).filter_map(|(l, p)| Some((l.name, p?))).collect();
-        FaceState { frame: self.frame, symmetry: self.symmetry, landmarks }
+        FaceState { frame: self.frame.ok(), symmetry: self.symmetry, landmarks }
     }
 }
 
@@ -296,7 +309,7 @@ pub struct RegionState {
 /// Axes and symmetry of one shape.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FaceState {
-    /// Axes from the landmarks, if they fix them.
+    /// Axes from the landmarks, if they fix them; after, those of the face before, carried along by the motion of the head.
     pub frame: Option<FacialFrame>,
     /// Symmetry of the surface.
     pub symmetry: Symmetry,

@@ -18,6 +18,8 @@ use crate::text::{self, LONGEST_NAME};
 pub struct Regions {
     vertex_count: usize,
     regions: Vec<(String, Vec<u32>)>,
+    /// Of groups of a mesh the polygons of each; otherwise nothing.
+    polygons: Vec<Vec<u32>>,
 }
 
 impl Regions {
@@ -69,7 +71,7 @@ impl Regions {
                 return malformed(format!("vertex indices below {vertex_count} in region {name:?}"), v.to_string());
             }
         }
-        Ok(Self { vertex_count, regions })
+        Ok(Self { vertex_count, regions, polygons: Vec::new() })
     }
 
     /// The regions of a rig or, without any, the groups of a mesh.
@@ -82,21 +84,24 @@ impl Regions {
     #[must_use]
     pub fn of_groups(mesh: &PolygonMesh) -> Self {
         let mut regions: Vec<(String, Vec<u32>)> = Vec::new();
+        let mut polygons: Vec<Vec<u32>> = Vec::new();
         let mut known: HashMap<&str, usize> = HashMap::new();
-        for (names, polygons) in mesh.groups() {
+        for (names, of_group) in mesh.groups() {
             for name in names.split_whitespace() {
                 let at = *known.entry(name).or_insert(regions.len());
                 if at == regions.len() {
                     regions.push((name.to_owned(), Vec::new()));
+                    polygons.push(Vec::new());
                 }
-                regions[at].1.extend(polygons.clone().flat_map(|f| mesh.polygon(f)));
+                regions[at].1.extend(of_group.clone().flat_map(|f| mesh.polygon(f)));
+                polygons[at].extend(of_group.clone().map(|f| f as u32));
             }
         }
-        for (_, vertices) in &mut regions {
-            vertices.sort_unstable();
-            vertices.dedup();
+        for indices in regions.iter_mut().map(|r| &mut r.1).chain(&mut polygons) {
+            indices.sort_unstable();
+            indices.dedup();
         }
-        Self { vertex_count: mesh.positions.len(), regions }
+        Self { vertex_count: mesh.positions.len(), regions, polygons }
     }
 
     /// Writes the file that [`Regions::read`] reads.
@@ -121,6 +126,13 @@ impl Regions {
     #[must_use]
     pub fn vertices(&self, name: &str) -> Option<&[u32]> {
         self.regions.iter().find(|r| r.0 == name).map(|r| r.1.as_slice())
+    }
+
+    /// Polygons of a region, if it is a group of a mesh.
+    #[must_use]
+    pub fn polygons(&self, name: &str) -> Option<&[u32]> {
+        let at = self.regions.iter().position(|r| r.0 == name)?;
+        self.polygons.get(at).map(Vec::as_slice)
     }
 
     /// A mask, one number per vertex: 1 in the regions of these names, 0 elsewhere.
@@ -246,5 +258,7 @@ mod tests {
         assert_eq!(regions.vertices("skin"), Some(&[0, 2, 3, 4][..]));
         assert_eq!(regions.vertices("lip"), Some(&[0, 2, 3][..]));
         assert_eq!((regions.vertices("eye"), regions.vertices("nose")), (Some(&[][..]), None));
+        assert_eq!((regions.polygons("skin"), regions.polygons("lip")), (Some(&[1, 2][..]), Some(&[1][..])));
+        assert_eq!((regions.polygons("eye"), regions.polygons("nose")), (Some(&[][..]), None));
     }
 }

@@ -1,8 +1,5 @@
 //! Measurements of a face and of its plans, with the lines and outlines that the page draws.
 
-use std::path::PathBuf;
-
-use nonrigid::io::LengthUnit;
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::measurement::{FaceState, Formula, LANDMARKS, Landmarks, Measurements, NamedRegion, Plan, Subject};
 use nonrigid::mesh::{PolygonMesh, Vec3};
@@ -11,20 +8,18 @@ use nonrigid::rig::Regions;
 use crate::case::Case;
 use crate::error::{Problem, problem};
 use crate::protocol::{Analysis, MeasureRow, Profile, RegionRow};
-use crate::store::{RIG_ANTHROPOMETRIC, RIG_LANDMARKS};
+use crate::store::Store;
 use crate::vault::Vault;
 
 /// The landmarks of a case by which a face is measured: those of its rig, or else its own of these names.
 ///
 /// # Errors
 /// When there are none, or they cannot be read.
-pub fn landmarks(vault: &Vault, case: &Case, face: &PolygonMesh) -> Result<Landmarks, Problem> {
+pub fn landmarks(store: &Store, vault: &Vault, case: &Case, face: &PolygonMesh) -> Result<Landmarks, Problem> {
     let mut known = Landmarks::default();
-    if let Some(rig) = &case.rig {
-        let folder = vault.path(&rig.at)?;
-        let files: Vec<PathBuf> = [RIG_LANDMARKS, RIG_ANTHROPOMETRIC].iter().map(|name| folder.join(name)).collect();
-        let files: Vec<PathBuf> = files.into_iter().filter(|path| path.exists()).collect();
-        known = Landmarks::read(&files, face, LengthUnit::Millimetre).map_err(problem)?;
+    if let Some(source) = &case.rig {
+        let (path, rig) = (vault.path(&source.at)?, store.rig(vault, source, 0)?);
+        known = Landmarks::of_rig(Some(&path), rig.rig.landmarks(), face).map_err(problem)?;
     }
     if known.is_empty() {
         let own = case.wrap.pairs.iter().filter_map(|p| Some((p.name.clone(), TemplatePoint::Vertex(p.vertex?))));
@@ -50,7 +45,11 @@ pub fn analyse(
 ) -> Result<Analysis, Problem> {
     let named: Vec<NamedRegion<'_>> = regions
         .names()
-        .map(|name| NamedRegion { name, vertices: regions.vertices(name).unwrap_or_default() })
+        .map(|name| NamedRegion {
+            name,
+            vertices: regions.vertices(name).unwrap_or_default(),
+            polygons: regions.polygons(name),
+        })
         .collect();
     let subject = Subject { mesh: face, after: None, landmarks: known, regions: &named };
     let shapes: Vec<Plan<'_>> = plans.iter().map(|(_, name, positions)| Plan { name, positions }).collect();

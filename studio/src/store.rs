@@ -22,8 +22,6 @@ const SHOWN_TRIANGLES: usize = 400_000;
 const KEPT: usize = 12;
 /// A rig's 68 landmarks.
 pub const RIG_LANDMARKS: &str = "landmarks_multipie68.json";
-/// A rig's landmarks by the names of `nonrigid measure`.
-pub const RIG_ANTHROPOMETRIC: &str = "landmarks_anthropometric.json";
 
 /// A scan at work.
 pub struct LoadedScan {
@@ -223,7 +221,10 @@ impl Store {
             let file = path.join(RIG_LANDMARKS);
             let landmarks = match rig.mesh().filter(|_| file.exists()) {
                 Some(mesh) => read_landmark_set(&file)?.on_template(&file, mesh)?,
-                None => Vec::new(),
+                None => {
+                    let numbered = rig.landmarks().unwrap_or_default().iter().enumerate();
+                    numbered.map(|(n, vertex)| (n.to_string(), TemplatePoint::Vertex(*vertex))).collect()
+                }
             };
             Ok(LoadedRig { rig, landmarks })
         })

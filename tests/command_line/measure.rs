@@ -1,7 +1,7 @@
 //! `nonrigid measure` on generated data: what it prints and writes.
 
 use crate::support::{Bench, files_in};
-use nonrigid::io::{write_npy, write_obj};
+use nonrigid::io::{read_obj, write_npy, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
 
@@ -108,6 +108,50 @@ fn a_rig_gives_its_landmarks_and_the_client_heads_the_page() {
     assert!(refused.code == 4 && refused.stderr.contains("in the rig's order"), "{}", refused.stderr);
     let refused = bench.run(&format!("{measure} --after reversed.obj"));
     assert!(refused.code == 4 && refused.stderr.contains("reversed.obj: "), "{}", refused.stderr);
+}
+
+#[test]
+fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
+    let bench = Bench::new();
+    let (measure, morph) = ("measure --mesh rig/template.obj", "morph --mesh rig/template.obj --preset chin-forward=2");
+    bench.done(&format!("{measure} --landmarks rig/landmarks_multipie68.json --json given.json"));
+    bench.done(&format!("{morph} --landmarks rig/landmarks_multipie68.json --out given.obj"));
+    let measurements =
+        |name: &str| -> Value { serde_json::from_slice::<Value>(&bench.read(name)).unwrap()["measurements"].take() };
+    for rig in ["rig.npz", "rig.glb"] {
+        bench.done(&format!("rig convert --rig rig --out {rig}"));
+        bench.done(&format!("{measure} --rig {rig} --json found.json"));
+        assert_eq!(measurements("found.json"), measurements("given.json"), "{rig}");
+        bench.done(&format!("{morph} --rig {rig} --out found.obj"));
+        let [found, given] = ["found.obj", "given.obj"].map(|name| read_obj(&bench.path(name)).unwrap().positions);
+        assert!(found == given, "{rig}");
+    }
+    std::fs::remove_file(bench.path("rig/regions.json")).unwrap();
+    bench.done(&format!("{measure} --rig rig --landmarks rig/landmarks_multipie68.json --json rig.json"));
+    let regions = |name: &str| serde_json::from_slice::<Value>(&bench.read(name)).unwrap()["regions"].take();
+    assert_eq!(regions("rig.json"), regions("given.json"));
+    std::fs::remove_file(bench.path("rig/landmarks_multipie68.json")).unwrap();
+    std::fs::remove_file(bench.path("rig/landmarks_anthropometric.json")).unwrap();
+    let refused = bench.run(&format!("{measure} --rig rig"));
+    assert!(refused.code == 4 && refused.stderr.contains("rig: the rig has no landmarks; give --landmarks"));
+}
+
+#[test]
+fn landmarks_off_the_mesh_are_said() {
+    let bench = Bench::new();
+    let off = |by: f64| {
+        let positions = bench.rig.anthropometric.iter().map(|l| {
+            let p = bench.rig.neutral[l.vertex as usize] + Vec3::new(0.0, 0.0, by);
+            format!("\"{}\": {:?}", l.name, p.as_slice())
+        });
+        bench.write("points.json", format!("{{{}}}", positions.collect::<Vec<_>>().join(", ")));
+        let run = bench.run("measure --mesh rig/template.obj --landmarks points.json");
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        run.stderr
+    };
+    assert!(!off(0.0).contains("off the mesh"));
+    let said = off(5.0);
+    assert!(said.contains("landmarks lie off the mesh, ") && said.contains(" by 5.0 mm: what is measured"), "{said}");
 }
 
 #[test]

@@ -12,6 +12,7 @@ use nonrigid::measurement::{
     Symmetry, SymmetryOptions, WHOLE, report,
 };
 use nonrigid::mesh::{MirrorPlane, PolygonMesh, Pose, TriangleMesh, Vec3};
+use nonrigid::rig::Regions;
 
 fn rig(vertices: usize) -> FaceRig {
     FaceRig::generate(&FaceOptions { vertices, identity_modes: 20 })
@@ -26,7 +27,7 @@ fn named(landmarks: &[data_gen::Landmark]) -> Landmarks {
 }
 
 fn regions(rig: &FaceRig) -> Vec<NamedRegion<'_>> {
-    rig.regions.iter().map(|(name, vertices)| NamedRegion { name, vertices }).collect()
+    rig.regions.iter().map(|(name, vertices)| NamedRegion { name, vertices, polygons: None }).collect()
 }
 
 fn turn() -> Pose {
@@ -162,7 +163,7 @@ fn lips_and_chin_are_measured_off_the_profile_and_plans_stand_beside_each_other(
     let landmarks = named(&rig.anthropometric);
     let vertex = |name: &str| rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex as usize;
     let moved = |name: &str, by: f64| {
-        // In the face's own frame, which a chin that moves would turn: forwards of the vertical of the face before.
+        // Forwards in the frame of the face before, which is that of the face after too.
         let up = (rig.neutral[vertex("nasion")] - rig.neutral[vertex("menton")]).normalize();
         let mut positions = rig.neutral.clone();
         positions[vertex(name)] += Vec3::x().cross(&up) * by;
@@ -182,7 +183,7 @@ fn lips_and_chin_are_measured_off_the_profile_and_plans_stand_beside_each_other(
     approx::assert_abs_diff_eq!(difference(0, "lower_lip_projection"), 2.0, epsilon = 1e-9);
     approx::assert_abs_diff_eq!(difference(0, "upper_lip_to_e_line"), 0.0, epsilon = 1e-9);
     assert!((1.0..2.0).contains(&difference(0, "lower_lip_to_e_line")));
-    // The chin's menton turns the vertical of the face after, not that by which the chin is measured.
+    // The chin's menton does not turn the vertical by which the chin is measured.
     approx::assert_abs_diff_eq!(difference(1, "chin_projection"), 3.0, epsilon = 1e-9);
     approx::assert_abs_diff_eq!(difference(2, "chin_projection"), 3.0, epsilon = 1e-9);
     assert!(difference(1, "lower_lip_to_e_line") < -1.0);
@@ -202,6 +203,136 @@ fn lips_and_chin_are_measured_off_the_profile_and_plans_stand_beside_each_other(
     assert!(csv.lines().filter(|l| !l.contains('"')).all(|l| l.split(',').count() == columns));
     let json = serde_json::to_value(&all).unwrap();
     assert_eq!((&json[2]["name"], json.as_array().unwrap().len()), (&"both ends of the chin".into(), 3));
+}
+
+#[test]
+fn landmarks_of_the_midline_alone_find_the_front() {
+    let rig = rig(2000);
+    let sided = |name: &str| name.ends_with("_left") || name.ends_with("_right");
+    let only = |keep: &dyn Fn(&str) -> bool| {
+        named(&rig.anthropometric.iter().filter(|l| keep(&l.name)).cloned().collect::<Vec<_>>())
+    };
+    let (all, midline) = (named(&rig.anthropometric), only(&|name| !sided(name)));
+    let one_side = only(&|name| !name.ends_with("_right"));
+    for k in 0..8 {
+        let pose = Pose::rigid(Vec3::new(0.7 * f64::from(k), -1.9, 0.3 * f64::from(k)), Vec3::new(30.0, -200.0, 55.0));
+        let mesh = rig.mesh.with_positions(posed(&pose, &rig.neutral));
+        let measure = |landmarks: &Landmarks| Subject { landmarks, ..Subject::new(&mesh) }.measure().unwrap();
+        let expected = measure(&all);
+        for landmarks in [&midline, &one_side] {
+            let found = measure(landmarks);
+            for name in ["chin_projection", "lower_lip_projection", "upper_lip_to_e_line", "lower_lip_to_e_line"] {
+                let [found, expected] = [&found, &expected].map(|m| m.value(name).unwrap());
+                approx::assert_abs_diff_eq!(found, expected, epsilon = 1e-6);
+            }
+            let [found, expected] = [&found, &expected].map(|m| m.before.frame.unwrap().plane.normal);
+            approx::assert_abs_diff_eq!(found, expected, epsilon = 1e-9);
+        }
+    }
+    // A relief of a face that is nearly flat has no front.
+    let flat = rig.mesh.with_positions(rig.neutral.iter().map(|p| Vec3::new(p.x, p.y, 0.02 * p.z)).collect());
+    let measured = Subject { landmarks: &midline, ..Subject::new(&flat) }.measure().unwrap();
+    let chin = measured.measurement("chin_projection").unwrap();
+    assert_eq!((chin.before, &chin.missing), (None, &Some(Missing::Front)));
+}
+
+#[test]
+fn how_a_head_is_held_changes_nothing_and_where_nothing_moves_nothing_does() {
+    let rig = rig(3000);
+    let landmarks = named(&rig.anthropometric);
+    let at = |name: &str| rig.neutral[rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex as usize];
+    // the chin comes forward, menton with it
+    let (chin, reach) = (at("pogonion"), 18.0_f64);
+    let bump = |p: &Vec3| 6.0 * (1.0 - ((p - chin).norm() / reach).powi(2)).max(0.0);
+    let plan: Vec<Vec3> = rig.neutral.iter().map(|p| p + Vec3::new(0.0, 0.0, bump(p))).collect();
+    let nod = Pose::rigid(Vec3::new(15.0_f64.to_radians(), 0.0, 0.0), Vec3::new(0.0, 12.0, -40.0));
+    let differences = |after: &[Vec3]| -> Vec<f64> {
+        let subject = Subject { after: Some(after), landmarks: &landmarks, ..Subject::new(&rig.mesh) };
+        subject.measure().unwrap().values.iter().map(|m| m.difference().unwrap()).collect()
+    };
+    for difference in differences(&posed(&nod, &rig.neutral)) {
+        approx::assert_abs_diff_eq!(difference, 0.0, epsilon = 1e-9);
+    }
+    let (held, nodded) = (differences(&plan), differences(&posed(&nod, &plan)));
+    let mut still = 0;
+    for ((definition, held), nodded) in DEFINITIONS.iter().zip(held).zip(nodded) {
+        approx::assert_abs_diff_eq!(held, nodded, epsilon = 1e-6);
+        let landmarks = definition.formula.landmarks();
+        if !landmarks.is_empty() && landmarks.iter().all(|name| bump(&at(name)) == 0.0) {
+            approx::assert_abs_diff_eq!(held, 0.0, epsilon = 1e-6);
+            still += 1;
+        }
+        if definition.name == "chin_projection" {
+            assert!((5.0..6.5).contains(&held), "{held}");
+        }
+    }
+    assert!(still > 25 && bump(&at("menton")) > 0.0, "{still}");
+}
+
+#[test]
+fn areas_of_a_partition_are_the_whole_by_vertices_and_by_polygons() {
+    let rig = rig(2000);
+    let groups = Regions::of_groups(&rig.mesh);
+    let of_groups: Vec<NamedRegion<'_>> = groups
+        .names()
+        .map(|name| NamedRegion { name, vertices: groups.vertices(name).unwrap(), polygons: groups.polygons(name) })
+        .collect();
+    let after = with_bump(&rig.neutral, 4.0);
+    for regions in [&of_groups[..], &regions(&rig)] {
+        let subject = Subject { after: Some(&after), regions, ..Subject::new(&rig.mesh) };
+        let measured = subject.measure().unwrap();
+        let (whole, parts) = measured.regions.split_first().unwrap();
+        assert!(parts.len() > 5);
+        let sum = |of: &dyn Fn(&nonrigid::measurement::RegionMeasurement) -> f64| parts.iter().map(of).sum::<f64>();
+        approx::assert_relative_eq!(sum(&|r| r.before.area), whole.before.area, max_relative = 1e-12);
+        let swept = sum(&|r| r.change.unwrap().volume);
+        approx::assert_relative_eq!(swept, whole.change.unwrap().volume, max_relative = 1e-9);
+    }
+    // A group is the area of its polygons.
+    let nose = groups.polygons("nose").unwrap();
+    let polygon = |f: &u32| -> f64 {
+        let corners = rig.mesh.polygon(*f as usize);
+        let at = |k: usize| rig.neutral[corners[k] as usize];
+        (1..corners.len() - 1).map(|k| 0.5 * (at(k) - at(0)).cross(&(at(k + 1) - at(0))).norm()).sum()
+    };
+    let measured = Subject { regions: &of_groups, ..Subject::new(&rig.mesh) }.measure().unwrap();
+    let found = measured.regions.iter().find(|r| r.name == "nose").unwrap().before.area;
+    approx::assert_relative_eq!(found, nose.iter().map(polygon).sum::<f64>(), max_relative = 1e-12);
+}
+
+#[test]
+fn a_position_off_the_mesh_is_measured_on_it_and_said() {
+    let rig = rig(1000);
+    let folder = tempfile::tempdir().unwrap();
+    let read = |off: f64| {
+        let path = folder.path().join("points.json");
+        let [nasion, menton] = ["nasion", "menton"].map(|name| {
+            rig.neutral[rig.anthropometric.iter().find(|l| l.name == name).unwrap().vertex as usize]
+                + Vec3::new(0.0, if name == "menton" { -off } else { 0.0 }, 0.0)
+        });
+        let text = format!("{{\"nasion\": {:?}, \"menton\": {:?}}}", nasion.as_slice(), menton.as_slice());
+        std::fs::write(&path, text).unwrap();
+        Landmarks::read(&[path], &rig.mesh, LengthUnit::Millimetre).unwrap()
+    };
+    assert_eq!(read(0.0).doubt(), None);
+    let doubt = read(5.0).doubt().unwrap();
+    assert!(doubt.starts_with("1 landmark lies off the mesh, menton by "), "{doubt}");
+    // A point inside a polygon is that point, not the vertex next to it.
+    let middle = {
+        let c = rig.mesh.polygon(0);
+        let [a, b, c] = [c[0], c[1], c[2]].map(|v| rig.neutral[v as usize]);
+        (a + b + c) / 3.0
+    };
+    let path = folder.path().join("inside.json");
+    std::fs::write(&path, format!("{{\"nasion\": {:?}}}", middle.as_slice())).unwrap();
+    let mut landmarks = Landmarks::read(&[path], &rig.mesh, LengthUnit::Millimetre).unwrap();
+    landmarks.add(&[("menton".to_owned(), TemplatePoint::Vertex(0))]).unwrap();
+    let measured = Subject { landmarks: &landmarks, ..Subject::new(&rig.mesh) }.measure().unwrap();
+    approx::assert_abs_diff_eq!(
+        measured.value("face_height").unwrap(),
+        (middle - rig.neutral[0]).norm(),
+        epsilon = 1e-9
+    );
 }
 
 #[test]
@@ -322,8 +453,11 @@ fn the_swept_volume_of_a_closed_surface_is_the_change_of_what_it_encloses() {
         let side = |v: &usize| (ball.positions[*v].y > -3.0) == upper;
         (0..ball.positions.len()).filter(side).map(|v| v as u32).collect::<Vec<u32>>()
     });
-    let regions =
-        [NamedRegion { name: "lower", vertices: &halves[0] }, NamedRegion { name: "upper", vertices: &halves[1] }];
+    let regions = ["lower", "upper"].map(|name| NamedRegion {
+        name,
+        vertices: &halves[usize::from(name == "upper")],
+        polygons: None,
+    });
     for (what, after) in [
         ("wild", ball.positions.iter().map(wild).collect::<Vec<_>>()),
         ("shift", ball.positions.iter().map(|p| p + Vec3::new(7.0, -1.0, 2.0)).collect()),
@@ -428,8 +562,11 @@ fn bad_meshes_are_refused() {
     assert!(message(Subject { after: Some(&nan), ..subject }).contains("the mesh after: vertex 7"));
     assert!(message(Subject { after: Some(&nan[1..]), ..subject }).contains("they must correspond"));
     assert!(message(Subject { mesh: &rig.mesh.with_positions(nan), ..subject }).contains("the mesh: vertex 7"));
-    let past = [NamedRegion { name: "nose", vertices: &[3, 99_999] }];
+    let nose = NamedRegion { name: "nose", vertices: &[3], polygons: None };
+    let past = [NamedRegion { vertices: &[3, 99_999], ..nose }];
     assert!(message(Subject { regions: &past, ..subject }).contains("region \"nose\" has vertex 99999"));
+    let past = [NamedRegion { polygons: Some(&[3, 99_999]), ..nose }];
+    assert!(message(Subject { regions: &past, ..subject }).contains("region \"nose\" has polygon 99999"));
     let points = PolygonMesh { positions: rig.neutral.clone(), ..PolygonMesh::default() };
     assert!(message(Subject { mesh: &points, ..subject }).contains("no faces"));
     let flat = rig.mesh.with_positions(vec![Vec3::zeros(); rig.neutral.len()]);

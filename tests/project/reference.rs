@@ -355,7 +355,9 @@ fn the_reference_of_recipes_is_that_of_the_code() {
         let range = recipe.range.map_or("-".into(), |[from, to]| format!("{from} to {to}"));
         writeln!(page, "| `{name}` | {} | {} | {range} |", cell(&recipe.about), recipe.amount).unwrap();
     }
-    page += "\n## Measurements\n\n`nonrigid measure --list` prints them with their formulas and landmarks.\n\n| measurement | unit | how |\n|---|---|---|\n";
+    page += "\n## Measurements\n\n`nonrigid measure --list` prints them with their formulas and landmarks. A face after is measured along the axes of the \
+             face before, carried along by the motion of the head: the rigid motion that leaves the least sum of displacements, each vertex by \
+             its area.\n\n| measurement | unit | how |\n|---|---|---|\n";
     for definition in DEFINITIONS {
         let Definition { formula, .. } = definition;
         writeln!(page, "| {} | {} | {} |", definition.title(), formula.unit(), cell(&formula.to_string())).unwrap();

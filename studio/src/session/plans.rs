@@ -197,7 +197,7 @@ impl Window {
             return Err(problem("at most six plans are measured at once"));
         }
         let face = hub.store.face(&hub.vault, &case)?;
-        let known = crate::analysis::landmarks(&hub.vault, &case, &face)?;
+        let known = crate::analysis::landmarks(&hub.store, &hub.vault, &case, &face)?;
         let regions = hub.store.regions(&hub.vault, &case, &face)?;
         let mut measured = Vec::new();
         for id in plans {
