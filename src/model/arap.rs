@@ -79,7 +79,7 @@ pub(super) const MODEL: BuiltIn =
         let options = ArapOptions { solver: input.options.read::<RigidityOptions>()?.solver, ..ArapOptions::default() };
         Ok(Box::new(Arap::new(input.rest, options, 1.0)?))
     })
-    .on_patch_by_vertex(|input| {
+    .on_patch_by_vertex(&["smoothing"], |input| {
         // Each edge counts twice.
         Arap::new(input.mesh, ArapOptions::default(), 0.5 * input.gradient_weight())?.on_patch(input)
     });

@@ -46,6 +46,6 @@ pub(super) const MODEL: BuiltIn =
     })
     .with_level::<BlendshapeLevel>()
     .needing_shapes()
-    .on_patch(|input| {
+    .on_patch(&["prior"], |input| {
         Ok(Box::new(blendshape_in_place(input.mesh.positions.clone(), input.shapes.clone(), input.shape_weight())))
     });

@@ -174,14 +174,14 @@ impl BuiltIn {
         Self { uses_shapes: true, needs_shapes: true, ..self }
     }
 
-    /// For patches too.
-    pub const fn on_patch(self, build: BuildOnPatch) -> Self {
-        Self { on_patch: Some(BuiltInPatch { by_vertex: false, build }), ..self }
+    /// For patches too, of whose options it reads `keys`.
+    pub const fn on_patch(self, keys: &'static [&'static str], build: BuildOnPatch) -> Self {
+        Self { on_patch: Some(BuiltInPatch { by_vertex: false, keys, build }), ..self }
     }
 
-    /// For patches too, with vertices as parameters.
-    pub const fn on_patch_by_vertex(self, build: BuildOnPatch) -> Self {
-        Self { on_patch: Some(BuiltInPatch { by_vertex: true, build }), ..self }
+    /// [`on_patch`](Self::on_patch), with vertices as parameters.
+    pub const fn on_patch_by_vertex(self, keys: &'static [&'static str], build: BuildOnPatch) -> Self {
+        Self { on_patch: Some(BuiltInPatch { by_vertex: true, keys, build }), ..self }
     }
 
     /// The same model under another name, with a schedule of its own, and not for patches.

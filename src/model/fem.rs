@@ -189,4 +189,6 @@ pub(super) const MODEL: BuiltIn = BuiltIn::new::<TissueOptions>("fem", include_s
     let options = TissueOptions { thickness: input.length(options.thickness), ..options };
     Ok(Box::new(Fem::new(input.rest, options, 1.0)?.with_moduli(&moduli)))
 })
-.on_patch_by_vertex(|input| Fem::new(input.mesh, TissueOptions::default(), input.gradient_weight())?.on_patch(input));
+.on_patch_by_vertex(&["smoothing"], |input| {
+    Fem::new(input.mesh, TissueOptions::default(), input.gradient_weight())?.on_patch(input)
+});

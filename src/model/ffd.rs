@@ -201,7 +201,7 @@ pub(super) const MODEL: BuiltIn = BuiltIn::new::<LatticeOptions>("ffd", include_
     let options = LatticeOptions { spacing: input.length(spacing) };
     Ok(Box::new(Ffd::new(input.rest, options, input.reference_vertices, 1.0)?))
 })
-.on_patch(build_on_patch);
+.on_patch(&["smoothing", "nodes"], build_on_patch);
 
 /// The lattice on a patch is this much finer at most than one with as many cells over the region as a graph has nodes.
 const FINEST: i32 = 8;

@@ -181,7 +181,7 @@ pub(super) const MODEL: BuiltIn = BuiltIn::new::<SmoothOptions>("free", include_
     let options = FreeOptions { kind, weights, reference_vertices: input.reference_vertices };
     Ok(Box::new(Free::new(input.rest, options, 1.0)?))
 })
-.on_patch_by_vertex(|input| {
+.on_patch_by_vertex(&["smoothing", "smoothness"], |input| {
     let (kind, weights) = (input.smoothness, EdgeWeights::Cotangent);
     let options = FreeOptions { kind, weights, reference_vertices: input.mesh.positions.len() as f64 };
     let lambda = match kind {

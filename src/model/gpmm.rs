@@ -203,7 +203,7 @@ pub fn gpmm(
 pub(super) const MODEL: BuiltIn =
     BuiltIn::new::<GpmmOptions>("gpmm", include_str!("schedules/gpmm.toml"), |input| build(input, &ShapeBasis::none()))
         .with_level::<BlendshapeLevel>()
-        .on_patch(build_on_patch);
+        .on_patch(&["prior"], build_on_patch);
 
 /// The process and the blendshapes.
 pub(super) const WITH_RIG: BuiltIn =

@@ -33,7 +33,7 @@ pub(super) const MODEL: BuiltIn = BuiltIn {
         node_options::build("graph", input, &ShapeBasis::none())
     })
     .with_level::<GraphLevel>()
-    .on_patch(|input| {
+    .on_patch(&["smoothing", "nodes"], |input| {
         let (nodes, lambda) = node_options::on_patch(input)?;
         Ok(Box::new(graph(input.mesh.positions.clone(), nodes, lambda)))
     })

@@ -214,7 +214,7 @@ pub(super) const MODEL: BuiltIn =
     BuiltIn::new::<LaplacianOptions>("laplacian", include_str!("schedules/laplacian.toml"), |input| {
         Ok(Box::new(Laplacian::new(input.rest, input.options.read()?, input.reference_vertices, 1.0)?))
     })
-    .on_patch_by_vertex(|input| {
+    .on_patch_by_vertex(&["smoothing"], |input| {
         let (options, lambda) = (LaplacianOptions::default(), input.gradient_weight().powi(2));
         Laplacian::new(input.mesh, options, input.mesh.positions.len() as f64, lambda)?.on_patch(input)
     });

@@ -201,6 +201,6 @@ pub(super) const MODEL: BuiltIn =
         let options = SpringOptions { thickness: input.length(thickness) };
         Ok(Box::new(MassSpring::new(input.rest, options, 1.0)?))
     })
-    .on_patch_by_vertex(|input| {
+    .on_patch_by_vertex(&["smoothing"], |input| {
         MassSpring::new(input.mesh, SpringOptions::default(), input.gradient_weight())?.on_patch(input)
     });

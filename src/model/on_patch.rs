@@ -53,6 +53,9 @@ pub trait PatchFactory: Send + Sync {
         false
     }
 
+    /// Those of `smoothing`, `smoothness`, `nodes` and `prior` of a [`PatchInput`] that it reads.
+    fn keys(&self) -> &[&str];
+
     /// Builds the model.
     ///
     /// # Errors
@@ -65,12 +68,17 @@ pub(super) type BuildOnPatch = fn(&PatchInput<'_>) -> Result<Box<dyn Deformation
 /// How a model of the crate is made on a patch.
 pub(super) struct BuiltInPatch {
     pub by_vertex: bool,
+    pub keys: &'static [&'static str],
     pub build: BuildOnPatch,
 }
 
 impl PatchFactory for BuiltInPatch {
     fn by_vertex(&self) -> bool {
         self.by_vertex
+    }
+
+    fn keys(&self) -> &[&str] {
+        self.keys
     }
 
     fn build_on_patch(&self, input: &PatchInput<'_>) -> Result<Box<dyn DeformationModel>, ModelError> {

@@ -143,7 +143,7 @@ pub(super) const MODEL: BuiltIn =
     BuiltIn::new::<PoissonOptions>("poisson", include_str!("schedules/poisson.toml"), |input| {
         Ok(Box::new(Poisson::new(input.rest, input.options.read()?, 1.0)?))
     })
-    .on_patch_by_vertex(|input| {
+    .on_patch_by_vertex(&["smoothing"], |input| {
         Poisson::new(input.mesh, PoissonOptions::default(), input.gradient_weight())?.on_patch(input)
     });
 

@@ -67,7 +67,7 @@ pub(super) const MODEL: BuiltIn =
         Ok(Box::new(model))
     })
     .with_level::<GraphLevel>()
-    .on_patch(|input| {
+    .on_patch(&["smoothing", "nodes"], |input| {
         let (nodes, lambda) = node_options::on_patch(input)?;
         Ok(Box::new(sumner(input.mesh.positions.clone(), nodes, lambda, PATCH_ROTATION)))
     });

@@ -12,8 +12,12 @@
 //! ranks. In each tile of the image the pixels are sorted, after which a window is a set of bits; it slides as Huang's does (Huang,
 //! Yang and Tang, "A fast two-dimensional median filtering algorithm", 1979) and costs O(k) a pixel whatever the levels.
 
+use std::fmt;
+
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{IntoDeserializer, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{MorphError, Texture};
 use crate::nlls::dense_kernels::vectorized;
@@ -23,12 +27,13 @@ pub const MAX_KERNEL: usize = 1023;
 
 /// What the k x k pixels under the kernel make of their middle.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum BlurKind {
     /// Their mean: the paper's choice.
     #[default]
     Mean,
-    /// Their mean with weights `exp(-(x^2 + y^2) / (2 sigma^2))`, which sum to 1.
+    /// Their mean with weights `exp(-(x^2 + y^2) / (2 sigma^2))`, which sum to 1; in files also
+    /// `{ gaussian = { sigma = 2 } }`.
     Gaussian {
         /// Pixels; without it [`Blur::sigma_of`] the kernel's side.
         sigma: Option<f64>,
@@ -55,6 +60,7 @@ pub enum Border {
 #[serde(rename_all = "snake_case", deny_unknown_fields, default)]
 pub struct Blur {
     /// Default mean.
+    #[serde(deserialize_with = "kind_or_its_name")]
     pub kind: BlurKind,
     /// Side k of the kernel, odd, at most [`MAX_KERNEL`]; default 13, the paper's.
     pub kernel: usize,
@@ -62,6 +68,32 @@ pub struct Blur {
     pub iterations: usize,
     /// Default [`Border::Replicate`].
     pub border: Border,
+}
+
+/// A kind, or the name of one whose numbers have defaults.
+fn kind_or_its_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BlurKind, D::Error> {
+    struct Kind;
+
+    impl<'de> Visitor<'de> for Kind {
+        type Value = BlurKind;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("\"mean\", \"gaussian\", \"median\" or { gaussian = { sigma = 2 } }")
+        }
+
+        fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<BlurKind, E> {
+            match name {
+                "gaussian" => Ok(BlurKind::Gaussian { sigma: None }),
+                _ => BlurKind::deserialize(name.into_deserializer()),
+            }
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<BlurKind, A::Error> {
+            BlurKind::deserialize(MapAccessDeserializer::new(map))
+        }
+    }
+
+    deserializer.deserialize_any(Kind)
 }
 
 impl Default for Blur {

@@ -20,7 +20,7 @@ pub struct MorphChange {
 }
 
 /// Longest edge, as a multiple of its length before, that is no tear.
-const TORN: f64 = 2.0;
+pub(super) const TORN: f64 = 2.0;
 
 impl MorphChange {
     /// Whether the surface folds or tears: a triangle turned over, or an edge is drawn to more than twice its length.

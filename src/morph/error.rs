@@ -260,6 +260,20 @@ pub enum MorphError {
 pub const NO_LANDMARKS: &str = "none";
 
 impl MorphError {
+    /// Whether what was given is at fault, not the computation.
+    #[must_use]
+    pub fn is_input(&self) -> bool {
+        !matches!(
+            self,
+            Self::NothingMoves
+                | Self::PinOutOfReach { .. }
+                | Self::Minimizer(_)
+                | Self::Evaluation(_)
+                | Self::Mesh(_)
+                | Self::Model(_)
+        )
+    }
+
     pub(super) fn unknown_landmark<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Self {
         let known = known.collect::<Vec<_>>().join(", ");
         let known = if known.is_empty() { NO_LANDMARKS.to_owned() } else { known };

@@ -41,7 +41,7 @@ pub struct Recipe {
     /// for one millimetre, and here how many are usual.
     #[serde(default = "one")]
     pub amount: f64,
-    /// Amounts for which it is made.
+    /// Amounts for which it is made, the least and the most; another is done with a warning.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
     /// The frame in which masks are drawn and displacements given. Without it both are in the mesh's own axes, and masks need a camera,
@@ -79,10 +79,10 @@ pub struct RecipeStep {
     /// Default `direct`. The others are deformation models that can be held at a rim; `nonrigid morph --help` names them.
     #[serde(default)]
     pub model: MorphModel,
-    /// Of an energy.
+    /// Of an energy; the direct model has none.
     #[serde(default)]
     pub energy: EnergyOptions,
-    /// Default [`DEFAULT_THRESHOLD`].
+    /// Weight of a mask, 0 to 1, up to which it leaves a vertex where it is; default [`DEFAULT_THRESHOLD`], one grey step of 8 bits.
     #[serde(default = "threshold")]
     pub threshold: f64,
     /// In place of the recipe's.
@@ -148,8 +148,36 @@ pub struct MaskSpec {
     pub mirror: bool,
 }
 
+impl MaskSpec {
+    /// Keys that say something else than the default and have no effect, and why.
+    fn without_effect(&self) -> Vec<(&'static str, &'static str)> {
+        let by_vertex = match (&self.weights, &self.parts[..]) {
+            (Some(_), _) => Some("weights are of vertices already"),
+            (None, [_, ..]) => Some("parts are whole vertices already"),
+            (None, []) => None,
+        };
+        let drawn = by_vertex.or(self.region.as_ref().map(|_| "a drawing has no colours"));
+        let (no_frame, all_seen) = match &self.view {
+            ViewSpec::Frame { .. } => (None, None),
+            ViewSpec::Camera { .. } => (Some("a camera has its own place"), None),
+            ViewSpec::Uv { .. } => {
+                (Some("texture coordinates have their own place"), Some("in texture coordinates nothing is hidden"))
+            }
+        };
+        let said = [
+            ("view", self.view != ViewSpec::default(), by_vertex),
+            ("at", !self.at.is_empty(), by_vertex.or(no_frame)),
+            ("blur", self.blur.is_some(), by_vertex),
+            ("sampling", self.sampling != Sampling::default(), by_vertex),
+            ("visibility", self.visibility != Visibility::default(), by_vertex.or(all_seen)),
+            ("grey", self.grey != GreyWeights::default(), drawn),
+        ];
+        said.into_iter().filter(|(_, other, _)| *other).filter_map(|(key, _, why)| Some((key, why?))).collect()
+    }
+}
+
 /// How a texture meets the mesh.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum ViewSpec {
     /// Along the axis of the frame that points out of the face.
@@ -273,6 +301,14 @@ pub enum RecipeError {
     },
 }
 
+impl RecipeError {
+    /// Whether the recipe, or what it is done to, is at fault, not the computation.
+    #[must_use]
+    pub fn is_input(&self) -> bool {
+        if let Self::Impossible { error, .. } = self { error.is_input() } else { true }
+    }
+}
+
 impl Recipe {
     /// Reads a recipe; files that it names are relative to its folder.
     ///
@@ -326,6 +362,37 @@ impl Recipe {
         self.source.folder.join(path)
     }
 
+    /// What to warn of before it is done with an amount (its own if none is given) and a model in place of every step's: an amount
+    /// that it is not made for, and keys without effect.
+    #[must_use]
+    pub fn doubts(&self, amount: Option<f64>, model: Option<MorphModel>) -> Vec<String> {
+        let name = &self.source.name;
+        let amount = amount.unwrap_or(self.amount);
+        let mut doubts = Vec::new();
+        if let Some([low, high]) = self.range.filter(|[low, high]| !(*low..=*high).contains(&amount)) {
+            doubts.push(format!("{name} is made for amounts from {low} to {high}, not {amount}: look at the folds"));
+        }
+        let mut no_effect = |line: usize, key: &str, why: String| {
+            doubts.push(format!("{name}: line {line}: {key} has no effect: {why}"));
+        };
+        for step in &self.step {
+            let s = step.get_ref();
+            let model = model.unwrap_or(s.model);
+            for key in s.energy.without_effect(model) {
+                no_effect(self.line(step), key, format!("model {} does not use it", model.name()));
+            }
+            for mask in s.mask.iter().chain(&s.protect) {
+                for (key, why) in mask.get_ref().without_effect() {
+                    no_effect(self.line(mask), key, why.to_owned());
+                }
+            }
+            for pin in s.pin.iter().filter(|pin| pin.get_ref().weight != hundred()) {
+                no_effect(self.line(pin), "weight", "a pin holds exactly".to_owned());
+            }
+        }
+        doubts
+    }
+
     /// The error at a part of the recipe.
     pub(super) fn impossible<T>(&self, part: &Spanned<T>, error: impl Into<MorphError>) -> RecipeError {
         RecipeError::Impossible { recipe: self.source.name.clone(), line: self.line(part), error: error.into() }
@@ -341,6 +408,10 @@ impl Recipe {
         }
         if !self.amount.is_finite() {
             return fail(None, format!("the amount is {}, expected a number", self.amount));
+        }
+        // written so that NaN fails
+        if let Some([low, high]) = self.range.filter(|[low, high]| !(low <= high)) {
+            return fail(None, format!("the range is {low} to {high}, expected the least amount and then the most"));
         }
         for step in &self.step {
             let line = Some(self.line(step));
@@ -362,9 +433,8 @@ impl Recipe {
                     let message = "a mask is one of region, png, weights and parts";
                     return fail(Some(self.line(mask)), message.to_owned());
                 }
-                let displaced = mask.get_ref().displacement;
-                if displaced.is_some_and(|d| !d.iter().all(|c| c.is_finite())) {
-                    return fail(Some(self.line(mask)), format!("displacement {displaced:?}, expected finite numbers"));
+                if let Some(d) = mask.get_ref().displacement.filter(|d| !d.iter().all(|c| c.is_finite())) {
+                    return fail(Some(self.line(mask)), format!("the displacement is {d:?}, expected finite numbers"));
                 }
             }
             if let Some(protect) = s.protect.iter().find(|p| p.get_ref().displacement.is_some()) {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use toml::Spanned;
 
-use super::change::Unmoved;
+use super::change::{TORN, Unmoved};
 use super::{
     Blur, Constraints, Coordinates, EnergyOptions, EnergyReport, FrameSpec, LandmarkFrame, MaskSpec,
     MaskedDisplacement, MorphChange, MorphEnergy, MorphError, MorphModel, MorphStep, PlacedPoint, PointSpec, Projector,
@@ -59,13 +59,33 @@ pub struct StepReport {
     pub model: MorphModel,
     /// Vertices that could move.
     pub moving: usize,
-    /// Longest displacement that a mask asks for, millimetres.
+    /// Longest displacement that a mask, or masks together where they overlap, ask for, millimetres.
     pub asked: f64,
     /// What it did to the mesh.
     #[serde(flatten)]
     pub change: MorphChange,
     /// Of models with an energy.
     pub energy: Option<EnergyReport>,
+}
+
+impl StepReport {
+    /// What is wrong with the step's surface or its energy, in words.
+    #[must_use]
+    pub fn doubts(&self) -> Vec<String> {
+        let MorphChange { folded, stretch, .. } = &self.change;
+        let triangles = if *folded == 1 { "triangle" } else { "triangles" };
+        let torn = [
+            (*folded > 0).then(|| format!("folds {folded} {triangles}")),
+            (stretch.max > TORN).then(|| format!("draws edges to {:.1} times their length", stretch.max)),
+        ];
+        let torn: Vec<String> = torn.into_iter().flatten().collect();
+        let torn = (!torn.is_empty()).then(|| format!("{}: move less, or blur the mask more", torn.join(" and ")));
+        let unsettled = self.energy.as_ref().filter(|energy| !energy.settled).map(|energy| {
+            let steps = energy.iterations;
+            format!("ended after {steps} steps before its energy had settled: raise max_iterations of its energy")
+        });
+        torn.into_iter().chain(unsettled).collect()
+    }
 }
 
 /// A step's outcome.
@@ -214,11 +234,16 @@ impl Drawn {
         let Self { morph, constraints, .. } = self;
         let free = |v: usize| constraints.free.iter().any(|w| w.values()[v] > morph.threshold);
         let moves = morph.moves(vertices)?;
+        let together = |v: usize| -> f64 {
+            let pulls = morph.pairs.iter().map(|pair| (pair.weights.values()[v], pair.displacement));
+            pulls.filter(|(w, _)| *w > morph.threshold).map(|(w, d)| d * w).sum::<Vec3>().norm()
+        };
+        let alone = morph.pairs.iter().map(|pair| pair.displacement.norm());
         Ok(StepReport {
             step,
             model,
             moving: (0..vertices).filter(|v| moves[*v] || free(*v)).count(),
-            asked: morph.pairs.iter().map(|pair| pair.displacement.norm()).fold(0.0, f64::max),
+            asked: alone.chain((0..vertices).map(together)).fold(0.0, f64::max),
             change,
             energy,
         })

@@ -444,3 +444,35 @@ fn awkward_meshes_give_finite_results_and_keep_what_is_held() {
     assert!(moved_somewhere >= 50, "{moved_somewhere}");
     assert!(refused.iter().all(|r| r.starts_with("empty") || r.contains("minimised")), "{refused:#?}");
 }
+
+#[test]
+fn what_a_model_is_said_not_to_read_changes_no_bit_and_what_it_reads_does() {
+    let usual = EnergyOptions::default();
+    let step = FACE.step(FORWARD);
+    let solve = |model, options: &EnergyOptions| {
+        FACE.try_energy(&step, &Constraints::default(), model, options).unwrap().solve().unwrap()
+    };
+    for model in ENERGIES {
+        let before = solve(model, &usual);
+        for options in [
+            EnergyOptions { smoothing: 4.0, ..usual },
+            EnergyOptions { smoothness: Smoothness::Laplacian, ..usual },
+            EnergyOptions { nodes: 40, ..usual },
+            EnergyOptions { prior: 3.0, ..usual },
+            EnergyOptions { max_iterations: 1, ..usual },
+        ] {
+            let (positions, report) = solve(model, &options);
+            let idle = options.without_effect(model);
+            assert!(idle.len() < 2, "{idle:?}");
+            if options.max_iterations == 1 {
+                assert!(idle.is_empty() && (report.settled || report.iterations == 1), "{}", model.name());
+            } else {
+                assert_eq!(positions == before.0, idle.len() == 1, "{} with {options:?}", model.name());
+            }
+        }
+    }
+    assert_eq!(
+        EnergyOptions { nodes: 40, tolerance: 0.1, ..usual }.without_effect(MorphModel::Direct),
+        ["nodes", "tolerance"]
+    );
+}

@@ -329,7 +329,17 @@ fn malformed_recipes_name_the_line() {
     }
     let error = Recipe::from_text("name = \"nothing\"\n", "r.toml").unwrap_err().to_string();
     assert_eq!(error, "r.toml: a recipe without steps: expected [[step]]");
-    assert!(Recipe::from_text("amount = inf\n[[step]]\n", "r.toml").is_err());
+    for head in ["amount = inf", "range = [2, 1]", "range = [nan, 1]"] {
+        assert!(
+            Recipe::from_text(&format!("{head}\n{FRAME}[[step]]\n[[step.mask]]\n{mask}"), "r.toml").is_err(),
+            "{head}"
+        );
+    }
+    let error = Recipe::from_text(&format!("[[step]]\n[[step.mask]]\n{mask}displacement = [0, nan, 1]\n"), "r.toml");
+    assert_eq!(
+        error.unwrap_err().to_string(),
+        "r.toml: line 2: the displacement is [0.0, NaN, 1.0], expected finite numbers"
+    );
 }
 
 #[test]
@@ -353,7 +363,9 @@ fn what_a_mesh_cannot_do_names_the_line() {
         (format!("{FRAME}[[step]]\n[[step.mask]]\nparts = [\"elbow\"]\n"), 3, "elbow"),
     ] {
         let recipe = Recipe::from_text(&text, "r.toml").unwrap();
-        let error = face.replay(&recipe, ReplayOptions::default()).unwrap_err().to_string();
+        let error = face.replay(&recipe, ReplayOptions::default()).unwrap_err();
+        assert_eq!(error.is_input(), !said.contains("nothing is left"), "{error}");
+        let error = error.to_string();
         assert!(error.starts_with(&format!("r.toml: line {line}: ")) && error.contains(said), "{text}: {error}");
     }
 }
@@ -410,4 +422,69 @@ fn an_amount_of_a_step_multiplies_that_of_the_recipe() {
     assert_eq!(positions(["amount = 2.0", "amount = 0.5"]), positions(["", ""]));
     assert_eq!(positions(["amount = 2.0", ""]), positions(["", "amount = 2.0"]));
     assert!(Recipe::from_text(&text(["", "amount = inf"]), "test").is_err());
+}
+
+#[test]
+fn what_has_no_effect_and_what_a_recipe_is_not_made_for_are_said() {
+    let circle = "region = { circle = { centre = [0, 0], radius = 3 } }";
+    let step = |step: &str, mask: &str| format!("[[step]]\n{step}\n[[step.mask]]\n{mask}\n");
+    let doubts = |text: &str, amount, model| Recipe::from_text(text, "r.toml").unwrap().doubts(amount, model);
+    let arap = Some(MorphModel::Energy(ModelKind::Arap));
+    for (text, model, said) in [
+        (step("", circle), None, &[][..]),
+        (step("energy = { smoothing = 3 }", circle), None, &["line 1: smoothing has no effect: model direct"]),
+        (step("energy = { smoothing = 3, tolerance = 1e-4 }", circle), arap, &[]),
+        (step("energy = { smoothness = \"laplacian\", prior = 1 }", circle), arap, &["smoothness", "prior"]),
+        (step("model = \"graph\"\nenergy = { nodes = 20 }", circle), None, &[]),
+        (step("model = \"graph\"\nenergy = { nodes = 20 }", circle), arap, &["nodes has no effect: model arap"]),
+        (
+            step("", "parts = [\"nose\"]\nat = [\"3\"]\nview = { uv = {} }\nblur = {}\nsampling = \"nearest\""),
+            None,
+            &["line 3: view", "line 3: at", "line 3: blur", "line 3: sampling has no effect: parts"],
+        ),
+        (step("", "weights = \"w.npy\"\nvisibility = \"through\""), None, &["visibility has no effect: weights"]),
+        (step("", &format!("{circle}\ngrey = \"as_printed\"")), None, &["grey has no effect"]),
+        (step("", &format!("{circle}\nview = {{ uv = {{}} }}\nat = [\"3\"]")), None, &["at has no effect"]),
+        (
+            step("", &format!("{circle}\n[[step.pin]]\nvertex = 3\nby = [0, 0, 1]\nweight = 3")),
+            None,
+            &["weight has no"],
+        ),
+    ] {
+        let found = doubts(&text, None, model);
+        assert_eq!(found.len(), said.len(), "{text}: {found:?}");
+        assert!(found.iter().zip(said).all(|(found, said)| found.contains(said)), "{text}: {found:?}");
+    }
+    let ranged = format!("amount = 2\nrange = [-1, 3]\n{}", step("", circle));
+    assert!(doubts(&ranged, None, None).is_empty() && doubts(&ranged, Some(-1.0), None).is_empty());
+    assert_eq!(doubts(&ranged, Some(40.0), None), ["r.toml is made for amounts from -1 to 3, not 40: look at the folds"]);
+    assert_eq!(doubts(&ranged.replace("amount = 2", "amount = 5"), None, None).len(), 1);
+}
+
+#[test]
+fn masks_that_overlap_ask_for_their_sum() {
+    let mask = "[[step.mask]]\nregion = { circle = { centre = [0, 0], radius = 9 } }\n";
+    let step = format!("[[step]]\n{mask}displacement = [0, 0, 1]\n{mask}displacement = [0, 1, 1]\n");
+    let report = FACE.morph(&step).remove(0).report;
+    assert!(report.asked > 1.5 && report.change.reached <= report.asked + 1e-12, "{report:?}");
+}
+
+#[test]
+fn a_gaussian_is_named_with_or_without_its_width() {
+    let texture = Texture::new(9, 9, (0..81).map(|k| f64::from(u8::from(k == 40))).collect()).unwrap();
+    let of = |kind: &str| -> Result<Texture, String> {
+        let text = format!("[[step]]\n[[step.mask]]\npng = \"a.png\"\nblur = {{ kind = {kind}, kernel = 5 }}\n");
+        let recipe = Recipe::from_text(&text, "r.toml").map_err(|e| e.to_string())?;
+        Ok(recipe.step[0].get_ref().mask[0].get_ref().blur.unwrap().apply(&texture).unwrap())
+    };
+    assert_eq!(of("\"gaussian\""), of("{ gaussian = {} }"));
+    assert_eq!(of("\"gaussian\""), of(&format!("{{ gaussian = {{ sigma = {} }} }}", Blur::sigma_of(5))));
+    assert_ne!(of("\"mean\""), of("\"gaussian\""));
+    for wrong in ["\"gauss\"", "3", "{ gaussian = { sigam = 2 } }"] {
+        let error = of(wrong).unwrap_err();
+        assert!(
+            error.starts_with("r.toml: line 4: ") && error.contains("gaussian") || error.contains("sigam"),
+            "{error}"
+        );
+    }
 }

@@ -101,7 +101,7 @@ fn sentence(lines: &[&str]) -> String {
 }
 
 /// Types of fields that are a choice between names, and where they are.
-const CHOICES: [(&str, &str); 14] = [
+const CHOICES: [(&str, &str); 18] = [
     ("PoseKind", "mesh/pose.rs"),
     ("ScanFlip", "correspondence/mod.rs"),
     ("StepAlgorithm", "registration/schedule/options.rs"),
@@ -116,6 +116,10 @@ const CHOICES: [(&str, &str); 14] = [
     ("ArapSolver", "model/rigid_cells.rs"),
     ("Guidance", "model/poisson.rs"),
     ("Frames", "model/star_similarity.rs"),
+    ("GreyWeights", "morph/texture.rs"),
+    ("Sampling", "morph/texture.rs"),
+    ("BlurKind", "morph/blur.rs"),
+    ("Border", "morph/blur.rs"),
 ];
 
 /// Text for a cell of a table. Names of Rust become what a file says.
@@ -150,7 +154,7 @@ fn table(entries: &[Entry], defaults: Option<&Options>) -> String {
     for Entry { name, type_name, doc } in entries {
         let mut what = cell(&resolved(doc));
         if let Some((choice, file)) = CHOICES.iter().find(|(choice, _)| type_name == choice) {
-            for value in self::entries(file, choice).1 {
+            for value in self::entries(file, choice).1.into_iter().filter(|value| !value.name.contains('.')) {
                 write!(what, "<br>`\"{}\"`: {}", value.name, cell(&value.doc)).unwrap();
             }
         }
@@ -341,6 +345,7 @@ fn the_reference_of_recipes_is_that_of_the_code() {
         ("view", "morph/recipe.rs", "ViewSpec"),
         ("visibility", "morph/projection.rs", "Visibility"),
         ("frame", "morph/frame.rs", "FrameSpec"),
+        ("frame.scale", "morph/frame.rs", "FrameScale"),
         ("\\[\\[step.pin\\]\\], \\[\\[step.goal\\]\\]", "morph/recipe.rs", "PointSpec"),
         ("\\[step.energy\\]", "morph/energy/mod.rs", "EnergyOptions"),
     ] {

@@ -537,7 +537,7 @@ pub(super) const MODEL: BuiltIn =
     })
     .with_level::<HybridLevel>()
     .using_shapes()
-    .on_patch(|input| {
+    .on_patch(&["smoothing", "nodes", "prior"], |input| {
         let (nodes, graph) = node_options::on_patch(input)?;
         let stiffness = Stiffness { graph, blend: input.shape_weight(), ..Stiffness::default() };
         Ok(Box::new(Hybrid::new(input.mesh.positions.clone(), nodes, input.shapes.clone(), stiffness)))

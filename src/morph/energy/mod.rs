@@ -125,6 +125,28 @@ impl Default for EnergyOptions {
 }
 
 impl EnergyOptions {
+    /// Keys that say something else than the default and that a model does not read.
+    #[must_use]
+    pub fn without_effect(&self, model: MorphModel) -> Vec<&'static str> {
+        let usual = Self::default();
+        let said = [
+            ("smoothing", self.smoothing != usual.smoothing),
+            ("smoothness", self.smoothness != usual.smoothness),
+            ("nodes", self.nodes != usual.nodes),
+            ("prior", self.prior != usual.prior),
+            ("tolerance", self.tolerance != usual.tolerance),
+            ("max_iterations", self.max_iterations != usual.max_iterations),
+        ];
+        let reads = |key: &str| match model {
+            MorphModel::Direct => false,
+            MorphModel::Energy(kind) => {
+                let of_model = kind.on_patch().is_some_and(|factory| factory.keys().contains(&key));
+                of_model || ["tolerance", "max_iterations"].contains(&key)
+            }
+        };
+        said.into_iter().filter(|(key, other)| *other && !reads(key)).map(|(key, _)| key).collect()
+    }
+
     fn validate(&self) -> Result<(), MorphError> {
         let error = |what, value, expected| Err(MorphError::Option { what, value, expected });
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
@@ -178,6 +200,8 @@ pub struct EnergyReport {
     pub iterations: usize,
     /// Why the last run ended.
     pub stop: String,
+    /// Whether that is because nothing was left to gain.
+    pub settled: bool,
     /// Largest distance of a pin from its target, millimetres, before pinned vertices were set.
     pub pin_distance: f64,
     /// Weights of the blendshapes.
@@ -396,7 +420,7 @@ impl MorphEnergy {
         options.gradient_tolerance = 0.0;
         let minimizer = Minimizer::new(options).map_err(|e| MorphError::Minimizer(e.to_string()))?;
         let mut iterations = 0;
-        let (stop, pin_distance) = loop {
+        let (stop, settled, pin_distance) = loop {
             let Self { problem, x, workspace, .. } = self;
             let summary = minimizer.minimize_with(problem, x, workspace, &mut Silent);
             iterations += summary.iterations;
@@ -404,10 +428,9 @@ impl MorphEnergy {
             if !summary.stop.was_successful() && summary.stop != StopReason::NoDecrease {
                 return Err(MorphError::Minimizer(summary.stop.to_string()));
             }
-            let stop = summary.stop.to_string();
             let vertices = self.problem.vertices(&self.x).to_vec();
             if let Some(distance) = self.pins.update(self.problem.samples(), &vertices)? {
-                break (stop, distance);
+                break (summary.stop.to_string(), summary.stop != StopReason::MaxIterations, distance);
             }
             self.problem.terms[PINS].residuals.targets.clone_from(&self.pins.landmarks().targets);
         };
@@ -431,6 +454,7 @@ impl MorphEnergy {
             energies: self.problem.energies(&self.x),
             iterations,
             stop,
+            settled,
             pin_distance,
             weights: names.zip(self.x[first_weight..].iter().copied()).collect(),
             parts_at_rest: self.at_rest[0],
