@@ -22,7 +22,7 @@ use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, me
     With --smooth what flickers from frame to frame goes, and lost frames are bridged by the motion of the others.\n\
     .usda: a mesh with points over time, millimetres, y up. .pc2: a point cache; load the first frame beside it.\n\
     .glb: morph targets. Without --rig one for each frame but the first; with it the rig's shapes and a pose, and one for each frame\n\
-    that holds what they do not explain.\n\n\
+    that holds what they do not explain. Colours of vertices, which .pc2 has none of, are those of the first frame.\n\n\
     Examples:\n  nonrigid animate --meshes wrapped --out ann.usda\n  \
     nonrigid animate --meshes wrapped --fps 30 --smooth 4 --out ann.glb"
 )]
@@ -110,7 +110,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         .writes_all(a.report.iter().map(|report| ("--report", report.clone())));
     check_plan(&plan)?;
     let mut units = a.units.of(&["meshes", "rig"])?;
-    let (mesh, given) = read_frames(&files, &mut units)?;
+    let (mesh, colors, given) = read_frames(&files, &mut units)?;
+    let colors = colors.as_deref();
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
     let before = flicker(&given.iter().flatten().collect::<Vec<_>>());
     let smooth = a.smooth.0;
@@ -118,9 +119,9 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let track = Track::follow(given, cutoff).map_err(|e| Failure::loading(format!("{}: {e}", a.meshes.display())))?;
     let clip = Clip { frames: &track.frames, frames_per_second: a.fps.into(), lost: &track.lost_frames() };
     match extension.to_str() {
-        Some("usda") => write_usda(&a.out, &mesh, None, &clip, None).map_err(Failure::writing)?,
+        Some("usda") => write_usda(&a.out, &mesh, colors, &clip, None).map_err(Failure::writing)?,
         Some("pc2") => write_pc2(&a.out, clip.frames).map_err(Failure::writing)?,
-        _ => write_glb(a, &mut units, &mesh, &clip, &names)?,
+        _ => write_glb(a, &mut units, (&mesh, colors), &clip, &names)?,
     }
     units.say();
     let lost = |k: usize| track.lost[k].map(|lost| why(lost, smooth.is_some()));
@@ -175,34 +176,37 @@ fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
 /// Positions of the vertices of a frame; `None` where it is missing.
 type Frame = Option<Vec<Vec3>>;
 
-/// The first frame that is there, and the positions of all.
+/// Red, green, blue of vertices.
+type Colors = Vec<[u8; 3]>;
+
+/// The first frame that is there, its colours if it has any, and the positions of all.
 fn read_frames(
     files: &[(String, Option<PathBuf>)],
     units: &mut Units<'_>,
-) -> Result<(PolygonMesh, Vec<Frame>), Failure> {
-    let mut first: Option<(&Path, PolygonMesh)> = None;
+) -> Result<(PolygonMesh, Option<Colors>, Vec<Frame>), Failure> {
+    let mut first: Option<(&Path, PolygonMesh, Option<Colors>)> = None;
     let mut frames = Vec::with_capacity(files.len());
     for path in files.iter().map(|(_, path)| path) {
         let Some(path) = path else {
             frames.push(None);
             continue;
         };
-        let mesh = units.read_mesh("meshes", path)?;
-        let (other, of) = first.get_or_insert_with(|| (path, mesh.clone()));
+        let (mesh, colors) = units.read_colored_mesh("meshes", path)?;
+        let (other, of, _) = first.get_or_insert_with(|| (path, mesh.clone(), colors));
         if (mesh.positions.len(), &mesh.starts, &mesh.corners) != (of.positions.len(), &of.starts, &of.corners) {
             let (path, other) = (path.display(), other.display());
             return Err(Failure::loading(format!("{path}: has other vertices or polygons than {other}")));
         }
         frames.push(Some(mesh.positions));
     }
-    let (_, first) = first.ok_or_else(|| Failure::loading("no frames"))?;
-    Ok((first, frames))
+    let (_, first, colors) = first.ok_or_else(|| Failure::loading("no frames"))?;
+    Ok((first, colors, frames))
 }
 
 fn write_glb(
     a: &Arguments,
     units: &mut Units<'_>,
-    mesh: &PolygonMesh,
+    (mesh, colors): (&PolygonMesh, Option<&[[u8; 3]]>),
     clip: &Clip<'_>,
     frame_names: &[&str],
 ) -> Result<(), Failure> {
@@ -240,7 +244,8 @@ fn write_glb(
     let (frames_per_second, lost) = (clip.frames_per_second, clip.lost);
     let motion = Motion { frames_per_second, poses: &poses, weights: &weights, lost };
     let names: Vec<&str> = targets.iter().map(String::as_str).collect();
-    write_animated_glb(&a.out, &mesh.with_positions(rest), None, &names, &deltas, &motion).map_err(Failure::writing)?;
+    write_animated_glb(&a.out, &mesh.with_positions(rest), colors, &names, &deltas, &motion)
+        .map_err(Failure::writing)?;
     if shapes > 0 {
         let squares = fitted.iter().map(|f| f.rms * f.rms).sum::<f64>() / fitted.len() as f64;
         say(format_args!(

@@ -269,6 +269,9 @@ pub fn read_rig(
 }
 
 pub fn open_rig(folder: &Path, modes: usize, kind: Option<ShapeKindArgument>) -> Result<OpenRig, Failure> {
+    if kind.is_some() && folder.exists() && !is_folder_of_shapes(folder) {
+        warn(format_args!("--shape-kind has no effect: {} is no folder of .obj or .ply shapes", folder.display()));
+    }
     let kind = kind.map(|k| match k {
         ShapeKindArgument::Full => ShapeKind::Full,
         ShapeKindArgument::Delta => ShapeKind::Delta,

@@ -52,7 +52,7 @@ pub struct Arguments {
     mask: Option<PathBuf>,
     #[command(flatten)]
     units: UnitArguments,
-    /// Everything as JSON
+    /// Everything as JSON: an object, or, of several --after, a list of them, each with its name
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     /// Everything as CSV

@@ -199,6 +199,17 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
     files
 }
 
+/// Refuses to overwrite files beside an output that is not there; beside one that is, they are of the run that made it.
+fn refuse_beside<'a>(out: &Path, files: impl IntoIterator<Item = (&'a str, PathBuf)>) -> Result<(), Failure> {
+    match files.into_iter().find(|(_, path)| path.exists() && !out.exists()) {
+        None => Ok(()),
+        Some((option, path)) => {
+            let message = format!("{}: is there already, and would be overwritten ({option})", path.display());
+            Err(Failure::writing(format!("{message}; remove it, or give another name")))
+        }
+    }
+}
+
 /// Says what of a mesh the format of a file does not hold.
 fn warn_of_format(out: &Path, mesh: &PolygonMesh) {
     let metadata = &mesh.metadata;

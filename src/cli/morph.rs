@@ -9,8 +9,8 @@ use super::inputs::{RigArguments, bounds, rig_files};
 use super::measure::{self, ClientArguments, named_regions, plan_names};
 use super::units::{UnitArguments, Units};
 use super::{
-    Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, say, warn,
-    warn_of_format, warn_of_materials,
+    Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, refuse_beside,
+    say, warn, warn_of_format, warn_of_materials,
 };
 use crate::io::{self, FilePlan, write_atomically};
 use crate::landmark;
@@ -118,15 +118,20 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     check_output(out, &["obj", "ply", "glb", "usda"])?;
     [&a.masks, &a.report].into_iter().flatten().try_for_each(|folder| check_output_folder(folder))?;
+    if let Some(amount) = a.amount.filter(|amount| !amount.is_finite()) {
+        return Err(Failure::new(Stage::Arguments, format!("--amount: expected a finite number, found {amount}")));
+    }
     let jobs = jobs(a)?;
     let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;
+    warn_of_recipes(a, &jobs, &others);
     check_plan(&plan(a, mesh, out, &jobs, &others))?;
     let given = [("mesh", true), ("rig", a.rig.rig.is_some()), ("landmarks", a.landmarks.is_some())];
     let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
     let mut units = a.units.of(&given)?;
-    let before = units.read_mesh("mesh", mesh)?;
+    let (before, colors) = units.read_colored_mesh("mesh", mesh)?;
     let materials = materials_for(out, mesh, &before);
-    let copies = materials.writes(out).into_iter().map(|path| ("--out", path));
+    let copies: Vec<_> = materials.writes(out).into_iter().map(|path| ("--out", path)).collect();
+    refuse_beside(out, copies.clone())?;
     let material_files = materials.reads().map(|path| ("mesh", path.clone()));
     check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
     warn_of_materials(out, mesh, &before, &materials);
@@ -180,18 +185,36 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             let head = if plans.len() == 1 { "step".to_owned() } else { format!("{name}, step") };
             for (k, outcome) in outcomes.iter().enumerate() {
                 about.push((head.clone(), line(k + 1, outcome)));
-                about.extend(torn(k + 1, outcome).map(|text| ("doubt".to_owned(), text)));
+                about.extend(doubts(k + 1, outcome).map(|text| ("doubt".to_owned(), text)));
             }
         }
         write_report(folder, &before, &known, &regions, &names, &plans, &about)?;
         outcomes = plans.swap_remove(0);
     }
     let copied = materials.write(out, &mut mesh).map_err(Failure::writing)?;
-    io::write_polygon_mesh(out, &mesh).map_err(Failure::writing)?;
+    io::write_colored_mesh(out, &mesh, colors.as_deref()).map_err(Failure::writing)?;
     copied.keep();
     warn_of_format(out, &before);
-    outcomes.iter().enumerate().filter_map(|(k, outcome)| torn(k + 1, outcome)).for_each(warn);
+    outcomes.iter().enumerate().flat_map(|(k, outcome)| doubts(k + 1, outcome)).for_each(warn);
     lines.iter().try_for_each(say)
+}
+
+/// Says what the recipes are not made for, and what has no effect.
+fn warn_of_recipes(a: &Arguments, jobs: &[(Recipe, Option<f64>)], others: &[Recipe]) {
+    let all = || jobs.iter().map(|(recipe, amount)| (recipe, *amount)).chain(others.iter().map(|other| (other, None)));
+    all().flat_map(|(recipe, amount)| recipe.doubts(amount, a.model)).for_each(warn);
+    let mut models = all().flat_map(|(recipe, _)| &recipe.step).map(|step| a.model.unwrap_or(step.get_ref().model));
+    if models.any(MorphModel::uses_shapes) {
+        return;
+    }
+    let given = [
+        ("--shapes", a.rig.shapes.is_some()),
+        ("--identity-modes", a.rig.identity_modes.is_some()),
+        ("--weight-bounds", a.weight_bounds.is_some()),
+    ];
+    for (option, _) in given.iter().filter(|(_, given)| *given) {
+        warn(format_args!("{option} has no effect: no step's model has blendshapes"));
+    }
 }
 
 /// Everything that is read and written.
@@ -284,9 +307,6 @@ fn requested_preset(text: &str) -> Result<(Recipe, Option<f64>), Failure> {
         let message = format!("--preset {name}: expected millimetres, found {amount:?}");
         return Err(Failure::new(Stage::Arguments, message));
     };
-    if let Some([low, high]) = recipe.range.filter(|[low, high]| !(*low..=*high).contains(&amount)) {
-        warn(format!("preset {name} is made for {low} to {high} mm, not {amount}: look at the folds"));
-    }
     Ok((recipe, Some(amount)))
 }
 
@@ -299,16 +319,18 @@ fn unknown_preset(name: &str) -> Failure {
     Failure::new(Stage::Arguments, message)
 }
 
-/// What a recipe says wrongly, or names in vain, was loaded; what it asks for in vain is a matter of the computation.
 fn failure(error: RecipeError) -> Failure {
-    match error {
-        RecipeError::Impossible { error: MorphError::UnknownLandmark { ref known, .. }, .. }
-            if known == NO_LANDMARKS =>
-        {
-            Failure::new(Stage::Arguments, format!("{error}; give --landmarks"))
+    let missing = match &error {
+        RecipeError::Impossible { error: MorphError::UnknownLandmark { known, .. }, .. } if known == NO_LANDMARKS => {
+            Some("--landmarks")
         }
-        RecipeError::Impossible { .. } => Failure::computation(error),
-        _ => Failure::loading(error),
+        RecipeError::Impossible { error: MorphError::Shapes { found: 0, .. }, .. } => Some("--rig"),
+        _ => None,
+    };
+    match missing {
+        Some(option) => Failure::new(Stage::Arguments, format!("{error}; give {option}")),
+        None if error.is_input() => Failure::loading(error),
+        None => Failure::computation(error),
     }
 }
 
@@ -347,15 +369,9 @@ fn write_masks(folder: &Path, outcomes: &[StepOutcome]) -> Result<(), Failure> {
     io::write_folder(folder, write).map_err(Failure::writing)
 }
 
-/// What is wrong with a step's surface, in words.
-fn torn(number: usize, outcome: &StepOutcome) -> Option<String> {
-    let change = &outcome.report.change;
-    let (folded, longest) = (change.folded, change.stretch.max);
-    change.tears().then(|| {
-        format!(
-            "step {number} folds {folded} triangles and draws edges to {longest:.1} times their length: move less, or blur the mask more"
-        )
-    })
+/// [`StepReport::doubts`](crate::morph::StepReport::doubts) with the step's number.
+fn doubts(number: usize, outcome: &StepOutcome) -> impl Iterator<Item = String> {
+    outcome.report.doubts().into_iter().map(move |doubt| format!("step {number} {doubt}"))
 }
 
 fn line(number: usize, outcome: &StepOutcome) -> String {

@@ -17,8 +17,8 @@ use super::inputs::{
 use super::interrupt::Interrupt;
 use super::units::UnitArguments;
 use super::{
-    Failure, Stage, check_output, check_plan, file_name, has_extension, is_gltf, meshes, on_threads, say, warn,
-    warn_of_format, warn_of_materials, write_json,
+    Failure, Stage, check_output, check_plan, file_name, has_extension, is_gltf, meshes, on_threads, refuse_beside,
+    say, warn, warn_of_format, warn_of_materials, write_json,
 };
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles};
@@ -423,14 +423,7 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     refuse_as_shape(a.rig.rig.as_deref(), a.out.parent().unwrap_or(Path::new("")), "--out")?;
     check_plan(&FilePlan::new().reads_all(a.input_paths()).writes_all(a.output_paths()))?;
-    // beside a result that is there they are of the run that made it
-    match a.beside(&a.out).into_iter().find(|(_, path)| path.exists() && !a.out.exists()) {
-        None => Ok(()),
-        Some((option, path)) => {
-            let message = format!("{}: is there already, and would be overwritten ({option})", path.display());
-            Err(Failure::writing(format!("{message}; remove it, or give another name")))
-        }
-    }
+    refuse_beside(&a.out, a.beside(&a.out))
 }
 
 /// What was read, as the report says it.

@@ -116,10 +116,19 @@ impl Units<'_> {
 
     /// Reads a mesh.
     pub fn read_mesh(&mut self, input: &'static str, path: &Path) -> Result<PolygonMesh, Failure> {
-        let MeshFile { mut mesh, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
+        Ok(self.read_colored_mesh(input, path)?.0)
+    }
+
+    /// Reads a mesh with red, green, blue of its vertices, if the file has them.
+    pub fn read_colored_mesh(
+        &mut self,
+        input: &'static str,
+        path: &Path,
+    ) -> Result<(PolygonMesh, Option<Vec<[u8; 3]>>), Failure> {
+        let MeshFile { mut mesh, colors, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
         let factor = self.factor(input, path, &surface_points(&mesh.positions, mesh.corners.iter().copied()))?;
         mesh.positions.iter_mut().for_each(|p| *p *= factor);
-        Ok(mesh)
+        Ok((mesh, colors))
     }
 
     /// Reads a scan.

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use std::sync::LazyLock;
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::io::{read_npy_vector, read_polygon_mesh};
+use nonrigid::io::{read_mesh_file, read_npy_vector, read_polygon_mesh, write_colored_mesh};
 use serde_json::Value;
 
 struct Fixture {
@@ -96,7 +96,7 @@ fn a_printed_preset_is_a_recipe_that_does_the_same() {
 fn an_amount_beyond_a_presets_range_is_done_with_a_warning() {
     let output = FIXTURE.morph(&[&FACE[..], &["--preset", "nose-bridge=9", "--out", "far.obj"]].concat());
     let warned = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && warned.contains("made for -2 to 4 mm, not 9"), "{warned}");
+    assert!(output.status.success() && warned.contains("made for amounts from -2 to 4, not 9"), "{warned}");
 }
 
 #[test]
@@ -121,4 +121,64 @@ fn plans_stand_beside_each_other_and_a_tear_is_in_the_report() {
     let same = f.morph(&[&FACE[..], &["--recipe", "mild.toml", "--compare", "mild.obj", "--out", "x.obj"]].concat());
     let said = String::from_utf8_lossy(&same.stderr);
     assert!(!same.status.success() && said.contains("--report"), "{said}");
+}
+
+#[test]
+fn colours_of_vertices_go_along_into_every_format() {
+    let f = &*FIXTURE;
+    let mesh = read_polygon_mesh(&f.path("rig/template.obj")).unwrap();
+    let colors: Vec<[u8; 3]> = (0..mesh.positions.len()).map(|v| [(v % 251) as u8, 7, 200]).collect();
+    write_colored_mesh(&f.path("painted.obj"), &mesh, Some(&colors)).unwrap();
+    for out in ["painted_out.obj", "painted_out.ply", "painted_out.glb", "painted_out.usda"] {
+        f.done(&["--mesh", "painted.obj", "--rig", "rig", "--preset", "nose-tip", "--out", out]);
+        match out.ends_with("usda") {
+            true => assert!(fs::read_to_string(f.path(out)).unwrap().contains("primvars:displayColor")),
+            false => assert_eq!(read_mesh_file(&f.path(out)).unwrap().colors.as_ref(), Some(&colors), "{out}"),
+        }
+    }
+}
+
+#[test]
+fn what_is_doubtful_or_without_effect_is_said() {
+    let f = &*FIXTURE;
+    let warned = |arguments: &[&str]| {
+        let output = f.morph(&[&FACE[..], arguments].concat());
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let nose = f.done(&["--print", "nose-tip"]);
+    fs::write(f.path("nose.toml"), &nose).unwrap();
+    fs::write(
+        f.path("few.toml"),
+        nose.replace("[[step]]", "[[step]]\nmodel = \"arap\"\nenergy = { max_iterations = 2 }"),
+    )
+    .unwrap();
+    let quiet = warned(&["--recipe", "nose.toml", "--out", "q.ply"]);
+    assert!(!quiet.contains("no effect") && !quiet.contains("settled") && !quiet.contains("is made for"), "{quiet}");
+    for (arguments, said) in [
+        (&["--recipe", "few.toml"][..], "step 1 ended after 2 steps before its energy had settled"),
+        (&["--recipe", "nose.toml", "--amount", "40"], "nose.toml is made for amounts from -2 to 3, not 40"),
+        (&["--recipe", "nose.toml", "--weight-bounds", "0,1"], "--weight-bounds has no effect"),
+        (&["--recipe", "nose.toml", "--shapes", "jawOpen"], "--shapes has no effect"),
+        (&["--recipe", "nose.toml", "--shape-kind", "full"], "--shape-kind has no effect: rig"),
+        (&["--recipe", "few.toml", "--model", "direct"], "few.toml: line 13: max_iterations has no effect"),
+    ] {
+        let found = warned(&[arguments, &["--out", "q.ply"]].concat());
+        assert!(found.contains(said), "{said}: {found}");
+        assert!(!found.contains("folds 0"), "{found}");
+    }
+}
+
+#[test]
+fn a_file_of_somebody_else_beside_the_result_stays() {
+    let f = &*FIXTURE;
+    fs::write(f.path("z.mtl"), "mine").unwrap();
+    let refused = f.morph(&[&FACE[..], &["--preset", "nose-tip", "--out", "z.obj"]].concat());
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(3) && said.contains("z.mtl: is there already"), "{said}");
+    assert_eq!(fs::read_to_string(f.path("z.mtl")).unwrap(), "mine");
+    // those of the run before are replaced
+    for _ in 0..2 {
+        f.done(&[&FACE[..], &["--preset", "nose-tip", "--out", "zz.obj"]].concat());
+    }
 }
