@@ -222,7 +222,10 @@ fn check(a: &Check) -> Result<(), Failure> {
     }
     match check.problems() {
         0 => Ok(()),
-        n => Err(Failure::loading(format!("{}: {n} problems with {}", a.input.display(), a.mesh.display()))),
+        n => {
+            let problems = if n == 1 { "problem" } else { "problems" };
+            Err(Failure::loading(format!("{}: {n} {problems} with {}", a.input.display(), a.mesh.display())))
+        }
     }
 }
 

@@ -8,10 +8,10 @@ use clap::Args;
 use super::inputs::{RigInput, rig_files};
 use super::units::UnitArguments;
 use super::{
-    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, materials_for, same_place, say, warn,
-    write_json,
+    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, materials_for, refuse_beside,
+    same_place, say, warn, write_json,
 };
-use crate::io::{self, FilePlan, PlanError, WriteError};
+use crate::io::{self, FilePlan, MaterialFiles, PlanError, WriteError};
 use crate::rig::{Family, NAMED_LANDMARKS, RIG_FILES, Rig, Shape};
 
 /// Arguments of `nonrigid rig convert`.
@@ -120,20 +120,12 @@ impl RigOutput {
             (true, _) if npz => Rig::write_npz,
             (true, _) => Rig::write_gltf,
         };
+        let mesh = self.out.join(if shapes_folder { "neutral.obj" } else { "template.obj" });
+        let of_input = ["template.obj", "neutral.obj"].map(|name| input.join(name)).into_iter().find(|p| p.is_file());
+        let materials = of_input.filter(|_| !self.is_file()).map(|input| materials_beside(rig, &mesh, &input));
+        let materials = materials.transpose()?.unwrap_or_default();
         write(rig, &self.out).map_err(Failure::writing)?;
-        if let Some(mesh) = rig.mesh().filter(|_| !self.is_file()) {
-            let name = if shapes_folder { "neutral.obj" } else { "template.obj" };
-            let of_input =
-                ["template.obj", "neutral.obj"].map(|name| input.join(name)).into_iter().find(|p| p.is_file());
-            let out = self.out.join(name);
-            let materials = of_input.map(|path| materials_for(&out, &path, mesh)).unwrap_or_default();
-            if !materials.is_empty() {
-                let mut mesh = mesh.with_positions(rig.neutral().to_vec());
-                let copied = materials.write(&out, &mut mesh).map_err(Failure::writing)?;
-                io::write_obj(&out, &mesh).map_err(Failure::writing)?;
-                copied.keep();
-            }
-        }
+        bring_materials(rig, &mesh, &materials)?;
         let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));
         if shapes_folder && rig.shapes().iter().any(|s| s.family == Family::Identity) {
             lost("families: identity modes are shapes like all others there");
@@ -161,6 +153,23 @@ impl RigOutput {
         let (vertices, shapes) = (rig.neutral().len(), rig.shapes().len());
         say(format_args!("wrote {}: {vertices} vertices, {shapes} shapes", self.out.display()))
     }
+}
+
+/// The materials of a rig's mesh, which was read from `input`, to be copied beside `out`.
+pub fn materials_beside(rig: &Rig, out: &Path, input: &Path) -> Result<MaterialFiles, Failure> {
+    let materials = rig.mesh().map(|mesh| materials_for(out, input, mesh)).unwrap_or_default();
+    refuse_beside(out, materials.writes(out).into_iter().map(|path| ("--out", path)))?;
+    Ok(materials)
+}
+
+/// Copies materials beside the mesh of a rig that was written to `out`, which then names them.
+pub fn bring_materials(rig: &Rig, out: &Path, materials: &MaterialFiles) -> Result<(), Failure> {
+    let Some(mesh) = rig.mesh().filter(|_| !materials.is_empty()) else { return Ok(()) };
+    let mut mesh = mesh.with_positions(rig.neutral().to_vec());
+    let copied = materials.write(out, &mut mesh).map_err(Failure::writing)?;
+    io::write_obj(out, &mesh).map_err(Failure::writing)?;
+    copied.keep();
+    Ok(())
 }
 
 /// Refuses a folder with files that are no part of this rig and would be read as one.

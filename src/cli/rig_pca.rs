@@ -1,13 +1,13 @@
 //! `nonrigid rig pca`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::inputs::Align;
-use super::rig_convert::refuse_strangers;
+use super::rig_convert::{bring_materials, materials_beside, refuse_strangers};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output_folder, check_plan, on_threads, same_place, say};
+use super::{Failure, Stage, check_output_folder, check_plan, on_threads, same_place, say, warn};
 use crate::io::FilePlan;
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{
@@ -58,7 +58,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, message));
     }
     let samples = mesh_files(&a.meshes).unwrap_or_default(); // what is wrong with the folder is said when it is read
-    let names = RIG_FILES.into_iter().chain(COMPONENT_FILES);
+    let names = RIG_FILES.into_iter().chain(COMPONENT_FILES).chain(["template.mtl"]);
     let plan = FilePlan::new()
         .reads_all(samples.into_iter().map(|(_, path)| ("meshes", path)))
         .writes_all(names.map(|name| ("--out", a.out.join(name))));
@@ -67,6 +67,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let mut units = a.units.of(&["meshes"])?;
     units.bring_population("meshes", &mut population)?;
     units.say();
+    population.doubts(population.mesh()).map_err(Failure::loading)?.iter().for_each(warn);
     let aligned = match a.align {
         Align::Rigid => Some((PoseKind::Rigid, "rigid motions")),
         Align::Similarity => Some((PoseKind::Similarity, "similarities")),
@@ -95,7 +96,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Computation, message));
     }
     refuse_strangers(&rig, &a.out, false)?;
+    let mesh = a.out.join("template.obj");
+    let materials = materials_beside(&rig, &mesh, Path::new(&population.names()[0]))?;
     pca.write_with(&rig, &a.out).map_err(Failure::writing)?;
+    bring_materials(&rig, &mesh, &materials)?;
     say(format_args!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count()))?;
     print_table(&pca, &rig.info())?;
     say(format_args!("wrote {}", a.out.display()))

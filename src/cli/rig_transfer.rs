@@ -55,7 +55,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let (personal, warnings) = transferred.map_err(|e| {
         let (stage, at) = match &e {
             TransferError::Anchor(_) => (Stage::Arguments, "--anchor".to_owned()),
-            TransferError::NoPolygons => (Stage::Loading, a.rig.path.display().to_string()),
+            TransferError::NoPolygons | TransferError::NoShapes => (Stage::Loading, a.rig.path.display().to_string()),
             TransferError::Rig(_) => (Stage::Loading, a.subject.display().to_string()),
             TransferError::Pose(_) => (Stage::Loading, a.subject.display().to_string()),
             TransferError::Linear(_) => (Stage::Computation, a.subject.display().to_string()),

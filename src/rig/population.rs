@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::likeness::{self, Unlike};
 use super::read::mesh_files;
 use crate::io::{Noting, NpyArray, ReadError, read_polygon_mesh};
 use crate::mesh::{PolygonMesh, Pose, PoseError, PoseKind, Vec3, weighted_closest_pose};
@@ -70,6 +71,16 @@ pub enum PopulationError {
         name: String,
         /// Index of the vertex.
         vertex: usize,
+    },
+    /// A shape cannot have the vertices of the first in its order.
+    #[error("{name}: does not correspond to {first}, the neutral here: {why}")]
+    Unlike {
+        /// The shape.
+        name: String,
+        /// The first shape.
+        first: String,
+        /// What was seen.
+        why: Unlike,
     },
     /// A shape has no pose relative to the mean.
     #[error("{name}: cannot be aligned: {source}")]
@@ -221,6 +232,28 @@ impl Population {
     #[must_use]
     pub fn mesh(&self) -> Option<&PolygonMesh> {
         self.mesh.as_ref()
+    }
+
+    /// What is odd about each shape as one with the vertices of the first in its order, where a `mesh` says how these hang together:
+    /// equal numbers and polygons do not tell.
+    ///
+    /// # Errors
+    /// When one is in another order, or mirrored.
+    pub fn doubts(&self, mesh: Option<&PolygonMesh>) -> Result<Vec<String>, PopulationError> {
+        let triangles = mesh.map_or_else(Vec::new, |mesh| mesh.triangulate().triangles);
+        let first = &self.samples[0];
+        let compare = |(name, sample): (&String, &Vec<Vec3>)| match likeness::compare(first, &triangles, sample) {
+            Err(why @ (Unlike::Far { .. } | Unlike::Mirrored { .. })) => {
+                Err(PopulationError::Unlike { name: name.clone(), first: self.names[0].clone(), why })
+            }
+            found => {
+                let doubts = found.map_or_else(|why| vec![why], |likeness| likeness.doubts);
+                Ok(doubts.into_iter().map(|why| format!("{name}: {why}")).collect::<Vec<_>>())
+            }
+        };
+        // each by itself, so that the first of several faults is told
+        let compared: Vec<Result<Vec<String>, _>> = self.names.par_iter().zip(&self.samples).map(compare).collect();
+        Ok(compared.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
     /// Moves every shape by the rigid motion or similarity that brings it closest to the mean of all, and returns how many

@@ -46,6 +46,9 @@ pub enum TransferError {
     /// The rig has no polygons.
     #[error("the rig has no polygons, which say how its vertices hang together; add a template")]
     NoPolygons,
+    /// The rig has identity modes alone, or nothing.
+    #[error("the rig has no shapes to transfer; identity modes, which say how faces differ, are left out")]
+    NoShapes,
     /// The anchor is no positive number.
     #[error("anchor: found {0}, expected a number above 0")]
     Anchor(f64),
@@ -73,7 +76,7 @@ impl Rig {
     /// faces differ, are left out; landmarks, regions, textures and groups stay.
     ///
     /// # Errors
-    /// When there are no polygons, the subject has another number of vertices or is not finite, is a line or a point, or is no mesh of
+    /// When there are no polygons or no shapes, the subject has another number of vertices or is not finite, is a line or a point, or is no mesh of
     /// this rig: in another order, mirrored, flat, collapsed ([`Unlike`](super::Unlike)). What is merely odd is a warning.
     pub fn transfer(
         &self,
@@ -84,6 +87,11 @@ impl Rig {
         let anchor = options.anchor;
         if !(anchor > 0.0 && anchor.is_finite()) {
             return Err(TransferError::Anchor(anchor));
+        }
+        let chosen: Vec<usize> =
+            (0..self.shapes.len()).filter(|&k| self.shapes[k].family != Family::Identity).collect();
+        if chosen.is_empty() {
+            return Err(TransferError::NoShapes);
         }
         let (found, expected) = (subject.len(), self.neutral.len());
         if found != expected {
@@ -111,8 +119,6 @@ impl Rig {
         let mut equations = laplacian(&elements, &anchors);
         let mut solver = BorderedCholesky::new(equations.structure());
 
-        let chosen: Vec<usize> =
-            (0..self.shapes.len()).filter(|&k| self.shapes[k].family != Family::Identity).collect();
         let linear = pose.rotation * pose.scale;
         let mut deltas = Vec::with_capacity(3 * subject.len() * chosen.len());
         let mut step = vec![0.0; subject.len()];

@@ -241,3 +241,29 @@ fn bounds_of_weights_hold_and_chosen_shapes_are_fitted_alone() {
     assert_eq!(json["shapes"], serde_json::json!(["mouthLeft", "jawOpen"]));
     assert!(fitted.iter().all(|f| f.1.len() == 2));
 }
+
+#[test]
+fn components_keep_the_materials_of_the_first_mesh() {
+    let bench = Bench::new();
+    bench.write("people/face.mtl", bench.read("rig/face.mtl"));
+    for (name, weight) in [("a", -1.0), ("b", 0.0), ("c", 1.0)] {
+        let person = bench.rig.mesh.with_positions(bench.rig.pose(&[], &[weight, 0.3 * weight * weight]));
+        write_obj(&bench.path(&format!("people/{name}.obj")), &person).unwrap();
+    }
+    for _ in 0..2 {
+        bench.done("rig pca --meshes people --components 2 --out modes");
+        let template = String::from_utf8(bench.read("modes/template.obj")).unwrap();
+        assert!(
+            template.starts_with("mtllib template.mtl\n") && template.contains("usemtl lips"),
+            "{}",
+            &template[..200]
+        );
+        assert!(bench.read("modes/template.mtl") == bench.read("rig/face.mtl"));
+    }
+    bench.write("other/template.mtl", "mine");
+    let run = bench.run("rig pca --meshes people --components 2 --out other");
+    assert!(run.code == 3 && run.stderr.contains("template.mtl: is there already"), "{}", run.stderr);
+    let run = bench.run("rig convert --rig rig --out other");
+    assert!(run.code == 3 && run.stderr.contains("template.mtl: is there already"), "{}", run.stderr);
+    assert!(bench.read("other/template.mtl") == b"mine" && !bench.path("other/neutral.npy").exists());
+}

@@ -207,6 +207,8 @@ pub fn broken() -> Bench {
     bench.write("no_picture.toml", RECIPE.replace(region, "png = \"missing.png\""));
     bench.write("short_weights.toml", RECIPE.replace(region, "weights = \"short_mask.npy\""));
     bench.write("large_weights.toml", RECIPE.replace(region, "weights = \"large_mask.npy\""));
+    bench.write("backwards.toml", format!("range = [2, 1]\n{RECIPE}"));
+    bench.write("no_region.toml", RECIPE.replace(region, "parts = [\"beak\"]"));
     bench.write("past_pin.toml", format!("{RECIPE}[[step.pin]]\nvertex = 99999\nby = [0, 0, 1]\n"));
 
     bench.write("vertices.json", "{\"nose_tip\": 99999, \"chin\": 3, \"wart\": 5}");
@@ -354,6 +356,14 @@ fn broken_rigs_and_frames(bench: &Bench) {
     bare.write_npz(&bench.path("no_polygons.npz")).unwrap();
     let (still, _) = Rig::new(positions.clone(), rig.mesh().cloned(), Vec::new(), Vec::new()).unwrap();
     still.write_npz(&bench.path("no_shapes.npz")).unwrap();
+    let modes = vec![Shape { name: "identity000".into(), family: Family::Identity }];
+    let (modes, _) = Rig::new(positions.clone(), rig.mesh().cloned(), modes, rig.deltas(0).to_vec()).unwrap();
+    modes.write_npz(&bench.path("modes.npz")).unwrap();
+    for (name, by) in [("a", 1), ("b", 1), ("c", 7)] {
+        let places = (0..positions.len()).map(|i| positions[i * by % positions.len()]).collect();
+        bench.write("shuffled_people/.keep", "");
+        write_obj(&bench.path(&format!("shuffled_people/{name}.obj")), &bench.rig.mesh.with_positions(places)).unwrap();
+    }
     bench.write("stranger/old.obj", "v 0 0 0\n");
 
     let flat = vec![Vec3::repeat(7.0); positions.len()];
