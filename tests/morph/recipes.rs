@@ -457,7 +457,10 @@ fn what_has_no_effect_and_what_a_recipe_is_not_made_for_are_said() {
     }
     let ranged = format!("amount = 2\nrange = [-1, 3]\n{}", step("", circle));
     assert!(doubts(&ranged, None, None).is_empty() && doubts(&ranged, Some(-1.0), None).is_empty());
-    assert_eq!(doubts(&ranged, Some(40.0), None), ["r.toml is made for amounts from -1 to 3, not 40: look at the folds"]);
+    assert_eq!(
+        doubts(&ranged, Some(40.0), None),
+        ["r.toml is made for amounts from -1 to 3, not 40: look at the folds"]
+    );
     assert_eq!(doubts(&ranged.replace("amount = 2", "amount = 5"), None, None).len(), 1);
 }
 
