@@ -80,7 +80,7 @@ struct Arguments {
     #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases")]
     population: Option<usize>,
     /// Frames per second of a sequence.
-    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases")]
+    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases", requires = "frames")]
     fps: f64,
     /// A named expression for every case or as the peak of a sequence.
     #[arg(long, value_parser = PossibleValuesParser::new(PRESETS.iter().map(|p| p.0)), conflicts_with = "expressions", help_heading = "Cases")]
@@ -107,7 +107,16 @@ fn unsimulated(error: ScanError) -> Failure {
 }
 
 fn unwritten(error: anyhow::Error) -> Failure {
-    Failure::writing(format!("{error:#}"))
+    Failure::writing(told(&error))
+}
+
+/// An error and its causes, but for those that it tells itself.
+fn told(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
+        "" => cause,
+        _ if said.ends_with(&cause) => said,
+        _ => format!("{said}: {cause}"),
+    })
 }
 
 /// Where lines for the user go.
@@ -170,7 +179,7 @@ fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
     say(format_args!("seed {seed}"))?;
     let start = Instant::now();
     let rig = match &arguments.rig {
-        Some(path) => FaceRig::read(path).map_err(|e| Failure::new(Stage::Loading, format!("{e:#}")))?,
+        Some(path) => FaceRig::read(path).map_err(|e| Failure::new(Stage::Loading, told(&e)))?,
         None => FaceRig::generate(&FaceOptions { vertices, identity_modes }),
     };
     let generated = start.elapsed().as_secs_f64();

@@ -24,6 +24,7 @@ use serde_json::{Map, Value, json};
 use crate::{FaceRig, ScanCase};
 
 /// The template's materials.
+const LIBRARY: &str = "face.mtl";
 const MATERIALS: &str = "newmtl skin\nKd 0.86 0.68 0.58\nKs 0.04 0.04 0.04\nNs 12\n
 newmtl lips\nKd 0.76 0.42 0.40\nKs 0.10 0.10 0.10\nNs 30\n";
 
@@ -80,9 +81,13 @@ pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     write_deep_folder(folder, |aside| write_rig_into(aside, rig))
 }
 
+fn write_materials(folder: &Path) -> Result<(), WriteError> {
+    write_atomically(&folder.join(LIBRARY), |file| file.write_all(MATERIALS.as_bytes()))
+}
+
 fn write_rig_into(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     write_obj(&folder.join("template.obj"), &rig.mesh)?;
-    write_atomically(&folder.join("face.mtl"), |file| file.write_all(MATERIALS.as_bytes()))?;
+    write_materials(folder)?;
     write_points(&folder.join("neutral.npy"), &rig.neutral)?;
     let (names, deltas): (Vec<&str>, Vec<&[Vec3]>) = rig.expressions.iter().map(|e| (&*e.0, &*e.1)).unzip();
     write_shapes(folder, "expression", &names, &deltas)?;
@@ -103,16 +108,22 @@ fn write_rig_into(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     write_json(&folder.join("eyeballs.json"), &json!({ "left": left, "right": right }))
 }
 
-/// Writes `people` random neutral faces, `person_0000.obj` and so on, drawn from N(0, 1) per identity mode.
+/// Writes `people` random neutral faces, `person_0000.obj` and so on, drawn from N(0, 1) per identity mode, and their materials, if
+/// they are those of a generated rig.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn write_population(folder: &Path, rig: &FaceRig, people: usize, seed: u64) -> Result<(), WriteError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut mesh = rig.mesh.clone();
+    mesh.metadata.material_libraries.retain(|name| name == LIBRARY);
     write_deep_folder(folder, |aside| {
+        if !mesh.metadata.material_libraries.is_empty() {
+            write_materials(aside)?;
+        }
         for k in 0..people {
             let weights: Vec<f64> = rig.identities.iter().map(|_| StandardNormal.sample(&mut rng)).collect();
-            write_obj(&aside.join(format!("person_{k:04}.obj")), &rig.mesh.with_positions(rig.pose(&[], &weights)))?;
+            write_obj(&aside.join(format!("person_{k:04}.obj")), &mesh.with_positions(rig.pose(&[], &weights)))?;
         }
         Ok(())
     })

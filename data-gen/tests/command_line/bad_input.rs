@@ -35,6 +35,7 @@ const ROWS: &[Row] = &[
     ("--frames 2 --case same_open", ARGUMENTS, &["cannot be used with"]),
     ("--frames 2 --cases 2", ARGUMENTS, &["cannot be used with"]),
     ("--population 0", ARGUMENTS, &["--population", "1 to 100000"]),
+    ("--fps 20", ARGUMENTS, &["--frames"]),
     ("--fps 0 --frames 2", ARGUMENTS, &["--fps", "0.001"]),
     ("--fps NaN --frames 2", ARGUMENTS, &["--fps", "NaN"]),
     ("--expression jawOpen", ARGUMENTS, &["--expression", "NAME=WEIGHT"]),

@@ -143,7 +143,7 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let program = env!("CARGO_BIN_EXE_data-gen");
     let small = "--seed 7 --out OUT --vertices 1000 --identity-modes 6 --triangles 5000 --threads THREADS";
     for (options, files) in [
-        ("--population 3 --contact-sheet --case same_open --case new_asym", 27),
+        ("--population 3 --contact-sheet --case same_open --case new_asym", 28),
         ("--frames 2 --preset smile", 25),
         ("--case new_open --scanner fused", 17),
     ] {
