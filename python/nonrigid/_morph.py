@@ -71,7 +71,7 @@ class Morph:
 
 
 def _recipes(recipe: Any, amount: float | None) -> list[tuple[str, Any, float | None]]:
-    known = {row[0]: row[2] for row in _nonrigid.presets()}
+    known = [row[0] for row in _nonrigid.presets()]
     if isinstance(recipe, Mapping) and "step" not in recipe:
         if amount is not None:
             raise ValueError("amount: each preset has its own here")
@@ -86,10 +86,6 @@ def _recipes(recipe: Any, amount: float | None) -> list[tuple[str, Any, float | 
         jobs = [("file", os.fspath(recipe), amount)]
     else:
         raise TypeError(f"recipe: expected a preset's name, {{preset: millimetres}}, a path or a recipe's keys, found {type(recipe).__qualname__}")
-    for kind, name, mm in jobs:
-        limits = known.get(name) if kind == "preset" else None
-        if mm is not None and limits is not None and not limits[0] <= mm <= limits[1]:
-            warn(f"preset {name} is made for {limits[0]} to {limits[1]} mm, not {mm}: look at the folds")
     return [(kind, given, None if mm is None else float(mm)) for kind, given, mm in jobs]
 
 
@@ -134,7 +130,7 @@ def morph(
     """
     before = Mesh.of(mesh, unit=unit)
     of_rig = None if rig is None else Rig.of(rig)
-    steps = _nonrigid.morph_mesh(
+    notes, steps = _nonrigid.morph_mesh(
         before._native,
         _recipes(recipe, amount),
         _marks(landmarks),
@@ -146,7 +142,9 @@ def morph(
         model,
         threads,
     )
-    after = before.with_vertices(steps[-1][0]) if steps else before
+    for note in notes:
+        warn(note)
+    after = before.with_vertices(steps[-1][0], colors=before.colors) if steps else before
     told = [
         MorphStep(json.loads(report), {name or str(k): weights for k, (name, weights) in enumerate(masks)}) for _, report, masks in steps
     ]

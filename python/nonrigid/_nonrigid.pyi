@@ -323,7 +323,7 @@ def morph_mesh(
     until: int | None,
     model: str | None,
     threads: int | None,
-) -> list[tuple[_Floats, str, list[tuple[str, _Floats]]]]: ...
+) -> tuple[list[str], list[tuple[_Floats, str, list[tuple[str, _Floats]]]]]: ...
 def measure_mesh(
     mesh: Mesh,
     after: _Floats | None,

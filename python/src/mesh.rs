@@ -290,6 +290,10 @@ impl Mesh {
             let made_of = Some(&self.materials).filter(|path| !path.as_os_str().is_empty());
             let reads: Vec<PathBuf> = reads.iter().chain(made_of).chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
+            if let Some(other) = writes[1..].iter().find(|file| file.exists()).filter(|_| !path.exists()) {
+                let message = format!("{}: is there already, and would be overwritten", other.display());
+                return Err(value(format!("{message}; remove it, or give another name")));
+            }
             let mut mesh = self.file.mesh.clone();
             let copied = materials.write(&path, &mut mesh).map_err(input)?;
             io::write_colored_mesh(&path, &mesh, self.file.colors.as_deref()).map_err(input)?;

@@ -41,8 +41,8 @@ fn recipe_error(error: RecipeError) -> PyErr {
         {
             value(format!("{error}; give landmarks, or a rig that has them"))
         }
-        RecipeError::Impossible { .. } => computation(error),
-        _ => input(error),
+        error if error.is_input() => input(error),
+        error => computation(error),
     }
 }
 
@@ -79,7 +79,7 @@ fn places(landmarks: &[&Landmarks], rig: Option<&Rig>, mesh: &Mesh) -> PyResult<
     Ok(points)
 }
 
-/// Step by step: positions, report (JSON), and of each mask its name and weights.
+/// Step by step, behind what is doubtful in words: positions, report (JSON), and of each mask its name and weights.
 type Steps<'py> = Vec<(Bound<'py, PyArray2<f64>>, String, Vec<(String, Bound<'py, PyArray1<f64>>)>)>;
 
 #[pyfunction]
@@ -96,7 +96,7 @@ fn morph_mesh<'py>(
     until: Option<usize>,
     model: Option<&str>,
     threads: Option<usize>,
-) -> PyResult<Steps<'py>> {
+) -> PyResult<(Vec<String>, Steps<'py>)> {
     let model = model.map(str::parse::<MorphModel>).transpose().map_err(value)?;
     let recipes = recipes.iter().map(|(kind, given, amount)| Ok((recipe(py, kind, given)?, *amount)));
     let recipes = recipes.collect::<PyResult<Vec<_>>>()?;
@@ -106,11 +106,11 @@ fn morph_mesh<'py>(
         return Err(value(format!("until: {until}; the recipe has {} steps", recipes[0].0.step.len())));
     }
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
+    let mut notes: Vec<String> = recipes.iter().flat_map(|(recipe, amount)| recipe.doubts(*amount, model)).collect();
     let outcomes = compute(py, threads, || {
         let mut basis = match rig {
             None => ShapeBasis::none(),
             Some(rig) => {
-                rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
                 let selection = ShapeSelection { names: shapes.as_deref(), identity_modes };
                 rig.rig.select_for(selection, "the mesh", &mesh.polygons().positions).map_err(input)?.0
             }
@@ -137,7 +137,10 @@ fn morph_mesh<'py>(
         let masks = outcome.masks.into_iter().map(|mask| (mask.name, mask.weights.into_values().into_pyarray(py)));
         Ok((arrays::from_points(py, &outcome.positions)?, report, masks.collect()))
     };
-    outcomes.into_iter().map(step).collect()
+    for (k, outcome) in outcomes.iter().enumerate() {
+        notes.extend(outcome.report.doubts().into_iter().map(|doubt| format!("step {} {doubt}", k + 1)));
+    }
+    Ok((notes, outcomes.into_iter().map(step).collect::<PyResult<_>>()?))
 }
 
 /// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks.

@@ -272,12 +272,13 @@ impl Rig {
         let pose = pose_kind(align)?;
         compute(py, None, || {
             let mut population = Population::new(samples).map_err(input)?;
+            let odd = population.doubts(mesh.map(Mesh::polygons)).map_err(input)?;
             if let Some(kind) = pose {
                 population.align(kind).map_err(computation)?;
             }
             let pca = ShapePca::fit(&population, components).map_err(input)?;
             let (rig, warnings) = pca.to_rig(mesh.map(Mesh::polygons)).map_err(input)?;
-            let notes = warnings.iter().map(ToString::to_string).collect();
+            let notes = odd.into_iter().chain(warnings.iter().map(ToString::to_string)).collect();
             let (deviations, shares) = (pca.standard_deviations().to_vec(), pca.explained());
             Ok((Self { rig, known: None, files: Vec::new(), notes }, deviations, shares))
         })

@@ -47,6 +47,11 @@ def test_presets_and_recipes(face: data_gen.Face, data: Data, tmp_path: Path) ->
     assert energy.steps[0].report["energy"]["iterations"] > 0 and not np.array_equal(energy.mesh.vertices, preset.mesh.vertices)
     with pytest.warns(nonrigid.NonrigidWarning, match="made for"):
         nonrigid.morph(data.template, {"nose-bridge": 9}, rig=rig)
+    with pytest.warns(nonrigid.NonrigidWarning, match="smoothing has no effect"):
+        nonrigid.morph(data.template, {**keys, "step": [{**keys["step"][0], "energy": {"smoothing": 3}}]}, rig=rig)
+    plain = found.before
+    painted = nonrigid.Mesh(plain.vertices, plain.faces, colors=np.arange(3 * len(plain.vertices)).reshape(-1, 3) % 256)
+    assert np.array_equal(nonrigid.morph(painted, "nose-bridge", rig=rig).mesh.colors, painted.colors)
     for recipe, options, error, words in [
         ("nose-bridg", {}, FileNotFoundError, "presets are"),
         ({"nose-bridg": 1}, {}, ValueError, "unknown preset"),

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::inputs::{Align, ShapeKindArgument, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, say, warn, write_json};
-use crate::io::{Clip, FilePlan, Motion, write_animated_glb, write_pc2, write_usda};
+use crate::io::{Clip, FilePlan, MeshFile, Motion, write_animated_glb, write_pc2, write_usda};
 use crate::mesh::{PolygonMesh, Pose, Vec3};
 use crate::motion::{Lost, Track, flicker};
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
@@ -191,7 +191,7 @@ fn read_frames(
             frames.push(None);
             continue;
         };
-        let (mesh, colors) = units.read_colored_mesh("meshes", path)?;
+        let MeshFile { mesh, colors, .. } = units.read_mesh_file("meshes", path)?;
         let (other, of, _) = first.get_or_insert_with(|| (path, mesh.clone(), colors));
         if (mesh.positions.len(), &mesh.starts, &mesh.corners) != (of.positions.len(), &of.starts, &of.corners) {
             let (path, other) = (path.display(), other.display());

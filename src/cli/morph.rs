@@ -12,7 +12,7 @@ use super::{
     Failure, Stage, check_output, check_output_folder, check_plan, materials_for, meshes, on_threads, refuse_beside,
     say, warn, warn_of_format, warn_of_materials,
 };
-use crate::io::{self, FilePlan, write_atomically};
+use crate::io::{self, FilePlan, MeshFile, write_atomically};
 use crate::landmark;
 use crate::landmark::TemplatePoint;
 use crate::measurement::{Landmarks, Plan, Subject as Measured, report};
@@ -128,7 +128,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let given = [("mesh", true), ("rig", a.rig.rig.is_some()), ("landmarks", a.landmarks.is_some())];
     let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
     let mut units = a.units.of(&given)?;
-    let (before, colors) = units.read_colored_mesh("mesh", mesh)?;
+    let MeshFile { mesh: before, colors, .. } = units.read_mesh_file("mesh", mesh)?;
     let materials = materials_for(out, mesh, &before);
     let copies: Vec<_> = materials.writes(out).into_iter().map(|path| ("--out", path)).collect();
     refuse_beside(out, copies.clone())?;

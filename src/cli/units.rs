@@ -116,19 +116,16 @@ impl Units<'_> {
 
     /// Reads a mesh.
     pub fn read_mesh(&mut self, input: &'static str, path: &Path) -> Result<PolygonMesh, Failure> {
-        Ok(self.read_colored_mesh(input, path)?.0)
+        Ok(self.read_mesh_file(input, path)?.mesh)
     }
 
-    /// Reads a mesh with red, green, blue of its vertices, if the file has them.
-    pub fn read_colored_mesh(
-        &mut self,
-        input: &'static str,
-        path: &Path,
-    ) -> Result<(PolygonMesh, Option<Vec<[u8; 3]>>), Failure> {
-        let MeshFile { mut mesh, colors, .. } = io::read_mesh_file(path).map_err(Failure::loading)?;
+    /// Reads a mesh with what else its file holds.
+    pub fn read_mesh_file(&mut self, input: &'static str, path: &Path) -> Result<MeshFile, Failure> {
+        let mut file = io::read_mesh_file(path).map_err(Failure::loading)?;
+        let mesh = &mut file.mesh;
         let factor = self.factor(input, path, &surface_points(&mesh.positions, mesh.corners.iter().copied()))?;
         mesh.positions.iter_mut().for_each(|p| *p *= factor);
-        Ok((mesh, colors))
+        Ok(file)
     }
 
     /// Reads a scan.

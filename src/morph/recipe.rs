@@ -409,8 +409,7 @@ impl Recipe {
         if !self.amount.is_finite() {
             return fail(None, format!("the amount is {}, expected a number", self.amount));
         }
-        // written so that NaN fails
-        if let Some([low, high]) = self.range.filter(|[low, high]| !(low <= high)) {
+        if let Some([low, high]) = self.range.filter(|[low, high]| low.is_nan() || high.is_nan() || low > high) {
             return fail(None, format!("the range is {low} to {high}, expected the least amount and then the most"));
         }
         for step in &self.step {

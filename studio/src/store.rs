@@ -9,7 +9,7 @@ use nonrigid::io::{self, FaceUnit, LengthUnit, MeshFile, Scan, face_extent, file
 use nonrigid::landmark::{TemplatePoint, read_landmark_set};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
-use nonrigid::rig::{Regions, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Regions, Rig, RigError, RigReadOptions, ShapeBasis, ShapeSelection};
 
 use crate::case::{Case, Source, Unit};
 use crate::error::{Problem, problem};
@@ -230,22 +230,33 @@ impl Store {
         })
     }
 
-    /// The shapes of a case's rig, with so many identity modes at most; none without a rig.
+    /// The shapes of a case's rig for a mesh of it, with so many identity modes at most; none without a rig.
     ///
     /// # Errors
-    /// When it cannot be read.
-    pub fn shapes(&self, vault: &Vault, case: &Case, identity_modes: u32) -> Result<ShapeBasis, Problem> {
+    /// When the rig cannot be read, or the mesh is none of it.
+    pub fn shapes(
+        &self,
+        vault: &Vault,
+        case: &Case,
+        identity_modes: u32,
+        mesh: &PolygonMesh,
+    ) -> Result<ShapeBasis, Problem> {
         let Some(source) = &case.rig else { return Ok(ShapeBasis::none()) };
         let rig = self.rig(vault, source, identity_modes)?;
-        rig.rig.select(ShapeSelection { names: None, identity_modes: rig.rig.identity_modes() }).map_err(problem)
+        let selection = ShapeSelection { names: None, identity_modes: rig.rig.identity_modes() };
+        let selected = rig.rig.select_for(selection, FACE, &mesh.positions).map_err(not_of_the_rig)?;
+        Ok(selected.0)
     }
 
-    /// The regions of a case's rig, or the groups of a mesh.
+    /// The regions of a case's rig on a mesh of it, or the groups of a mesh.
     ///
     /// # Errors
-    /// When the rig cannot be read.
+    /// When the rig cannot be read, or the mesh is none of it.
     pub fn regions(&self, vault: &Vault, case: &Case, mesh: &PolygonMesh) -> Result<Regions, Problem> {
         let rig = case.rig.as_ref().map(|source| self.rig(vault, source, 0)).transpose()?;
+        if let Some(rig) = &rig {
+            rig.rig.check_subject(FACE, &mesh.positions).map_err(not_of_the_rig)?;
+        }
         Ok(Regions::of(rig.as_ref().map(|rig| &rig.rig), mesh))
     }
 
@@ -268,6 +279,13 @@ pub fn face_source(case: &Case) -> Result<Source, Problem> {
     wrapped
         .or_else(|| case.template.clone())
         .ok_or_else(|| problem("the case has no face yet: add a template or a rig"))
+}
+
+/// What messages call the mesh that a rig is for.
+const FACE: &str = "the face";
+
+fn not_of_the_rig(error: RigError) -> Problem {
+    problem(format!("{error}; add the rig's own template"))
 }
 
 fn bytes_of<const N: usize>(numbers: impl Iterator<Item = [u8; N]>) -> Vec<u8> {

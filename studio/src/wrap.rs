@@ -148,14 +148,7 @@ impl WrapJob {
         let settings = &case.wrap;
         let template = store.mesh(vault, template_source)?;
         let scan = store.scan(vault, scan_source)?;
-        let shapes = store.shapes(vault, case, settings.identity_modes)?;
-        if !shapes.is_empty() && shapes.vertex_count() != template.positions.len() {
-            return Err(problem(format!(
-                "the rig has {} vertices, the template {}: they do not belong together; add the rig's own template",
-                shapes.vertex_count(),
-                template.positions.len()
-            )));
-        }
+        let shapes = store.shapes(vault, case, settings.identity_modes, &template)?;
         let mut units =
             vec![format!("template={}", template_source.unit.name()), format!("target={}", scan_source.unit.name())];
         let mut command: Vec<String> = Vec::new();

@@ -190,7 +190,7 @@ fn what_somebody_has_changed_stays() {
     let mut ended: serde_json::Value = serde_json::from_slice(&record).unwrap();
     ended["replaced"] = serde_json::json!({ "person.obj": ended["outputs"]["person.obj"] });
     ended["outputs"]["person.obj"] = "another".into();
-    bench.write("out/log/person.json", &ended.to_string());
+    bench.write("out/log/person.json", ended.to_string());
     let run = bench.run(&command);
     assert!(run.code == 0 && !run.stderr.contains("person: done before"), "{}", run.stderr);
     assert!(bench.read("out/person.obj") == made);

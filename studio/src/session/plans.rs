@@ -249,7 +249,8 @@ impl Parts<'_> {
             None => {
                 let regions = hub.store.regions(&hub.vault, case, face)?;
                 let uses_shapes = recipe.step.iter().any(|s| s.get_ref().model.uses_shapes());
-                let shapes = if uses_shapes { hub.store.shapes(&hub.vault, case, 0)? } else { ShapeBasis::none() };
+                let shapes =
+                    if uses_shapes { hub.store.shapes(&hub.vault, case, 0, face)? } else { ShapeBasis::none() };
                 (regions, shapes)
             }
         };
