@@ -155,7 +155,7 @@ pub struct Record {
     pub error: Option<String>,
     /// SHA-256 of each output; of a job that failed, those that an earlier run has left.
     pub outputs: BTreeMap<String, String>,
-    /// SHA-256 of what these replaced: a run that ended between this record and its files has left that.
+    /// SHA-256 of what these replace, until they have: a run that ended between this record and its files has left that.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub replaced: BTreeMap<String, String>,
     /// Other files that it has written: what was said, times.
@@ -302,8 +302,13 @@ mod tests {
         let kept = Record { error: Some("no".into()), kept: Some(Kept { key, start }), ..failed };
         assert_eq!(kept.of_done("k", folder.path()), Some(record.clone()));
         assert!(!holds(&kept, "l"));
+        assert_eq!(record.changed(folder.path()).next(), None);
         std::fs::write(folder.path().join("a.obj"), "w").unwrap();
-        assert!(!holds(&record, "k") && !holds(&kept, "k"));
+        assert!(holds(&record, "k") && holds(&kept, "k"), "somebody has changed it");
+        assert_eq!(record.changed(folder.path()).next().unwrap(), "a.obj");
+        let replaced = Record::hashes(folder.path(), &["a.obj".to_owned()]);
+        let ended = Record { replaced, ..record.clone() };
+        assert!(!holds(&ended, "k") && ended.changed(folder.path()).next().is_none(), "it is of the run before");
         std::fs::remove_file(folder.path().join("a.obj")).unwrap();
         assert!(!holds(&record, "k"));
     }

@@ -535,6 +535,7 @@ impl<'a> Run<'a> {
         if record.status == Status::Done {
             self.refuse_changed(job, known)?;
             record.replaced = Record::hashes(folder, &record.outputs.keys().cloned().collect::<Vec<_>>());
+            record.replaced.retain(|name, hash| record.outputs[name] != *hash);
         }
         if let (Status::Done, Some(known)) = (record.status, known) {
             // of an earlier format, or a picture: nobody has changed it since, and it would be taken for one of this run's
@@ -549,6 +550,10 @@ impl<'a> Run<'a> {
         for name in names.iter().filter(|name| made(name)) {
             let path = folder.join(name);
             replace(&self.aside.join(name), &path).map_err(|source| WriteError::Io { path, source })?;
+        }
+        if record.status == Status::Done && !record.replaced.is_empty() {
+            record.replaced.clear();
+            self.write_record(job, &record)?;
         }
         Ok(record)
     }

@@ -1,7 +1,7 @@
 //! What a result says of itself.
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
-use nonrigid::mesh::TriangleMesh;
+use nonrigid::mesh::{TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, RegistrationInput, Reliability, Silent, assess, register};
 use nonrigid::rig::{ShapeBasis, ShapeSelection};
 
@@ -47,9 +47,9 @@ fn what_is_hardly_shown_or_mostly_contradicted_is_doubted() {
     let count = rig.mesh.positions.len();
     let mut half_turned = case.scan.clone();
     half_turned.triangles.iter_mut().enumerate().filter(|(k, _)| k % 9 < 4).for_each(|(_, t)| t.swap(1, 2));
-    // Triangles with corners of their own say nothing of how their neighbours face.
-    let corners = half_turned.triangles.as_flattened();
-    half_turned.positions = corners.iter().map(|v| case.scan.positions[*v as usize]).collect();
+    // Triangles with corners of their own, none at the place of another, say nothing of how their neighbours face.
+    let apart = |(k, v): (usize, &u32)| case.scan.positions[*v as usize] + Vec3::repeat(1e-9 * k as f64);
+    half_turned.positions = half_turned.triangles.as_flattened().iter().enumerate().map(apart).collect();
     half_turned.triangles = (0..half_turned.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
     let nearly_all_masked: Vec<f64> = (0..count).map(|v| if v % 10 == 0 { 1.0 } else { 0.0 }).collect();
     let doubts = |scan: &TriangleMesh, mask: Option<&[f64]>| -> Vec<&'static str> {
