@@ -193,10 +193,10 @@ def measure(
     """Measures a face, or what a change did to it: distances, angles, ratios, symmetry, areas and volumes by region. `glossary` has every
     measurement with its formula and landmarks.
 
-    mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path, measured along the axes of the face before, however the head
-    is held. landmarks: {name: vertex or point}, the 68 vertex indices of Multi-PIE, files, or a list of these; unless stated those of the
-    rig, with the landmarks by name in its folder. rig, regions: parts of the face; the groups of the mesh unless stated. align: move the
-    face after onto the one before first, which displacements and volumes alone depend on.
+    mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path, measured along the axes of the face before, however the
+    head is held. landmarks: {name: vertex or point}, the 68 vertex indices of Multi-PIE, files, or a list of these; unless stated those of
+    the rig, with the landmarks by name in its folder, which a pickled rig leaves behind. rig, regions: parts of the face; the groups of the
+    mesh unless stated. align: move the face after onto the one before first, which displacements and volumes alone depend on.
 
     Warns of points off the mesh. Raises ValueError where nothing can be measured, or vertices do not correspond; OSError.
     """
