@@ -114,9 +114,8 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         .writes_all(a.csv.iter().map(|path| ("--csv", path)))
         .writes_all(a.report.iter().flat_map(|folder| report::FILES.map(|name| ("--report", folder.join(name)))));
     check_plan(&plan)?;
-    let given = [("mesh", true), ("after", !a.after.is_empty()), ("landmarks", !a.landmarks.is_empty())];
-    let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
-    let mut units = a.units.of(&given)?;
+    let inputs = [("mesh", true), ("after", !a.after.is_empty()), ("landmarks", !a.landmarks.is_empty())];
+    let mut units = a.units.of_given(&inputs)?;
     let mesh = units.read_mesh("mesh", before)?;
     let vertices = mesh.positions.len();
     let rig = a.rig.as_deref().map(|folder| -> Result<(&Path, Rig), Failure> {

@@ -125,9 +125,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let others = a.compare.iter().map(|path| Recipe::read(path).map_err(failure)).collect::<Result<Vec<_>, _>>()?;
     warn_of_recipes(a, &jobs, &others);
     check_plan(&plan(a, mesh, out, &jobs, &others))?;
-    let given = [("mesh", true), ("rig", a.rig.rig.is_some()), ("landmarks", a.landmarks.is_some())];
-    let given: Vec<&str> = given.into_iter().filter(|input| input.1).map(|input| input.0).collect();
-    let mut units = a.units.of(&given)?;
+    let inputs = [("mesh", true), ("rig", a.rig.rig.is_some()), ("landmarks", a.landmarks.is_some())];
+    let mut units = a.units.of_given(&inputs)?;
     let MeshFile { mesh: before, colors, .. } = units.read_mesh_file("mesh", mesh)?;
     let materials = materials_for(out, mesh, &before);
     let copies: Vec<_> = materials.writes(out).into_iter().map(|path| ("--out", path)).collect();

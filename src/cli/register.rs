@@ -283,7 +283,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         scan: &faced,
         scan_normals: normals.as_deref(),
         painter: painter.as_ref(),
-        sources: result.scan_facing.sources(&scan.mesh).as_deref(),
+        sources: painter.as_ref().and_then(|_| result.scan_facing.sources(&scan.mesh)).as_deref(),
     })?;
     let baking_seconds = clock.elapsed().as_secs_f64() - before_texture;
     let report = match &a.report {

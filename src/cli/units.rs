@@ -49,6 +49,15 @@ pub struct Units<'a> {
 }
 
 impl UnitArguments {
+    /// [`of`](Self::of) those of the inputs that are given.
+    ///
+    /// # Errors
+    /// As [`of`](Self::of).
+    pub fn of_given(&self, inputs: &[(&str, bool)]) -> Result<Units<'_>, Failure> {
+        let given: Vec<&str> = inputs.iter().filter(|(_, given)| *given).map(|(input, _)| *input).collect();
+        self.of(&given)
+    }
+
     /// For a command that is given these inputs.
     ///
     /// # Errors

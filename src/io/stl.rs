@@ -9,7 +9,7 @@ use std::path::Path;
 
 use super::error::{excerpt, without_mark};
 use super::{Place, ReadError};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, place};
 
 const HEADER: usize = 84;
 const TRIANGLE: usize = 50;
@@ -49,8 +49,7 @@ struct Merged {
 impl Merged {
     fn vertex(&mut self, p: Vec3) -> u32 {
         let next = self.mesh.positions.len() as u32;
-        let bits: [u64; 3] = p.map(|c| (c + 0.0).to_bits()).into(); // -0 is 0
-        *self.vertices.entry(bits).or_insert_with(|| {
+        *self.vertices.entry(place(&p)).or_insert_with(|| {
             self.mesh.positions.push(p);
             next
         })

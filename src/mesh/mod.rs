@@ -42,6 +42,11 @@ pub use triangle_mesh::TriangleMesh;
 /// A point or vector in space, millimetres.
 pub type Vec3 = nalgebra::Vector3<f64>;
 
+/// What points at one place have in common, bit for bit; the two zeros are one.
+pub(crate) fn place(p: &Vec3) -> [u64; 3] {
+    p.map(|x| (x + 0.0).to_bits()).into()
+}
+
 /// An error unless every position is finite.
 ///
 /// # Errors

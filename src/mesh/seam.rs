@@ -18,8 +18,7 @@ pub fn sewn(mesh: &TriangleMesh) -> Vec<u32> {
     let on_boundary = |a: u32, b: u32| boundary.binary_search(&[a.min(b), a.max(b)]).is_ok();
     let sides = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
     let sides: Vec<[u32; 2]> = sides.filter(|[a, b]| on_boundary(*a, *b)).collect();
-    // `+ 0.0`: the two zeros are one place
-    let place = |v: u32| mesh.positions[v as usize].map(|x| (x + 0.0).to_bits());
+    let place = |v: u32| super::place(&mesh.positions[v as usize]);
     let mut at: HashMap<_, Vec<[u32; 2]>> = HashMap::new();
     for &[a, b] in &sides {
         at.entry([place(a), place(b)]).or_default().push([a, b]);

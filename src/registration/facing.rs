@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::correspondence::ScanSurface;
 use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
 use crate::mesh::rows::Rows;
-use crate::mesh::{TriangleMesh, Vec3};
+use crate::mesh::{TriangleMesh, Vec3, place};
 
 /// What was done to a scan so that it is one surface that faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -113,8 +113,6 @@ pub(super) fn joined(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing)
 /// The first of the vertices at each one's place.
 fn first_at_place(positions: &[Vec3]) -> Vec<u32> {
     let mut at = HashMap::with_capacity(positions.len());
-    // `+ 0.0`: the two zeros are one place
-    let place = |p: &Vec3| p.map(|x| (x + 0.0).to_bits());
     (0..).zip(positions).map(|(v, p)| *at.entry(place(p)).or_insert(v)).collect()
 }
 

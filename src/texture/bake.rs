@@ -59,6 +59,14 @@ pub struct BakeInput<'a> {
     pub sources: Option<&'a [u32]>,
 }
 
+impl<'a> BakeInput<'a> {
+    /// The shape of a scan, everywhere.
+    #[must_use]
+    pub fn new(template: &'a PolygonMesh, scan: &'a TriangleMesh) -> Self {
+        Self { template, mask: None, scan, scan_normals: None, painter: None, sources: None }
+    }
+}
+
 /// A texture; rows from the top, texels from the left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baked {
@@ -119,8 +127,7 @@ struct Counts {
 /// # Errors
 /// As [`bake`].
 pub fn check_bake(template: &PolygonMesh, scan: &TriangleMesh, options: &BakeOptions) -> Result<(), BakeError> {
-    atlas_of(&BakeInput { template, mask: None, scan, scan_normals: None, painter: None, sources: None }, options)
-        .map(drop)
+    atlas_of(&BakeInput::new(template, scan), options).map(drop)
 }
 
 fn atlas_of(input: &BakeInput<'_>, options: &BakeOptions) -> Result<Atlas, BakeError> {

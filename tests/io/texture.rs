@@ -109,14 +109,7 @@ fn on_the_true_surface_colours_stay_where_they_are() {
     let (scan, paint) = read_painted_scan(&bench.path("scan.obj")).unwrap();
     let painter = Painter::new(&scan.mesh, paint.as_ref(), None).unwrap().unwrap();
     let template = read_obj(&bench.path("rig/template.obj")).unwrap().with_positions(bench.case.truth.clone());
-    let input = BakeInput {
-        template: &template,
-        mask: None,
-        scan: &scan.mesh,
-        scan_normals: None,
-        painter: Some(&painter),
-        sources: None,
-    };
+    let input = BakeInput { painter: Some(&painter), ..BakeInput::new(&template, &scan.mesh) };
     let options = BakeOptions { side: 1024, shape: true, ..BakeOptions::default() };
     let baked = bake(&input, &options).unwrap();
     assert!(baked.seen_share() > 0.7 && baked.sixteen_bits && baked.shared < 0.001, "{}", baked.seen_share());
@@ -182,14 +175,7 @@ fn the_shape_that_the_template_is_too_coarse_for_is_in_its_maps() {
         if mirrored {
             template.metadata.uvs.iter_mut().for_each(|uv| uv[0] = 1.0 - uv[0]);
         }
-        let input = BakeInput {
-            template: &template,
-            mask: None,
-            scan: &scan,
-            scan_normals: None,
-            painter: None,
-            sources: None,
-        };
+        let input = BakeInput::new(&template, &scan);
         let baked = bake(&input, &BakeOptions { side: 128, shape: true, ..BakeOptions::default() }).unwrap();
         assert!(baked.light.is_none() && baked.seen.iter().all(|s| *s));
         for (i, texel) in baked.shape.unwrap().iter().enumerate() {
@@ -218,8 +204,7 @@ fn what_the_scan_does_not_show_is_not_seen() {
     let options = BakeOptions { side: 64, ..BakeOptions::default() };
     let seen = |scan: &TriangleMesh, mask: Option<&[f64]>| {
         let painter = colored(scan);
-        let input =
-            BakeInput { template: &template, mask, scan, scan_normals: None, painter: Some(&painter), sources: None };
+        let input = BakeInput { mask, painter: Some(&painter), ..BakeInput::new(&template, scan) };
         bake(&input, &options).unwrap()
     };
     let front = square(1.0).triangulate();
@@ -245,14 +230,7 @@ fn what_the_scan_does_not_show_is_not_seen() {
     assert!((masked - 0.5).abs() < 0.02, "{masked}");
     // turned over by somebody else: the same colours
     let painter = colored(&back);
-    let input = BakeInput {
-        template: &template,
-        mask: None,
-        scan: &front,
-        scan_normals: None,
-        painter: Some(&painter),
-        sources: None,
-    };
+    let input = BakeInput { painter: Some(&painter), ..BakeInput::new(&template, &front) };
     assert_eq!(bake(&input, &options).unwrap(), seen(&front, None));
 }
 
@@ -263,8 +241,7 @@ fn coordinates_outside_the_tile_repeat_and_odd_ones_are_counted() {
     let painter = Painter::new(&scan, None, Some(&colors)).unwrap().unwrap();
     let options = BakeOptions { side: 32, ..BakeOptions::default() };
     let baked = |template: &PolygonMesh| {
-        let input =
-            BakeInput { template, mask: None, scan: &scan, scan_normals: None, painter: Some(&painter), sources: None };
+        let input = BakeInput { painter: Some(&painter), ..BakeInput::new(template, &scan) };
         bake(&input, &options)
     };
     let plain = baked(&square(0.0)).unwrap();
@@ -290,18 +267,10 @@ fn coordinates_outside_the_tile_repeat_and_odd_ones_are_counted() {
     let mut cloud = scan.clone();
     cloud.triangles.clear();
     let template = square(0.0);
-    let input =
-        BakeInput { template: &template, mask: None, scan: &cloud, scan_normals: None, painter: None, sources: None };
+    let input = BakeInput::new(&template, &cloud);
     assert_eq!(bake(&input, &options).unwrap_err(), BakeError::NoSurface);
     for side in [0, 15, 8193, 1_000_000] {
-        let input = BakeInput {
-            template: &template,
-            mask: None,
-            scan: &scan,
-            scan_normals: None,
-            painter: None,
-            sources: None,
-        };
+        let input = BakeInput::new(&template, &scan);
         let refused = bake(&input, &BakeOptions { side, ..options.clone() }).unwrap_err();
         assert_eq!(refused, BakeError::Size(side));
     }
@@ -322,8 +291,7 @@ fn middle_of(folder: &Path, library: &str) -> Result<Vec3, String> {
 fn light_in_the_middle(scan: &TriangleMesh, paint: Option<&Paint>) -> Result<Vec3, String> {
     let painter = Painter::new(scan, paint, None).map_err(|e| e.to_string())?.ok_or("no paint")?;
     let template = square(0.0);
-    let input =
-        BakeInput { template: &template, mask: None, scan, scan_normals: None, painter: Some(&painter), sources: None };
+    let input = BakeInput { painter: Some(&painter), ..BakeInput::new(&template, scan) };
     let baked = bake(&input, &BakeOptions { side: 17, ..BakeOptions::default() }).unwrap();
     Ok(Vec3::from(baked.light.unwrap()[8 * 17 + 8].map(f64::from)))
 }
@@ -352,14 +320,7 @@ fn triangles_that_are_left_out_leave_their_neighbours_their_colours() {
         let (faced, _) = facing.apply(scan, None);
         let sources = facing.sources(scan);
         let painter = Some(&painter);
-        let input = BakeInput {
-            template: &template,
-            mask: None,
-            scan: &faced,
-            scan_normals: None,
-            painter,
-            sources: sources.as_deref(),
-        };
+        let input = BakeInput { painter, sources: sources.as_deref(), ..BakeInput::new(&template, &faced) };
         let baked = bake(&input, &BakeOptions { side: 17, ..BakeOptions::default() }).unwrap();
         baked.light.unwrap().iter().map(|light| light[0]).collect::<Vec<f32>>()
     };

@@ -43,7 +43,7 @@ fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, ScanFacing) {
         None => {
             let (scan, agreed) = if template_agrees { facing::agreeing(scan) } else { (scan, ScanFacing::default()) };
             let normals_ignored = input.scan_normals.is_some() && joined.joined == 0;
-            ((scan, None), ScanFacing { joined: joined.joined, collapsed: joined.collapsed, normals_ignored, ..agreed })
+            ((scan, None), ScanFacing { repeated: agreed.repeated, turned: agreed.turned, normals_ignored, ..joined })
         }
     }
 }
