@@ -1,11 +1,12 @@
 //! The animated files of sequences: what they are called, and what they say of their frames.
 
+use std::borrow::Borrow;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
 
 use serde_json::Value;
 
-use super::{Batch, Job, Record, Status};
+use super::{Batch, BatchError, Job, Record, Status};
 
 /// How the frames of a sequence become one file.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,6 +29,28 @@ pub(super) fn names<'a>(batch: &Batch, sequences: impl Iterator<Item = Option<&'
     let mut seen = HashSet::new();
     let of_sequences = sequences.flatten().filter(|_| batch.animation.is_some()).filter(|name| seen.insert(*name));
     of_sequences.map(|name| format!("{name}{ENDING}")).collect()
+}
+
+/// Refuses sequences that would have no animated file when all their frames are done: those are subdivided unlike each other, or unlike
+/// the rig that is to explain them.
+pub(super) fn check<J: Borrow<Job>>(batch: &Batch, jobs: impl Iterator<Item = J>) -> Result<(), BatchError> {
+    let Some(animation) = &batch.animation else { return Ok(()) };
+    let mut rounds_of = HashMap::new();
+    for job in jobs {
+        let job = job.borrow();
+        let Some(sequence) = &job.sequence else { continue };
+        let rounds = job.settings.iter().find(|(option, _)| option == "subdivide").map_or("0", |(_, rounds)| rounds);
+        let refuse = |why| Err(BatchError::Frames { sequence: sequence.clone(), why });
+        if animation.format == "glb" && rounds != "0" && job.inputs.iter().any(|(role, _)| role == "rig") {
+            let why = "the rig's shapes do not have the vertices that --subdivide adds, and .glb is made of shapes";
+            return refuse(format!("{why}; write --animation usda or pc2, or leave out --subdivide"));
+        }
+        let first = rounds_of.entry(sequence.clone()).or_insert_with(|| rounds.to_owned());
+        if first != rounds {
+            return refuse(format!("frame {:?} is subdivided {rounds} times, those before it {first}", job.name));
+        }
+    }
+    Ok(())
 }
 
 /// What an animation says of its frames.

@@ -10,6 +10,14 @@ pub enum BatchError {
     /// It would write over what it reads, or over itself.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// Frames of a sequence cannot become one animated file.
+    #[error("sequence {sequence:?} cannot be animated: {why}")]
+    Frames {
+        /// Name of the sequence.
+        sequence: String,
+        /// Why, and what to do.
+        why: String,
+    },
     /// Something cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -51,6 +59,10 @@ impl BatchError {
     /// Whether other arguments would help, not another place to write to.
     #[must_use]
     pub fn is_clash(&self) -> bool {
-        matches!(self, Self::Plan(error) if error.is_clash())
+        match self {
+            Self::Plan(error) => error.is_clash(),
+            Self::Frames { .. } => true,
+            _ => false,
+        }
     }
 }

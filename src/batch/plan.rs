@@ -4,8 +4,8 @@ use std::borrow::Borrow;
 use std::path::{Path, PathBuf};
 
 use super::lock::HIDDEN;
-use super::{Batch, Job, Manifest, Record, Row, Shard, animation, chains};
-use crate::io::{PlanError, check_files, sha256};
+use super::{Batch, BatchError, Job, Manifest, Record, Row, Shard, animation, chains};
+use crate::io::{check_files, sha256};
 
 /// The jobs of a batch, which of them to run, and how.
 #[derive(Debug, Clone)]
@@ -41,8 +41,8 @@ impl Plan {
     /// Whether it can be carried out without harm. [`run`](Self::run) asks this first.
     ///
     /// # Errors
-    /// When a file that is read could be written, by name.
-    pub fn check(&self) -> Result<(), PlanError> {
+    /// When a file that is read could be written, by name, or frames of a sequence cannot be animated.
+    pub fn check(&self) -> Result<(), BatchError> {
         check(&self.batch, &self.manifest, &self.timing(), &self.sequences(), || self.jobs.iter())
     }
 
@@ -71,14 +71,16 @@ pub(super) fn timing(shard: Shard) -> String {
     format!("summary{part}.timing.json")
 }
 
-/// Refuses jobs of which one would write what another, or this one, reads. `jobs` tells them whenever it is asked.
+/// Refuses jobs of which one would write what another, or this one, reads, and frames that cannot be animated. `jobs` tells them whenever
+/// it is asked.
 pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
     batch: &Batch,
     manifest: &Path,
     timing: &str,
     sequences: &[String],
     jobs: impl Fn() -> I,
-) -> Result<(), PlanError> {
+) -> Result<(), BatchError> {
+    animation::check(batch, jobs())?;
     let reads = || {
         let of_jobs = jobs().flat_map(|job| {
             let job = job.borrow();
@@ -106,5 +108,5 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
         let shared = SUMMARY.map(str::to_owned).into_iter().chain([timing.to_owned()]);
         of_jobs.chain(of_sequences).chain(shared.map(|name| ("summary".to_owned(), batch.folder.join(name))))
     };
-    check_files(reads, writes, &[("--out".to_owned(), batch.folder.join(HIDDEN))])
+    Ok(check_files(reads, writes, &[("--out".to_owned(), batch.folder.join(HIDDEN))])?)
 }

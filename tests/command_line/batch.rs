@@ -318,6 +318,18 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
         "{}",
         run.stderr
     );
+
+    // what could not be animated when all is done does not begin
+    let refused = |rows: &str, options: &str, says: &str| {
+        bench.write("scans.csv", rows);
+        let run = bench.run(&format!("batch scans.csv --out fine {OPTIONS} {options}"));
+        assert!(run.code == 1 && run.stderr.contains(says) && !bench.path("fine").exists(), "{}", run.stderr);
+    };
+    let frames = format!("target,landmarks,sequence,name,model\n{}\n", FRAMES.join("\n"));
+    refused(&frames, "--animation glb --subdivide 1", "write --animation usda or pc2");
+    let unlike = "target,sequence,subdivide\nf0/scan.ply,walk,\nf1/scan.ply,walk,1\n";
+    refused(unlike, "", "frame \"f1_scan\" is subdivided 1 times, those before it 0");
+
     rows[0] = rows[0].replace("walk", "a/b");
     bench.write("scans.csv", format!("target,landmarks,sequence,name,model\n{}\n", rows[0]));
     let run = bench.run(&format!("batch scans.csv --out none {OPTIONS}"));
