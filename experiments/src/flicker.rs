@@ -130,7 +130,7 @@ fn rows_of(a: &Arguments, seed: u64, fps: u16, cases: &[BenchCase], tracked: &[V
     for pull in PULLS {
         for (to, steps) in [("frame before", 1), ("where two lead", 2)] {
             let frames = pulled(tracked, pull, steps);
-            ways.push((format!("{pull} to {to}"), Track { lost: vec![None; frames.len()], frames }));
+            ways.push((format!("{pull} to {to}"), Track { lost: vec![None; frames.len()], cuts: Vec::new(), frames }));
         }
     }
     for &hz in &a.cutoffs {
@@ -138,7 +138,7 @@ fn rows_of(a: &Arguments, seed: u64, fps: u16, cases: &[BenchCase], tracked: &[V
     }
     let truth: Vec<&[Vec3]> = cases.iter().map(|case| &case.truth[..]).collect();
     let mut before = f64::NAN;
-    let row = |(way, Track { frames, lost }): (String, Track)| {
+    let row = |(way, Track { frames, lost, .. }): (String, Track)| {
         let errors: Vec<Vec<Vec3>> =
             frames.iter().zip(&truth).map(|(f, t)| f.iter().zip(*t).map(|(p, q)| p - q).collect()).collect();
         let rmse = cases.iter().zip(&errors).map(|(case, errors)| {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -254,8 +253,8 @@ class Rig:
     ) -> list[FittedFrame]:
         """The weights that explain meshes of the rig's vertices, such as registered frames: each starts from the one before.
 
-        meshes: meshes, or arrays (V, 3), or a folder of .obj and .ply. shapes: names; all but identity modes unless stated. neutral: the
-        subject's own. align: what else moves. bounds: of every weight.
+        meshes: meshes, or arrays (V, 3), or a folder of .obj and .ply (or, without any, .glb). shapes: names; all but identity modes
+        unless stated. neutral: the subject's own. align: what else moves. bounds: of every weight.
 
         Raises ValueError if a mesh is none of this rig, ComputationError if the minimiser fails.
         """
@@ -321,20 +320,11 @@ def _vertices(what: str, thing: Any) -> Floats:
     return Mesh.of(thing).vertices
 
 
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """The order of names in which numbers count by their value."""
-    parts = re.findall(r"[0-9]+|[^0-9]+", name)
-    return [(0, int(part), "") if part[0].isdigit() and part.isascii() else (1, 0, part) for part in parts]
-
-
 def _meshes_of(meshes: Any) -> list[Any]:
     """Meshes as given, or all of a folder by name."""
     if is_path(meshes):
-        folder = Path(meshes)
-        if not folder.is_dir():
-            raise FileNotFoundError(2, "no such folder of meshes", os.fspath(meshes))
-        files = sorted((p for p in folder.iterdir() if p.suffix.lower() in (".obj", ".ply")), key=lambda p: (_natural(p.stem), p.name))
+        files = _nonrigid.mesh_files(meshes)
         if not files:
-            raise ValueError(f"{folder}: found no .obj or .ply")
+            raise ValueError(f"{meshes}: found no .obj, .ply or .glb")
         return [Mesh.read(path) for path in files]
     return list(meshes)

@@ -285,6 +285,13 @@ impl Rig {
     }
 }
 
+/// The meshes of a folder, by name.
+#[pyfunction]
+fn mesh_files(folder: PathBuf) -> PyResult<Vec<PathBuf>> {
+    Ok(rig::mesh_files(&folder).map_err(input)?.into_iter().map(|(_, path)| path).collect())
+}
+
 pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Rig>()
+    module.add_class::<Rig>()?;
+    module.add_function(wrap_pyfunction!(mesh_files, module)?)
 }

@@ -6,13 +6,13 @@ use std::str::FromStr;
 use clap::Args;
 use serde::Serialize;
 
-use super::inputs::{Align, ShapeKindArgument, read_rig, rig_files};
+use super::inputs::{Align, ShapeKindArgument, frames, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, say, warn, write_json};
 use crate::io::{Clip, FilePlan, MeshFile, Motion, write_animated_glb, write_pc2, write_usda};
 use crate::mesh::{PolygonMesh, Pose, Vec3};
 use crate::motion::{Lost, Track, flicker};
-use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
+use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter};
 
 /// Arguments of `nonrigid animate`.
 #[derive(Debug, Args)]
@@ -27,7 +27,7 @@ use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter, me
     nonrigid animate --meshes wrapped --fps 30 --smooth 4 --out ann.glb"
 )]
 pub struct Arguments {
-    /// The frames: every .obj and .ply in this folder, by name
+    /// The frames: every .obj and .ply in this folder, or where there are none every .glb, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
     /// The frames' order: a line for each, the name of its file in that folder, or `-` and a name of one that is missing
@@ -68,6 +68,8 @@ struct Report<'a> {
     /// Root mean square of the vertices' second differences in time, millimetres, before and after smoothing; motion counts, too.
     second_difference_mm: [f64; 2],
     frames: Vec<FrameReport<'a>>,
+    /// Frames at which the motion begins anew, and is not smoothed over.
+    cuts: Vec<&'a str>,
 }
 
 #[derive(Debug, Serialize)]
@@ -109,7 +111,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         .writes("--out", &a.out)
         .writes_all(a.report.iter().map(|report| ("--report", report.clone())));
     check_plan(&plan)?;
-    let mut units = a.units.of(&["meshes", "rig"])?;
+    let mut units = a.units.of_given(&[("meshes", true), ("rig", a.rig.is_some())])?;
     let (mesh, colors, given) = read_frames(&files, &mut units)?;
     let colors = colors.as_deref();
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
@@ -128,11 +130,20 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     for (k, why) in (0..names.len()).filter_map(|k| Some((k, lost(k)?))) {
         warn(format_args!("frame {:?} is lost: {why}", names[k]));
     }
+    let cuts: Vec<&str> = track.cuts.iter().map(|&k| names[k]).collect();
+    for cut in &cuts {
+        warn(format_args!(
+            "the motion begins anew at frame {cut:?}: what lies before it and after it is followed by itself"
+        ));
+    }
     if let Some(path) = &a.report {
         let frames = names.iter().enumerate().map(|(k, name)| FrameReport { name, lost: lost(k) }).collect();
         let second_difference_mm = [before, flicker(&track.frames)];
         let (version, frames_per_second) = (env!("CARGO_PKG_VERSION"), a.fps);
-        write_json(path, &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames })?;
+        write_json(
+            path,
+            &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames, cuts },
+        )?;
     }
     say(format_args!("{} frames of {} vertices, {} a second", names.len(), mesh.positions.len(), a.fps))?;
     say(format_args!("wrote {}", a.out.display()))
@@ -151,11 +162,7 @@ fn why(lost: Lost, smooth: bool) -> String {
 /// Names and files of the frames in their order, no file for one that is missing.
 fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
     let Some(list) = &a.list else {
-        let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
-        if files.is_empty() {
-            return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
-        }
-        return Ok(files.into_iter().map(|(name, path)| (name, Some(path))).collect());
+        return Ok(frames(&a.meshes)?.into_iter().map(|(name, path)| (name, Some(path))).collect());
     };
     let text = std::fs::read_to_string(list).map_err(|e| Failure::loading(format!("{}: {e}", list.display())))?;
     let frame = |line: &str| match line.strip_prefix('-') {

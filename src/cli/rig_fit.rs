@@ -6,12 +6,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{Align, RigInput, bounds, rig_files};
+use super::inputs::{Align, RigInput, bounds, frames, rig_files};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn, write_json};
 use crate::io::{FilePlan, write_atomically};
 use crate::page::csv_text;
-use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter, mesh_files};
+use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter};
 
 /// Arguments of `nonrigid rig fit`.
 #[derive(Debug, Args)]
@@ -27,7 +27,7 @@ pub struct Arguments {
     /// Shapes to use, by name [default: all but identity modes]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     shapes: Option<Vec<String>>,
-    /// The frames: every .obj and .ply in this folder, by name
+    /// The frames: every .obj and .ply in this folder, or where there are none every .glb, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
     /// The subject's own neutral (.npy N x 3 or a mesh) [default: the rig's]
@@ -65,14 +65,14 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if !a.bounds.iter().all(|b| b.is_finite()) {
         return Err(Failure::new(Stage::Arguments, "--bounds: give two finite numbers"));
     }
-    let frames = mesh_files(&a.meshes).unwrap_or_default(); // what is wrong with the folder is said when it is read
+    let files = frames(&a.meshes)?;
     let plan = FilePlan::new()
         .reads_all(rig_files(&a.rig.path))
-        .reads_all(frames.into_iter().map(|(_, path)| ("meshes", path)))
+        .reads_all(files.iter().map(|(_, path)| ("meshes", path.clone())))
         .reads_all(meshes([("neutral", a.neutral.as_ref())]))
         .writes("--out", &a.out);
     check_plan(&plan)?;
-    let mut units = a.units.of(&["rig", "meshes", "neutral"])?;
+    let mut units = a.units.of_given(&[("rig", true), ("meshes", true), ("neutral", a.neutral.is_some())])?;
     let rig = a.rig.read(usize::MAX, &mut units)?;
     let at_rig = |e| Failure::loading(format!("{}: {e}", a.rig.path.display()));
     let basis = rig.select(ShapeSelection { names: a.shapes.as_deref(), identity_modes: 0 }).map_err(at_rig)?;
@@ -86,14 +86,6 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         Some(path) => units.read_positions("neutral", path)?,
         None => rig.neutral().to_vec(),
     };
-    let files = mesh_files(&a.meshes).map_err(Failure::loading)?;
-    if files.is_empty() {
-        return Err(Failure::loading(format!("{}: found no .obj or .ply", a.meshes.display())));
-    }
-    if let Some(pair) = files.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-        let (name, [first, second]) = (&pair[0].0, [&pair[0].1, &pair[1].1].map(|p| p.display()));
-        return Err(Failure::loading(format!("{first} and {second} are both frame {name:?}")));
-    }
     let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
     let options = WeightFitOptions { bounds: a.bounds, pose: a.align.pose(), ..WeightFitOptions::default() };
     let mut fitter = WeightFitter::new(&neutral, basis, &options)

@@ -27,7 +27,7 @@ use crate::rig::{
     --target out/data/cases/new_neutral/scan.ply --landmarks out/data/cases/new_neutral/landmarks.json --out new.obj"
 )]
 pub struct Arguments {
-    /// Meshes of one topology, such as registered templates: every .obj and .ply in this folder, by name
+    /// Meshes of one topology, such as registered templates: every .obj and .ply in this folder, or where there are none every .glb, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
     /// How many components to keep, at most one fewer than meshes

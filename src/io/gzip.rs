@@ -1,7 +1,7 @@
 //! Files that may be packed by gzip (RFC 1952), such as `scan.ply.gz`.
 
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
 
@@ -18,7 +18,12 @@ const ALWAYS: u64 = 1 << 24;
 
 /// The extension in lower case: of what is inside if the file ends in `.gz`.
 pub(super) fn inner_extension(path: &Path) -> String {
-    if is_packed(path) { extension(&path.with_extension("")) } else { extension(path) }
+    extension(&unpacked_name(path))
+}
+
+/// The path without `.gz`.
+pub(crate) fn unpacked_name(path: &Path) -> PathBuf {
+    if is_packed(path) { path.with_extension("") } else { path.to_owned() }
 }
 
 /// The content of a file, unpacked if it ends in `.gz`.

@@ -4,6 +4,9 @@
 //! `2 [(x_k - x_j) / (k - j) - (x_j - x_i) / (j - i)] / (k - i)`, millimetres a frame a frame. A frame that is off bends the motion
 //! into it, at it and out of it; a head that moves fast bends it little. Up to [`REACH`] frames in a row are found; a longer run has no
 //! fewer frames that agree with each other than the motion round it.
+//!
+//! Where the motion jumps for good, at a cut, the series leaves frames out as well, to get across: but those go on from the frames before
+//! them or lead to those after them, which do not go on from each other. They are not lost; the motion begins anew there.
 
 use crate::mesh::Vec3;
 
@@ -16,11 +19,19 @@ pub const REACH: usize = 8;
 /// About so many vertices are looked at.
 const VERTICES: usize = 512;
 
-/// Of every frame, by how many millimetres it is off the line between its neighbours in the series, if it is lost. Missing frames and
-/// sequences of fewer than five frames are not judged.
+/// Where frames do not go on from each other.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Jumps {
+    /// Of every frame, by how many millimetres it is off the line between its neighbours in the series, if it is lost.
+    pub off: Vec<Option<f64>>,
+    /// Frames at which the motion begins anew.
+    pub cuts: Vec<usize>,
+}
+
+/// The jumps of a sequence. Missing frames and sequences of fewer than five frames are not judged.
 #[must_use]
-pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Vec<Option<f64>> {
-    let mut found = vec![None; frames.len()];
+pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Jumps {
+    let mut found = Jumps { off: vec![None; frames.len()], cuts: Vec::new() };
     let there: Vec<(usize, &Vec<Vec3>)> =
         frames.iter().enumerate().filter_map(|(k, f)| Some((k, f.as_ref()?))).collect();
     if there.len() < 5 {
@@ -36,8 +47,33 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Vec<Option<f64>> {
     let mut bends: Vec<f64> = (2..there.len()).map(|k| bend(k - 2, k - 1, k)).collect();
     bends.sort_by(f64::total_cmp);
     let most = AT_LEAST.max(TIMES * bends[bends.len() / 2]);
-    let series = longest(there.len(), |i, j, k| bend(i, j, k) <= most);
-    for f in (0..there.len()).filter(|f| !series.contains(f)) {
+    let goes_on = |i, j, k| bend(i, j, k) <= most;
+    let series = longest(there.len(), goes_on);
+    // how far frame k lies from where frames i and j lead
+    let beyond = |i: usize, j: usize, k: usize| {
+        let [(at_i, x_i), (at_j, x_j), (at_k, x_k)] = [i, j, k].map(|f| there[f]);
+        let share = (at_k as f64 - at_i as f64) / (at_j as f64 - at_i as f64);
+        rms((0..x_j.len()).step_by(every).map(|v| x_k[v] - x_i[v].lerp(&x_j[v], share)))
+    };
+    let step = |k: usize| rms((0..there[k].1.len()).step_by(every).map(|v| there[k].1[v] - there[k - 1].1[v]));
+    let mut kept = Vec::new();
+    for around in series.windows(4).filter(|around| around[2] - around[1] > 1) {
+        let &[before, from, to, after] = around else { continue };
+        let (mut last, mut first) = ([before, from], [to, after]);
+        while last[1] + 1 < to && goes_on(last[0], last[1], last[1] + 1) {
+            last = [last[1], last[1] + 1];
+        }
+        while first[0] - 1 > from && goes_on(first[0] - 1, first[0], first[1]) {
+            first = [first[0] - 1, first[0]];
+        }
+        let apart = beyond(before, from, to).min(beyond(after, to, from)) > most;
+        if apart && last[1] + 1 >= first[0] {
+            let cut = (first[0]..=last[1] + 1).max_by(|&a, &b| step(a).total_cmp(&step(b)));
+            found.cuts.extend(cut.map(|cut| there[cut].0));
+            kept.extend(from + 1..to);
+        }
+    }
+    for f in (0..there.len()).filter(|f| !series.contains(f) && !kept.contains(f)) {
         let after = series.partition_point(|&s| s < f);
         let neighbours = [after.checked_sub(1), Some(after)].map(|s| s.and_then(|s| series.get(s)).map(|&s| there[s]));
         let (at, x) = there[f];
@@ -46,7 +82,7 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Vec<Option<f64>> {
             [Some((_, one)), None] | [None, Some((_, one))] => x[v] - one[v],
             [None, None] => Vec3::zeros(),
         };
-        found[at] = Some(rms((0..x.len()).step_by(every).map(off)));
+        found.off[at] = Some(rms((0..x.len()).step_by(every).map(off)));
     }
     found
 }
@@ -109,10 +145,11 @@ mod tests {
         };
         let mut frames: Vec<Option<Vec<Vec3>>> =
             (0..30).map(|k| Some((0..50).map(|v| at(k, f64::from(v) + 50.0)).collect())).collect();
-        assert!(jumps(&frames).iter().all(Option::is_none), "{:?}", jumps(&frames));
+        assert!(jumps(&frames).off.iter().all(Option::is_none), "{:?}", jumps(&frames));
         // four times what it bends by, about 43 mm, and more
         frames[12].as_mut().unwrap().iter_mut().for_each(|p| p.y += 150.0);
-        let found: Vec<usize> = jumps(&frames).iter().enumerate().filter_map(|(k, j)| j.map(|_| k)).collect();
-        assert_eq!(found, [12]);
+        let Jumps { off, cuts } = jumps(&frames);
+        let found: Vec<usize> = off.iter().enumerate().filter_map(|(k, j)| j.map(|_| k)).collect();
+        assert_eq!((found, cuts), (vec![12], vec![]));
     }
 }

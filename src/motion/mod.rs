@@ -16,6 +16,8 @@ pub struct Track {
     pub frames: Vec<Vec<Vec3>>,
     /// Of every frame, why it is lost, if it is.
     pub lost: Vec<Option<Lost>>,
+    /// Frames at which the motion begins anew.
+    pub cuts: Vec<usize>,
 }
 
 /// Why a frame is lost.
@@ -48,7 +50,8 @@ pub enum MotionError {
 impl Track {
     /// Follows frames, `None` where one is missing. Missing frames, and with a cutoff (in frames^-1, see [`smooth::strength`]) those that
     /// jump, are bridged by the motion of those round them, before the first and after the last by it standing still; with a cutoff
-    /// all are smoothed. Without one the others stay, bit for bit, those that jump as well.
+    /// all are smoothed. Without one the others stay, bit for bit, those that jump as well. What lies on both sides of a cut is
+    /// followed by itself.
     ///
     /// # Errors
     /// When there is no frame, or they have different numbers of vertices.
@@ -58,7 +61,7 @@ impl Track {
         if let Some((frame, found)) = other {
             return Err(MotionError::VertexCount { frame, expected: first, found });
         }
-        let jumps = lost::jumps(&frames);
+        let lost::Jumps { off: jumps, cuts } = lost::jumps(&frames);
         let lost: Vec<Option<Lost>> = (0..frames.len())
             .map(|k| if frames[k].is_none() { Some(Lost::Missing) } else { jumps[k].map(Lost::Jump) })
             .collect();
@@ -70,23 +73,34 @@ impl Track {
                 Some(Lost::Jump(_)) => cutoff.is_none(),
             })
             .collect();
-        let given: Vec<Vec<Vec3>> =
+        let mut left: Vec<Vec<Vec3>> =
             frames.into_iter().map(|f| f.unwrap_or_else(|| vec![Vec3::zeros(); first])).collect();
-        let frames = match cutoff {
-            Some(cutoff) => smooth::smoothed(given, &trusted, smooth::strength(cutoff)),
-            None if trusted.contains(&false) => {
-                let bridged = smooth::smoothed(given.clone(), &trusted, BRIDGE);
-                given.into_iter().zip(bridged).zip(&trusted).map(|((g, b), keep)| if *keep { g } else { b }).collect()
-            }
-            None => given,
-        };
-        Ok(Self { frames, lost })
+        let mut parts: Vec<Vec<Vec<Vec3>>> = cuts.iter().rev().map(|&cut| left.split_off(cut)).collect();
+        parts.push(left);
+        let mut frames = Vec::with_capacity(lost.len());
+        for part in parts.into_iter().rev() {
+            let trusted = &trusted[frames.len()..][..part.len()];
+            frames.extend(followed(part, trusted, cutoff));
+        }
+        Ok(Self { frames, lost, cuts })
     }
 
     /// Numbers of the lost frames, from 0.
     #[must_use]
     pub fn lost_frames(&self) -> Vec<usize> {
         (0..self.lost.len()).filter(|&k| self.lost[k].is_some()).collect()
+    }
+}
+
+/// Frames without a cut, smoothed with a cutoff, or else bridged where they are not trusted.
+fn followed(frames: Vec<Vec<Vec3>>, trusted: &[bool], cutoff: Option<f64>) -> Vec<Vec<Vec3>> {
+    match cutoff {
+        Some(cutoff) => smooth::smoothed(frames, trusted, smooth::strength(cutoff)),
+        None if trusted.contains(&false) => {
+            let bridged = smooth::smoothed(frames.clone(), trusted, BRIDGE);
+            frames.into_iter().zip(bridged).zip(trusted).map(|((g, b), keep)| if *keep { g } else { b }).collect()
+        }
+        None => frames,
     }
 }
 
@@ -169,6 +183,32 @@ mod tests {
             assert_eq!([20, 30, 31, 32].into_iter().all(bridged), cutoff.is_some(), "{off:?}");
             // at the ends it stands still: one frame's motion away
             assert_eq!(off[0] < 4.0 && off[59] < 4.0, cutoff.is_some(), "{off:?}");
+        }
+    }
+
+    #[test]
+    fn a_cut_loses_no_frame_and_is_not_smoothed_over() {
+        let truth: Vec<Vec<Vec3>> = frames(60, 0.0);
+        let moved = |frames: Vec<Vec<Vec3>>, by: f64| -> Vec<Vec<Vec3>> {
+            let aside = |(k, f): (usize, Vec<Vec3>)| {
+                f.into_iter().map(|p| p + Vec3::y() * if k < 25 { 0.0 } else { by }).collect()
+            };
+            frames.into_iter().enumerate().map(aside).collect()
+        };
+        for by in [8.0, 15.0, 60.0] {
+            let truth = moved(truth.clone(), by);
+            let mut noisy = given(&moved(frames(60, 0.3), by));
+            let track = Track::follow(noisy.clone(), Some(4.0 / 60.0)).unwrap();
+            assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![], &[25][..]), "{by}");
+            let off: Vec<f64> = (0..60).map(|k| rms(&track.frames[k..=k], &truth[k..=k])).collect();
+            assert!(off.iter().all(|off| *off < 0.8), "{by}: {off:?}");
+            // a frame that is off beside it is lost, and one that is missing stays on its side
+            noisy[24] = None;
+            noisy[30].as_mut().unwrap().iter_mut().for_each(|p| p.x += 20.0);
+            let track = Track::follow(noisy, Some(4.0 / 60.0)).unwrap();
+            assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![24, 30], &[25][..]), "{by}");
+            let off: Vec<f64> = (0..60).map(|k| rms(&track.frames[k..=k], &truth[k..=k])).collect();
+            assert!(off.iter().all(|off| *off < 2.5), "{by}: {off:?}");
         }
     }
 

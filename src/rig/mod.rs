@@ -26,9 +26,9 @@ pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
 pub use likeness::{Unlike, check_order};
 pub use pca::{COMPONENT_FILES, ShapePca};
 pub use population::{Population, PopulationError};
-pub use read::{RigReadOptions, ShapeKind};
 #[cfg(feature = "cli")]
-pub(crate) use read::{is_folder_of_shapes, mesh_files};
+pub(crate) use read::is_folder_of_shapes;
+pub use read::{RigReadOptions, ShapeKind, mesh_files};
 pub use regions::Regions;
 pub use subdivide::SubdivideError;
 pub use transfer::{TransferError, TransferOptions};

@@ -150,7 +150,7 @@ impl Population {
         Self { names, samples, mesh: None }.checked(None)
     }
 
-    /// Reads every `.obj` and `.ply` file of a folder, in the order of their names.
+    /// Reads every `.obj` and `.ply` file of a folder, or where there are none every `.glb`, in the order of their names.
     ///
     /// # Errors
     /// When a file cannot be read, there are fewer than two, or one has other polygons than the first: both the number of

@@ -18,8 +18,8 @@ use rayon::prelude::*;
 
 use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape, first_not_finite};
 use crate::io::{
-    Noting, NpyArray, Place, ReadError, check_side_file, read_file, read_npy_points, read_polygon_mesh,
-    refuse_unfinished, without_mark,
+    Noting, NpyArray, Place, ReadError, check_side_file, extension, read_file, read_npy_points, read_polygon_mesh,
+    refuse_unfinished, unpacked_name, without_mark,
 };
 use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 use crate::text;
@@ -114,13 +114,8 @@ fn check_members(folder: &Path) -> Result<(), ReadError> {
     let paths = std::fs::read_dir(folder).and_then(|entries| entries.map(|e| e.map(|e| e.path())).collect());
     let mut paths: Vec<PathBuf> = paths.map_err(fail)?;
     paths.sort();
-    let read = |path: &&PathBuf| ["obj", "ply", "npy", "json"].contains(&extension(path).as_str());
+    let read = |path: &&PathBuf| ["obj", "ply", "npy", "json"].contains(&&*extension(&unpacked_name(path)));
     paths.iter().filter(read).try_for_each(|path| check_side_file(path))
-}
-
-/// The extension in lower case, empty if there is none.
-fn extension(path: &Path) -> String {
-    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 fn read_arrays(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigWarning>), RigError> {
@@ -237,7 +232,7 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
     };
     let kind = options.kind.or(stated).unwrap_or_default();
 
-    let mut files = mesh_files(folder)?;
+    let mut files = files_of(folder, &["obj", "ply"])?;
     let mut take = |name: &str| files.iter().position(|(stem, _)| stem == name).map(|i| files.remove(i).1);
     let (neutral_path, template_path) = (take("neutral"), take("template"));
     let Some(base_path) = neutral_path.as_ref().or(template_path.as_ref()) else {
@@ -266,19 +261,36 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
     Rig::new(neutral, Some(mesh), shapes, deltas)
 }
 
-/// The OBJ and PLY files of a folder, each with its name without the extension, by name, numbers by their value.
-pub(crate) fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
+/// The OBJ and PLY files of a folder, packed or not, or where there are none its GLB files: each with its name without extensions, by
+/// name, numbers by their value.
+///
+/// # Errors
+/// When the folder cannot be read, or two files have one name.
+pub fn mesh_files(folder: &Path) -> Result<Vec<(String, PathBuf)>, ReadError> {
+    let files = files_of(folder, &["obj", "ply"])?;
+    if files.is_empty() { files_of(folder, &["glb"]) } else { Ok(files) }
+}
+
+fn files_of(folder: &Path, formats: &[&str]) -> Result<Vec<(String, PathBuf)>, ReadError> {
     refuse_unfinished(folder)?;
     let fail = |source| ReadError::Io { path: folder.to_owned(), source };
     let mut files: Vec<(String, PathBuf)> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        if let ("obj" | "ply", Some(stem)) = (extension(&path).as_str(), path.file_stem()) {
-            files.push((stem.to_string_lossy().into_owned(), path.clone()));
+        let unpacked = unpacked_name(&path);
+        if let (true, Some(stem)) = (formats.contains(&&*extension(&unpacked)), unpacked.file_stem()) {
+            files.push((stem.to_string_lossy().into_owned(), path));
         }
     }
     files.sort_by(|a, b| text::natural(&a.0, &b.0).then_with(|| a.cmp(b)));
-    Ok(files)
+    match files.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        None => Ok(files),
+        Some([(_, first), (name, second)]) => {
+            let expected = format!("one file called {name:?} in its folder");
+            Err(ReadError::malformed(second, Place::File, expected, format!("{} as well", first.display())))
+        }
+        Some(_) => unreachable!("windows of two"),
+    }
 }
 
 fn read_shape(path: &Path, kind: ShapeKind, neutral: &[Vec3]) -> Result<Vec<f32>, RigError> {

@@ -1,7 +1,7 @@
 //! `nonrigid animate`: one file of the frames of a sequence.
 
 use crate::support::{Bench, farthest};
-use nonrigid::io::{read_gltf, read_obj, write_obj};
+use nonrigid::io::{read_gltf, read_obj, write_obj, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
 
@@ -126,6 +126,29 @@ fn shapes_a_pose_and_what_is_left_give_every_frame() {
 }
 
 #[test]
+fn frames_may_be_packed_or_glb() {
+    let bench = Bench::new();
+    frames(&bench);
+    bench.done("animate --meshes frames --out face.pc2");
+    for folder in ["packed", "glb"] {
+        std::fs::create_dir(bench.path(folder)).unwrap();
+    }
+    for k in 0..3 {
+        let mesh = read_obj(&bench.path(&format!("frames/f{k}.obj"))).unwrap();
+        write_polygon_mesh(&bench.path(&format!("glb/f{k}.glb")), &mesh).unwrap();
+        let text = bench.read(&format!("frames/f{k}.obj"));
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        std::io::Write::write_all(&mut packer, &text).unwrap();
+        bench.write(&format!("packed/f{k}.obj.gz"), packer.finish().unwrap());
+    }
+    for folder in ["packed", "glb"] {
+        bench.done(&format!("animate --meshes {folder} --out {folder}.pc2"));
+        assert_eq!(bench.read(&format!("{folder}.pc2")).len(), bench.read("face.pc2").len(), "{folder}");
+    }
+    assert!(bench.read("packed.pc2") == bench.read("face.pc2"));
+}
+
+#[test]
 fn lost_frames_are_named_and_bridged() {
     let bench = Bench::new();
     let template = read_obj(&bench.path("rig/template.obj")).unwrap();
@@ -190,8 +213,11 @@ fn frames_that_are_no_sequence_are_refused() {
     bench.write("list.txt", "f0.obj\nf9.obj\n");
     fails("animate --meshes frames --list list.txt --out a.usda", 4, "f9.obj");
     fails("animate --meshes frames --report frames/f0.obj --out a.usda", 1, "f0.obj");
+    std::fs::copy(bench.path("frames/f1.obj"), bench.path("frames/f1.ply")).unwrap();
+    fails("animate --meshes frames --out a.usda", 4, "one file called \"f1\"");
+    std::fs::remove_file(bench.path("frames/f1.ply")).unwrap();
     std::fs::create_dir(bench.path("empty")).unwrap();
-    fails("animate --meshes empty --out a.usda", 4, "found no .obj or .ply");
+    fails("animate --meshes empty --out a.usda", 4, "found no .obj, .ply or .glb");
     bench.write("frames/z.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     fails("animate --meshes frames --unit mm --out a.pc2", 4, "z.obj: has other vertices");
     assert!(!bench.path("a.pc2").exists());
