@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::units::Units;
-use super::{Failure, Stage, has_extension, same_place, warn};
+use super::{Failure, Stage, file_name, has_extension, same_place, warn};
 use crate::io::{self, Inputs};
-use crate::landmark::{self, Landmark, LandmarkSet};
+use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate};
 use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal};
 use crate::registration::ScanFlip;
 use crate::rig::{
     IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection,
-    is_folder_of_shapes,
+    is_folder_of_shapes, mesh_files,
 };
 
 /// What errors and reports call landmarks, and the file that says what their names mean.
@@ -37,6 +37,8 @@ pub fn read_landmarks(
         let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
         let mut set = set.map_err(Failure::loading)?;
         units.bring_landmarks("template-landmarks", path, "template", &mut set)?;
+        let points = set.on_template(path, template).map_err(Failure::loading)?;
+        OffTemplate::of(path, &set, &points, template).map_err(Failure::loading)?.doubt().iter().for_each(warn);
         names = Some((set, path));
     }
     let names = names.as_ref().map(|(set, path)| (set, *path));
@@ -190,26 +192,10 @@ impl FlipArgument {
     }
 }
 
-/// The image that a mesh file names for its colours, if it names one: `map_Kd` in the materials of an OBJ file, `TextureFile` in
-/// the comments of a PLY file.
+/// The image beside a mesh file that paints it, if it names one.
 pub fn texture_of(path: &Path) -> Option<String> {
-    let is = |ending: &str| has_extension(path, ending);
-    // Only what can be read twice.
-    let lines = |path: &Path| -> Option<Vec<String>> {
-        let bytes = path.is_file().then(|| std::fs::read(path).ok()).flatten()?;
-        let head = bytes.split(|b| *b == b'\n').map(|line| String::from_utf8_lossy(line).trim().to_owned());
-        Some(head.take_while(|line| line != "end_header").collect())
-    };
-    let named = |lines: Vec<String>, word: &str| -> Vec<String> {
-        let rest = lines.iter().filter_map(|line| line.strip_prefix(word)?.strip_prefix([' ', '\t']));
-        rest.map(|name| name.trim().to_owned()).collect()
-    };
-    if is("ply") {
-        return named(lines(path)?, "comment TextureFile").into_iter().next();
-    }
-    let libraries = if is("obj") { named(lines(path)?, "mtllib") } else { Vec::new() };
-    let maps = |name: &String| named(lines(&path.with_file_name(name)).unwrap_or_default(), "map_Kd");
-    libraries.iter().flat_map(maps).next()
+    let is_image = |file: &&PathBuf| *file != path && !["mtl", "bin"].iter().any(|ending| has_extension(file, ending));
+    io::files_of_painted_mesh(path).iter().find(is_image).map(|image| file_name(image))
 }
 
 /// Numbers from 0 to 1, one per vertex.
@@ -283,6 +269,15 @@ fn bring_rig(folder: &Path, (mut rig, warnings): OpenRig, units: &mut Units<'_>)
     warnings.iter().for_each(warn);
     units.bring_rig(folder, &mut rig)?;
     Ok(rig)
+}
+
+/// The meshes of a folder of frames, each with its name.
+pub fn frames(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
+    let files = mesh_files(folder).map_err(Failure::loading)?;
+    if files.is_empty() {
+        return Err(Failure::loading(format!("{}: found no .obj, .ply or .glb", folder.display())));
+    }
+    Ok(files)
 }
 
 /// Two numbers between which a weight may lie.

@@ -373,7 +373,7 @@ fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, colorless: bool) {
     }
     if let Some(texture) = texture_of(&a.target).filter(|_| colorless) {
         warn(format_args!(
-            "the scan's texture {texture:?} is not used; --bake-texture 2048 brings that of an OBJ file to the template's UVs"
+            "the scan's texture {texture:?} is not used; --bake-texture 2048 brings it to the template's UVs"
         ));
     }
 }

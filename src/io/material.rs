@@ -1,4 +1,4 @@
-//! What a scan is painted with: materials and images, from the libraries (MTL) of OBJ files and from glTF. Sources: "Material
+//! What a scan is painted with: materials and images, from the libraries (MTL) of OBJ files, from glTF and from PLY. Sources: "Material
 //! Library File (.mtl)", Wavefront Advanced Visualizer manual, appendix B2; Khronos Group, "glTF 2.0 Specification", 3.9, and
 //! `KHR_texture_transform`.
 //!
@@ -9,7 +9,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::error::{check_side_file, excerpt, without_mark};
-use super::{Place, ReadError, WriteError, read_file, write_atomically};
+use super::{Place, ReadError, WriteError, ply, read_file, write_atomically};
 use crate::mesh::srgb::to_light;
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 use crate::text::obj_line;
@@ -68,10 +68,17 @@ pub struct ImageFile {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Map {
     pub name: String,
-    line: usize,
+    /// What names it, and in which line.
+    named_by: (&'static str, usize),
     offset: [f64; 2],
     scale: [f64; 2],
     clamp: bool,
+}
+
+impl Map {
+    const fn new(name: String, named_by: (&'static str, usize)) -> Self {
+        Self { name, named_by, offset: [0.0; 2], scale: [1.0; 2], clamp: false }
+    }
 }
 
 /// A material as its library states it.
@@ -115,7 +122,7 @@ fn parse_mtl(bytes: &[u8], path: &Path) -> Result<Vec<Stated>, ReadError> {
 
 /// What follows `map_Kd`.
 pub(super) fn parse_map(rest: &str, line: usize) -> Option<Map> {
-    let mut map = Map { name: String::new(), line, offset: [0.0; 2], scale: [1.0; 2], clamp: false };
+    let mut map = Map::new(String::new(), ("map_Kd", line));
     let mut left = rest;
     let next = |left: &mut &str| -> Option<String> {
         let (token, rest) = left.split_once(char::is_whitespace).unwrap_or((left, ""));
@@ -210,6 +217,35 @@ pub(super) fn paint_of_obj(path: &Path, mesh: &PolygonMesh) -> Result<Option<Pai
         let materials = parse_mtl(&bytes, &library)?;
         stated.extend(materials.into_iter().map(|m| (library.clone(), m)));
     }
+    paint_of(path, mesh, &stated).map(Some)
+}
+
+/// The paint of a PLY file's polygons by the image that its header names, if it names one.
+///
+/// # Errors
+/// When the image is not there, or the header names several.
+pub(super) fn paint_of_ply(
+    path: &Path,
+    files: &[(usize, String)],
+    mesh: &PolygonMesh,
+) -> Result<Option<Paint>, ReadError> {
+    match files {
+        [] => Ok(None),
+        [(line, name)] => {
+            let map = Some(Map::new(name.clone(), (ply::TEXTURE_FILE, *line)));
+            let stated = Stated { name: String::new(), color: [1.0; 3], map };
+            paint_of(path, mesh, &[(path.to_owned(), stated)]).map(Some)
+        }
+        [_, (line, name), ..] => {
+            let expected = "one TextureFile (save a scan with several as .obj or .glb)";
+            Err(ReadError::malformed(path, Place::Line(*line), expected, name.clone()))
+        }
+    }
+}
+
+/// What a mesh from `path` is painted with, of materials with the files that state them.
+fn paint_of(path: &Path, mesh: &PolygonMesh, stated: &[(PathBuf, Stated)]) -> Result<Paint, ReadError> {
+    let metadata = &mesh.metadata;
     let mut paint = Paint::default();
     let mut maps: Vec<Option<Map>> = Vec::new();
     // the polygons' materials; images of others need not be there
@@ -257,16 +293,17 @@ pub(super) fn paint_of_obj(path: &Path, mesh: &PolygonMesh) -> Result<Option<Pai
             paint.material_of.push(current);
         }
     }
-    Ok(Some(paint))
+    Ok(paint)
 }
 
 /// Index of an image, read if it is a new one.
 fn image_of(paint: &mut Paint, library: &Path, map: &Map) -> Result<usize, ReadError> {
-    let by = format!("map_Kd in line {} of {}", map.line, library.display());
+    let (keyword, line) = map.named_by;
+    let by = format!("{keyword} in line {line} of {}", library.display());
     if map.name.to_uppercase().contains("<UDIM>") {
         let expected =
             "an image for each material (tiles by <UDIM> are not read; give each tile a material of its own)";
-        return Err(ReadError::malformed(library, Place::Line(map.line), expected, map.name.clone()));
+        return Err(ReadError::malformed(library, Place::Line(line), expected, map.name.clone()));
     }
     let path = named_beside(library, &map.name);
     if let Some(known) = paint.images.iter().position(|image| image.path == path) {
@@ -307,7 +344,7 @@ mod tests {
         let names: Vec<&str> = found.iter().map(|m| m.name.as_str()).collect();
         assert_eq!(names, ["skin of me", "plain", "dash"]);
         let map = found[0].map.as_ref().unwrap();
-        assert_eq!((map.name.as_str(), map.line, map.clamp), ("my skin.png", 5, true));
+        assert_eq!((map.name.as_str(), map.named_by, map.clamp), ("my skin.png", ("map_Kd", 5), true));
         assert_eq!((map.offset, map.scale), ([0.25, 0.5], [2.0, 1.0]));
         assert_eq!(found[0].color, [0.5, 0.0, 1.0]);
         assert!(found[1].map.is_none());

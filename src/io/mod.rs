@@ -30,6 +30,7 @@ pub(crate) use error::{check_side_file, excerpt, extension, read_file, without_m
 pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
+pub(crate) use gzip::unpacked_name;
 pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
 pub use material_files::{Copied, MaterialFiles};
@@ -134,8 +135,15 @@ pub fn files_of_painted_mesh(path: &Path) -> Vec<PathBuf> {
     }
     if matches!(extension(path).as_str(), "glb" | "gltf") {
         files.extend(std::fs::read(path).map(|bytes| gltf::files_beside(&bytes, path, true)).unwrap_or_default());
-    } else if gzip::inner_extension(path) == "obj" {
-        files.extend(material::files_of_paint(path, &libraries_named_in(path)));
+        return files;
+    }
+    match gzip::inner_extension(path).as_str() {
+        "obj" => files.extend(material::files_of_paint(path, &libraries_named_in(path))),
+        "ply" => {
+            let images = ply::texture_files(&gzip::read_unpacked(path).unwrap_or_default());
+            files.extend(images.iter().map(|(_, name)| material::named_beside(path, name)));
+        }
+        _ => {}
     }
     files
 }
@@ -180,7 +188,7 @@ pub fn read_scan(path: &Path) -> Result<Scan, ReadError> {
     Ok(Scan { mesh: mesh.into_triangles(), normals, colors })
 }
 
-/// [`read_scan`] with what its triangles are painted with, if the file says so: the materials of OBJ and glTF.
+/// [`read_scan`] with what its triangles are painted with, if the file says so: the materials of OBJ and glTF, the `TextureFile` of PLY.
 ///
 /// # Errors
 /// As [`read_mesh_file`], and when a material library or an image of a material that is used cannot be read.
@@ -191,7 +199,10 @@ pub fn read_painted_scan(path: &Path) -> Result<(Scan, Option<Paint>), ReadError
         return Ok((Scan { mesh: mesh.into_triangles(), normals: None, colors }, Some(paint)));
     }
     let MeshFile { mesh, normals, colors } = read_mesh_file(path)?;
-    let paint = material::paint_of_obj(path, &mesh)?;
+    let paint = match gzip::inner_extension(path).as_str() {
+        "ply" => material::paint_of_ply(path, &ply::texture_files(&gzip::read_unpacked(path)?), &mesh)?,
+        _ => material::paint_of_obj(path, &mesh)?,
+    };
     Ok((Scan { mesh: mesh.into_triangles(), normals, colors }, paint))
 }
 

@@ -169,6 +169,20 @@ pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<Ply, ReadError> {
     Ok(ply)
 }
 
+/// The comment by which MeshLab and others name the image of a PLY file.
+pub(super) const TEXTURE_FILE: &str = "TextureFile";
+
+/// The images that the header names, with their lines.
+pub(super) fn texture_files(bytes: &[u8]) -> Vec<(usize, String)> {
+    let lines = without_mark(bytes).split(|b| *b == b'\n').map(<[u8]>::trim_ascii);
+    let named = (1..).zip(lines).take_while(|(_, line)| *line != b"end_header").filter_map(|(number, line)| {
+        let comment = line.strip_prefix(b"comment")?.trim_ascii();
+        let name = comment.strip_prefix(TEXTURE_FILE.as_bytes()).filter(|name| name.starts_with(b" "))?;
+        Some((number, String::from_utf8_lossy(name.trim_ascii()).into_owned()))
+    });
+    named.collect()
+}
+
 fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, ReadError> {
     let mut at = 0;
     let mut lines = 0;

@@ -8,7 +8,8 @@ use crate::support::{Bench, Run};
 use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
 use nonrigid::io::{
-    Material, Paint, PlyOptions, Wrap, read_obj, read_painted_scan, read_polygon_mesh, write_obj, write_ply,
+    Material, Paint, PlyOptions, Wrap, files_of_painted_mesh, read_obj, read_painted_scan, read_polygon_mesh,
+    write_obj, write_ply, write_polygon_mesh,
 };
 use nonrigid::mesh::srgb::{from_light, to_light};
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, TriangleMesh, Vec3};
@@ -390,6 +391,32 @@ fn images_of_every_kind_are_read_and_others_named() {
     std::fs::remove_file(at("a.mtl")).unwrap();
     let error = read_painted_scan(&at("a.obj")).unwrap_err().to_string();
     assert!(error.contains("a.mtl") && error.contains("mtllib of") && error.contains("a.obj"), "{error}");
+}
+
+#[test]
+fn a_ply_file_is_painted_by_the_image_it_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let pixels = image::RgbImage::from_fn(8, 8, |x, y| image::Rgb([30 * x as u8, 30 * y as u8, 90]));
+    std::fs::write(at("my skin.png"), encoded(&DynamicImage::from(pixels), ImageFormat::Png)).unwrap();
+    let expected = middle_of(folder.path(), "newmtl skin\nmap_Kd my skin.png\n").unwrap();
+    write_polygon_mesh(&at("plain.ply"), &square(0.0)).unwrap();
+    let plain = std::fs::read(at("plain.ply")).unwrap();
+    let named = |comments: &str| -> Result<Vec3, String> {
+        let (first, rest) = plain.split_at(plain.iter().position(|b| *b == b'\n').unwrap() + 1);
+        std::fs::write(at("named.ply"), [first, comments.as_bytes(), rest].concat()).unwrap();
+        let (scan, paint) = read_painted_scan(&at("named.ply")).map_err(|e| e.to_string())?;
+        light_in_the_middle(&scan.mesh, paint.as_ref())
+    };
+    assert_eq!(named("comment TextureFile my skin.png\n").unwrap(), expected);
+    assert_eq!(named("comment TextureFiles are none\n").unwrap_err(), "no paint");
+    let files = files_of_painted_mesh(&at("named.ply"));
+    assert_eq!(files, [at("named.ply")]);
+    let missing = named("comment made by hand\ncomment TextureFile none.png\n").unwrap_err();
+    assert!(missing.contains("none.png") && missing.contains("TextureFile in line 3"), "{missing}");
+    assert_eq!(files_of_painted_mesh(&at("named.ply")), [at("named.ply"), at("none.png")]);
+    let two = named("comment TextureFile my skin.png\ncomment TextureFile b.png\n").unwrap_err();
+    assert!(two.contains("line 3") && two.contains("one TextureFile"), "{two}");
 }
 
 /// A PNG that says that it has 60000 x 60000 pixels.
