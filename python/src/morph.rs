@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use nonrigid::correspondence::ScanError;
 use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
-use nonrigid::landmark::TemplatePoint;
+use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint};
 use nonrigid::measurement::{self, NamedRegion};
 use nonrigid::mesh::PolygonMesh;
 use nonrigid::morph::{
@@ -65,18 +65,26 @@ fn recipe(py: Python<'_>, kind: &str, given: &Bound<'_, PyAny>) -> PyResult<Reci
     }
 }
 
-/// Names of landmarks and where they are on a mesh: those given, or else a rig's.
-fn places(landmarks: &[&Landmarks], rig: Option<&Rig>, mesh: &Mesh) -> PyResult<Vec<(String, TemplatePoint)>> {
+/// Names of landmarks and where they are on a mesh: those given, or else a rig's; and which of them lie off it.
+fn places(
+    landmarks: &[&Landmarks],
+    rig: Option<&Rig>,
+    mesh: &Mesh,
+) -> PyResult<(Vec<(String, TemplatePoint)>, OffTemplate)> {
+    let mut off = OffTemplate::none();
     if landmarks.is_empty() {
         let of_rig = rig.and_then(|r| r.rig.landmarks()).unwrap_or_default().iter().enumerate();
-        return Ok(of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect());
+        return Ok((of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect(), off));
     }
     let mut points = Vec::new();
     for landmarks in landmarks {
-        let (set, _) = landmarks.in_millimetres(None, mesh)?;
-        points.extend(set.on_template(&landmarks.path, mesh.polygons()).map_err(input)?);
+        let (mut set, _) = landmarks.in_millimetres(None, mesh)?;
+        set.format = LandmarkFormat::Native; // positions are points of the surface, as where they are measured
+        let of_set = set.on_template(&landmarks.path, mesh.polygons()).map_err(input)?;
+        off.extend(OffTemplate::of(&landmarks.path, &set, &of_set, mesh.polygons()).map_err(input)?);
+        points.extend(of_set);
     }
-    Ok(points)
+    Ok((points, off))
 }
 
 /// Step by step, behind what is doubtful in words: positions, report (JSON), and of each mask its name and weights.
@@ -107,7 +115,7 @@ fn morph_mesh<'py>(
     }
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     let mut notes: Vec<String> = recipes.iter().flat_map(|(recipe, amount)| recipe.doubts(*amount, model)).collect();
-    let outcomes = compute(py, threads, || {
+    let (outcomes, off) = compute(py, threads, || {
         let mut basis = match rig {
             None => ShapeBasis::none(),
             Some(rig) => {
@@ -118,7 +126,7 @@ fn morph_mesh<'py>(
         if let Some(bounds) = bounds {
             basis = basis.with_bounds(|_| bounds);
         }
-        let points = places(&landmarks, rig, mesh)?;
+        let (points, off) = places(&landmarks, rig, mesh)?;
         let mut moved: PolygonMesh = mesh.polygons().clone();
         let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
@@ -130,8 +138,9 @@ fn morph_mesh<'py>(
                 moved.positions.clone_from(&last.positions);
             }
         }
-        Ok(outcomes)
+        Ok((outcomes, off))
     })?;
+    notes.extend(off.doubt());
     let step = |outcome: morph::StepOutcome| {
         let report = serde_json::to_string(&outcome.report).map_err(value)?;
         let masks = outcome.masks.into_iter().map(|mask| (mask.name, mask.weights.into_values().into_pyarray(py)));

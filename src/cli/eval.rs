@@ -7,13 +7,14 @@ use serde::Serialize;
 
 use super::inputs::{LANDMARKS, TEMPLATE_LANDMARKS, read_landmarks};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, meshes, say};
+use super::{Failure, Stage, check_output, check_plan, meshes, say, warn};
 use crate::correspondence::ScanError;
 use crate::evaluation::{DistanceSummary, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
 use crate::io::{self, FilePlan, Inputs, Scan};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
+use crate::rig::check_order;
 
 /// Arguments of `nonrigid eval`.
 #[derive(Debug, Args)]
@@ -89,10 +90,22 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         };
         return Err(Failure::new(Stage::Arguments, lacking));
     }
-    let mut units = a.units.of(&["result", "template", "truth", "target", "landmarks", "template-landmarks"])?;
+    let mut units = a.units.of_given(&[
+        ("result", true),
+        ("template", true),
+        ("truth", a.truth.is_some()),
+        ("target", a.target.is_some()),
+        ("landmarks", a.landmarks.is_some()),
+        ("template-landmarks", a.template_landmarks.is_some()),
+    ])?;
     let template = units.read_mesh("template", &a.template)?;
     let positions = units.read_positions("result", &a.result)?;
     same_count("the result", positions.len(), &template)?;
+    match check_order(&template, "the result", &positions) {
+        Ok(odd) => odd.iter().for_each(warn),
+        // a registration may have failed so far
+        Err(error) => warn(error),
+    }
     let result = PolygonMesh { positions, ..template.clone() };
     let truth = a.truth.as_ref().map(|path| units.read_positions("truth", path)).transpose()?;
     let scan = a.target.as_ref().map(|path| read_target(&mut units, path)).transpose()?;

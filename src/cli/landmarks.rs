@@ -172,7 +172,7 @@ pub fn run(command: &Command) -> Result<(), Failure> {
 
 fn convert(a: &Convert) -> Result<(), Failure> {
     let format = a.output.format(&[("landmarks", Some(&a.input)), ("mesh", a.mesh.as_ref())])?;
-    let mut units = a.units.of(&["mesh", "landmarks"])?;
+    let mut units = a.units.of_given(&[("mesh", a.mesh.is_some()), ("landmarks", true)])?;
     let mesh = a.mesh.as_deref().map(|path| units.read_mesh("mesh", path)).transpose()?;
     let mut set = read_set(&a.input)?;
     units.bring_landmarks("landmarks", &a.input, "mesh", &mut set)?;
@@ -232,7 +232,8 @@ fn check(a: &Check) -> Result<(), Failure> {
 fn transfer(a: &Transfer) -> Result<(), Failure> {
     let inputs = [("landmarks", Some(&a.input)), ("mesh", Some(&a.from)), ("mesh", Some(&a.to))];
     let format = a.output.format(&[&inputs[..], &[("mesh", a.registered.as_ref())]].concat())?;
-    let mut units = a.units.of(&["from", "to", "registered", "landmarks"])?;
+    let registered = ("registered", a.registered.is_some());
+    let mut units = a.units.of_given(&[("from", true), ("to", true), registered, ("landmarks", true)])?;
     let (from, to) = (units.read_mesh("from", &a.from)?, units.read_mesh("to", &a.to)?);
     let via = a.registered.as_deref().map(|path| units.read_mesh("registered", path)).transpose()?;
     let mut set = read_set(&a.input)?;

@@ -13,8 +13,7 @@ use super::{
     say, warn, warn_of_format, warn_of_materials,
 };
 use crate::io::{self, FilePlan, MeshFile, write_atomically};
-use crate::landmark;
-use crate::landmark::TemplatePoint;
+use crate::landmark::{self, LandmarkFormat, OffTemplate, TemplatePoint};
 use crate::measurement::{Landmarks, Plan, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
 use crate::morph::{
@@ -347,7 +346,10 @@ fn landmarks(
     };
     let mut set = landmark::read_landmark_set(&path).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", &path, "mesh", &mut set)?;
-    set.on_template(&path, mesh).map_err(Failure::loading)
+    set.format = LandmarkFormat::Native; // positions are points of the surface, as where they are measured
+    let points = set.on_template(&path, mesh).map_err(Failure::loading)?;
+    OffTemplate::of(&path, &set, &points, mesh).map_err(Failure::loading)?.doubt().iter().for_each(warn);
+    Ok(points)
 }
 
 /// A rig's 68 landmarks.

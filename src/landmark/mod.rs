@@ -24,7 +24,8 @@ use std::str::FromStr;
 
 pub use check::{LandmarkCheck, OnSurface};
 pub use pairs::{
-    Landmark, Source, TemplatePoint, pair_landmarks, parse_landmarks, read_landmarks, read_template_landmarks,
+    Landmark, OffTemplate, Source, TemplatePoint, pair_landmarks, parse_landmarks, read_landmarks,
+    read_template_landmarks,
 };
 pub use places::{LandmarkError, PlaceKind};
 

@@ -14,7 +14,7 @@ use super::json::wrong_entry;
 use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, Place, ReadError, Side, parse, read_side};
 use crate::io::read_file;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// A point fixed to the template.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -227,6 +227,68 @@ impl LandmarkSet {
             }
         };
         self.landmarks.iter().map(|l| Ok((l.name.clone(), place(&l.name, &l.place)?))).collect()
+    }
+}
+
+/// A position farther from a template than this share of its size is on another mesh, or in another unit.
+const OTHER_MESH: f64 = 0.05;
+/// A position farther from a template than this share of its size, a millimetre of a face, is worth a word.
+const WORTH_A_WORD: f64 = 0.003;
+
+/// Positions that lie off the template that they were placed on: names, and distances in millimetres.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct OffTemplate(Vec<(String, f64)>);
+
+impl OffTemplate {
+    /// None.
+    #[must_use]
+    pub const fn none() -> Self {
+        Self(Vec::new())
+    }
+
+    /// The positions of `set`, which was read from `path`, that lie off the template; `points` are its places
+    /// [there](LandmarkSet::on_template).
+    ///
+    /// # Errors
+    /// When one lies farther off than a twentieth of the template's size.
+    pub fn of(
+        path: &Path,
+        set: &LandmarkSet,
+        points: &[(String, TemplatePoint)],
+        template: &PolygonMesh,
+    ) -> Result<Self, ReadError> {
+        let in_space = set.landmarks.iter().zip(points).filter_map(|(landmark, (name, point))| {
+            let LandmarkPlace::Position(p) = landmark.place else { return None };
+            Some((name.clone(), (point.position(&template.positions) - p).norm()))
+        });
+        let mut off: Vec<(String, f64)> = in_space.collect();
+        if off.is_empty() {
+            return Ok(Self(off));
+        }
+        let surface = surface_points(&template.positions, template.corners.iter().copied());
+        let size = bounding_box_diagonal(&surface);
+        if let Some((name, distance)) = off.iter().find(|(_, distance)| *distance > OTHER_MESH * size) {
+            let expected = "landmarks of this mesh, and in its unit (--unit landmarks=mm)";
+            let found = format!("{name:?} {distance:.0} mm off the mesh");
+            return Err(ReadError::malformed(path, Place::File, expected, found));
+        }
+        // points of plain JSON are vertices, which lie beside them
+        off.retain(|(_, distance)| set.format != LandmarkFormat::Points && *distance > WORTH_A_WORD * size);
+        Ok(Self(off))
+    }
+
+    /// These and those.
+    pub fn extend(&mut self, others: Self) {
+        self.0.extend(others.0);
+    }
+
+    /// What is to be said of them.
+    #[must_use]
+    pub fn doubt(&self) -> Option<String> {
+        let (name, distance) = self.0.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let many = if self.0.len() == 1 { "landmark lies" } else { "landmarks lie" };
+        let count = self.0.len();
+        Some(format!("{count} {many} off the mesh, {name} by {distance:.1} mm: the closest point of the mesh is taken"))
     }
 }
 

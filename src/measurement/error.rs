@@ -25,16 +25,6 @@ pub enum MeasurementError {
         /// How many there are.
         found: usize,
     },
-    /// A landmark lies far from the mesh.
-    #[error(
-        "landmark {name:?} is {distance:.0} mm off the mesh; is it of this mesh, and in its unit (--unit landmarks=mm)?"
-    )]
-    OffSurface {
-        /// Its name.
-        name: String,
-        /// How far, millimetres.
-        distance: f64,
-    },
     /// Left and right are exchanged.
     #[error(
         "{0} is mirrored, or its left and right landmarks are exchanged: left, up and front make no face; mirror it back, or exchange \

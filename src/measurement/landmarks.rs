@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::MeasurementError;
 use crate::io::LengthUnit;
-use crate::landmark::{LandmarkFormat, LandmarkPlace, LandmarkSet, TemplatePoint, read_landmark_set};
-use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
+use crate::landmark::{LandmarkFormat, LandmarkSet, OffTemplate, TemplatePoint, read_landmark_set};
+use crate::mesh::{PolygonMesh, Vec3};
 
 /// A landmark: what its name means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,11 +60,6 @@ const SYNONYMS: [(&str, &str); 1] = [("gnathion", "menton")];
 /// Numbered landmarks of Multi-PIE.
 const NUMBERED: usize = 68;
 
-/// A position farther from the mesh than this share of its size is on another mesh, or in another unit.
-const OFF_SHARE: f64 = 0.05;
-/// A position farther from the mesh than this, millimetres, is worth a word.
-const NEAR: f64 = 1.0;
-
 /// Landmarks in the folder of a rig: the 68, and those by name.
 const FILES_OF_RIG: [&str; 2] = ["landmarks_multipie68.json", "landmarks_anthropometric.json"];
 
@@ -79,14 +74,13 @@ pub(super) fn index(name: &str) -> Option<usize> {
 pub struct Landmarks {
     /// Of each of [`LANDMARKS`], the points whose mean it is, and whether they were given by its name.
     points: [Option<(Vec<TemplatePoint>, bool)>; LANDMARKS.len()],
-    /// Positions off the mesh: their names, and by how many millimetres.
-    off: Vec<(String, f64)>,
+    off: OffTemplate,
 }
 
 impl Landmarks {
     /// No landmarks.
     pub(super) const fn none() -> Self {
-        Self { points: [const { None }; LANDMARKS.len()], off: Vec::new() }
+        Self { points: [const { None }; LANDMARKS.len()], off: OffTemplate::none() }
     }
 
     /// Of points of any names those that it knows: others are left out, and so are numbers where not all 68 are there.
@@ -178,18 +172,7 @@ impl Landmarks {
         set.format = LandmarkFormat::Native;
         let points = set.on_template(path, template)?;
         self.add(&points).map_err(failed)?;
-        let most =
-            OFF_SHARE * bounding_box_diagonal(&surface_points(&template.positions, template.corners.iter().copied()));
-        for (landmark, (_, point)) in set.landmarks.iter().zip(&points) {
-            let LandmarkPlace::Position(p) = landmark.place else { continue };
-            let distance = (point.position(&template.positions) - p).norm();
-            if distance > most {
-                return Err(failed(MeasurementError::OffSurface { name: landmark.name.clone(), distance }));
-            }
-            if distance > NEAR {
-                self.off.push((landmark.name.clone(), distance));
-            }
-        }
+        self.off.extend(OffTemplate::of(path, &set, &points, template)?);
         Ok(())
     }
 
@@ -215,12 +198,7 @@ impl Landmarks {
     /// What is to be said of positions off the mesh.
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
-        let (name, distance) = self.off.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let many = if self.off.len() == 1 { "landmark lies" } else { "landmarks lie" };
-        Some(format!(
-            "{} {many} off the mesh, {name} by {distance:.1} mm: what is measured is the closest point of the mesh",
-            self.off.len()
-        ))
+        self.off.doubt()
     }
 
     /// Names of those that are known, in the order of [`LANDMARKS`].

@@ -144,6 +144,7 @@ const ROWS: &[Row] = &[
     ("eval", "--observed short_mask.npy", LOADING, &["short_mask.npy"]),
     ("eval", "--observed missing.npy", LOADING, &["missing.npy"]),
     ("eval", "--observed case/truth.npy", LOADING, &["truth.npy"]),
+    ("eval", "--unit target=mm", ARGUMENTS, &["--unit: no input 'target'", "there are result, template, truth"]),
     ("eval", "--target case/scan.ply", ARGUMENTS, &["--truth", "--target"]),
     ("eval", "--truth - --target case/scan.ply", ARGUMENTS, &["--observed", "--target"]),
     ("eval", "--truth - --observed - --target no_faces.ply --unit mm", LOADING, &["no_faces.ply", "triangle"]),

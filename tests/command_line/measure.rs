@@ -151,7 +151,9 @@ fn landmarks_off_the_mesh_are_said() {
     };
     assert!(!off(0.0).contains("off the mesh"));
     let said = off(5.0);
-    assert!(said.contains("landmarks lie off the mesh, ") && said.contains(" by 5.0 mm: what is measured"), "{said}");
+    assert!(said.contains("landmarks lie off the mesh, ") && said.contains(" by 5.0 mm: the closest point"), "{said}");
+    let plain = bench.run("morph --mesh rig/template.obj --landmarks points.json --preset nose-tip --out m.obj");
+    assert!(plain.stderr.contains(" by 5.0 mm: the closest point"), "{}", plain.stderr);
 }
 
 #[test]

@@ -77,6 +77,19 @@ fn templates_with_loose_vertices_or_several_parts_work_with_every_model() {
 }
 
 #[test]
+fn a_result_in_another_order_is_measured_and_said() {
+    let bench = broken();
+    let mut positions = bench.case.truth.clone();
+    write_obj(&bench.path("right.obj"), &bench.rig.mesh.with_positions(positions.clone())).unwrap();
+    positions.reverse();
+    write_obj(&bench.path("reversed.obj"), &bench.rig.mesh.with_positions(positions)).unwrap();
+    for (result, said) in [("right.obj", false), ("reversed.obj", true)] {
+        let run = bench.run(&command_line("eval", &format!("--result {result}")));
+        assert_eq!((run.code, run.stderr.contains("in the rig's order")), (0, said), "{}", run.stderr);
+    }
+}
+
+#[test]
 fn a_template_of_one_triangle_works_or_says_why_not() {
     let bench = broken();
     // On the scan: it has a surface to lie on.
