@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use crate::io::{Place, ReadError};
+use crate::io::{Place, ReadError, unpacked_name};
 use crate::text::is_hidden;
 
 /// Which columns a manifest may have besides `name` and `sequence`: options of the command that each row runs.
@@ -157,8 +157,8 @@ fn delimiter(text: &str) -> u8 {
 fn named(rows: Vec<(Row, Option<String>)>, scan: &str) -> Vec<Row> {
     let path = |row: &Row| row.options.iter().find(|(column, _)| column == scan).map(|(_, path)| PathBuf::from(path));
     let stem = |row: &Row| {
-        let file = path(row).and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned())).unwrap_or_default();
-        file.split('.').next().unwrap_or_default().to_owned()
+        let file = path(row).and_then(|p| Some(unpacked_name(&p).file_stem()?.to_string_lossy().into_owned()));
+        file.unwrap_or_default()
     };
     let mut count: HashMap<String, usize> = HashMap::new();
     for (row, name) in &rows {
@@ -198,7 +198,7 @@ mod tests {
         assert_eq!(rows[0].options, [("target".into(), "in/a/scan.ply".into()), ("model".into(), "arap".into())]);
         assert_eq!((rows[0].line, rows[1].sequence.as_deref(), &rows[2].sequence), (4, Some("x"), &None));
         assert_eq!(rows[2].options[0].1, "/d/e.obj.gz");
-        assert_eq!(parse("target;model\na.ply;arap\n").unwrap().rows[0].name, "a");
+        assert_eq!(parse("target;model\nann.001.ply;arap\n").unwrap().rows[0].name, "ann.001");
         assert_eq!(parse("\u{feff}target\tmodel\na.ply\tarap\n").unwrap().rows[0].options.len(), 2);
     }
 

@@ -240,7 +240,7 @@ pub fn job(row: &Row, of_all: &[(String, OsString)], further: &[(String, String)
     // what the batch itself adds does not matter here
     let format = further.iter().find(|(option, _)| option == "format").map_or("obj", |(_, format)| format);
     let out = PathBuf::from(format!("{}.{format}", row.name));
-    let line = [OsString::from("register"), "--out".into(), out.clone().into()];
+    let line = [OsString::from("register"), format!("--out={}", out.display()).into()];
     let parsed = Register::try_parse_from(line.into_iter().chain(arguments.iter().cloned()));
     let (arguments, inputs, beside) = match parsed {
         Ok(parsed) => (Ok(arguments), parsed.arguments.input_paths(), parsed.arguments.beside(&out)),
