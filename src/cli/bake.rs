@@ -73,8 +73,8 @@ impl BakeArguments {
         let painter = Painter::new(&scan.mesh, paint, scan.colors.as_deref()).map_err(Failure::loading)?;
         if painter.is_none() && self.bake.is_empty() {
             let message = format!(
-                "{}: it has neither a texture (mtllib, usemtl, map_Kd and vt in OBJ, materials in glTF, TextureFile in PLY) nor colours at its vertices, so \
-                 there is nothing to bake; --bake normal,displacement bakes its shape",
+                "{}: it has neither a texture (mtllib, usemtl, map_Kd and vt in OBJ, materials in glTF, TextureFile in PLY) nor colours \
+                 at its vertices, so there is nothing to bake; --bake normal,displacement bakes its shape",
                 scan_path.display()
             );
             return Err(Failure::loading(message));
