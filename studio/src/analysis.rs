@@ -11,7 +11,7 @@ use crate::protocol::{Analysis, MeasureRow, Profile, RegionRow};
 use crate::store::Store;
 use crate::vault::Vault;
 
-/// The landmarks of a case by which a face is measured: those of its rig, or else its own of these names.
+/// The landmarks of a case by which a face is measured: those of its rig, or else those of its own that have a name for measuring.
 ///
 /// # Errors
 /// When there are none, or they cannot be read.
@@ -23,7 +23,7 @@ pub fn landmarks(store: &Store, vault: &Vault, case: &Case, face: &PolygonMesh) 
     }
     if known.is_empty() {
         let own = case.wrap.pairs.iter().filter_map(|p| Some((p.name.clone(), TemplatePoint::Vertex(p.vertex?))));
-        known.add(&own.collect::<Vec<_>>()).map_err(problem)?;
+        known = Landmarks::among(&own.collect::<Vec<_>>()).map_err(problem)?;
     }
     if known.is_empty() {
         return Err(problem(

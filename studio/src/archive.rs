@@ -1,12 +1,13 @@
-//! A case as one zip file: `case.json`, with every revision that undo reaches, and `assets/HASH/NAME`. What comes in is a stranger's: names are checked, sizes limited, and
-//! every asset has to have the hash that it says.
+//! A case as one zip file: `case.json`, with every revision that undo reaches, and `assets/HASH/NAME`. What comes in is a stranger's: names
+//! are checked, sizes limited, every asset has to have the hash that it says, and every revision to keep the rules that edits keep.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{Read as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
@@ -31,6 +32,42 @@ struct Document {
     history: Option<History>,
 }
 
+fn packed(error: ZipError) -> Problem {
+    match error {
+        ZipError::Io(error) => error.into(),
+        error => problem(format!("the zip file cannot be written: {error}")),
+    }
+}
+
+/// The files of an asset, in order, with their names.
+fn files_of(vault: &Vault, asset: &str) -> Result<Vec<(String, PathBuf)>, Problem> {
+    let folder = vault.path(&FileRef { asset: asset.to_owned(), file: String::new() })?;
+    let named = |path: PathBuf| (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), path);
+    let mut files = std::fs::read_dir(folder)?.map(|e| e.map(|e| named(e.path()))).collect::<Result<Vec<_>, _>>()?;
+    files.sort();
+    Ok(files)
+}
+
+/// A file of the vault with those that lie beside it, such as the materials of a mesh, as one zip file; where it is alone, itself.
+///
+/// # Errors
+/// When a file cannot be read or the zip file not be written.
+pub fn with_files_beside(vault: &Vault, at: &FileRef) -> Result<FileRef, Problem> {
+    let files = files_of(vault, &at.asset)?;
+    if files.len() == 1 {
+        return Ok(at.clone());
+    }
+    let stem = at.file.split('.').next().unwrap_or_default();
+    vault.add_file(&format!("{stem}.zip"), |path| {
+        let mut zip = ZipWriter::new(File::create(path)?);
+        for (name, file) in &files {
+            zip.start_file(name, SimpleFileOptions::default().large_file(true)).map_err(packed)?;
+            std::io::copy(&mut File::open(file)?, &mut zip)?;
+        }
+        zip.finish().map(drop).map_err(packed)
+    })
+}
+
 /// Packs a case and its history.
 ///
 /// # Errors
@@ -38,29 +75,30 @@ struct Document {
 pub fn export(vault: &Vault, id: u32) -> Result<FileRef, Problem> {
     let history = vault.history(id)?;
     let case = history.at_head().clone();
-    let plain: String =
-        case.name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' }).take(60).collect();
+    let mut plain = String::new();
+    for c in case.name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' }) {
+        // the name of a file is counted in bytes
+        if plain.len() + c.len_utf8() > 100 {
+            break;
+        }
+        plain.push(c);
+    }
     vault.add_file(&format!("{plain}.zip"), |path| {
         let options = SimpleFileOptions::default().large_file(true);
         let mut zip = ZipWriter::new(File::create(path)?);
         // revisions are so alike that packed they would look like a bomb
         let plain = options.compression_method(zip::CompressionMethod::Stored);
-        zip.start_file("case.json", plain).map_err(problem)?;
+        zip.start_file("case.json", plain).map_err(packed)?;
         let document = Document { format: FORMAT, case: case.clone(), history: Some(history.clone()) };
         zip.write_all(serde_json::to_string(&document).map_err(problem)?.as_bytes())?;
         let assets: BTreeSet<&str> = history.cases().flat_map(Case::assets).collect();
         for asset in assets {
-            let folder = vault.path(&FileRef { asset: asset.to_owned(), file: String::new() })?;
-            let mut files = std::fs::read_dir(folder)?.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>()?;
-            files.sort();
-            for file in files {
-                let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                zip.start_file(format!("assets/{asset}/{name}"), options).map_err(problem)?;
+            for (name, file) in files_of(vault, asset)? {
+                zip.start_file(format!("assets/{asset}/{name}"), options).map_err(packed)?;
                 std::io::copy(&mut File::open(&file)?, &mut zip)?;
             }
         }
-        zip.finish().map_err(problem)?;
-        Ok(())
+        zip.finish().map(drop).map_err(packed)
     })
 }
 
@@ -123,10 +161,16 @@ pub fn import(vault: &Vault, path: &Path) -> Result<u32, Problem> {
         if let Some(missing) = case.assets().find(|asset| !assets.contains_key(*asset)) {
             return Err(no_case(format!("the file {missing} is missing")));
         }
+        for FileRef { asset, file } in case.files().filter(|at| !at.file.is_empty()) {
+            check_name(file)?;
+            if !assets[asset].folder.join(file).is_file() {
+                return Err(no_case(format!("the file {file:?} is missing")));
+            }
+        }
         for plan in case.plans.iter().filter(|plan| checked.insert(&plan.recipe)) {
             crate::plan::check(&plan.recipe)?;
         }
-        case.plan_in_work().map_err(|e| no_case(e.0))?;
+        case.check().map_err(|e| no_case(e.0))?;
         if case.wrapped.as_ref().is_some_and(|w| !crate::wrap::is_own_command(&w.command)) {
             return Err(no_case("its command line is not one that the studio makes".to_owned()));
         }

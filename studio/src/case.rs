@@ -83,6 +83,9 @@ pub struct Pair {
     pub target: Option<[f64; 3]>,
     /// Why the place is doubtful, where it was suggested.
     pub doubt: Option<String>,
+    /// Whether the user has placed it on the scan: suggestions leave it there.
+    #[serde(default)]
+    pub by_hand: bool,
 }
 
 /// How the template is wrapped onto the scan.
@@ -461,15 +464,19 @@ impl Case {
         plan.ok_or_else(|| problem(format!("there is no plan {id} any more; choose one from the list")))
     }
 
-    /// All files that it refers to.
-    pub fn assets(&self) -> impl Iterator<Item = &str> {
+    /// All files that it refers to, but for those in the command of its result.
+    pub fn files(&self) -> impl Iterator<Item = &FileRef> {
         let sources = self.template.iter().chain(&self.rig).chain(&self.scans).map(|s| &s.at);
         let wrapped = self.wrapped.iter().flat_map(|w| [&w.mesh, &w.state, &w.report]);
+        let own = self.wrap.mask.iter().chain(&self.wrap.schedule);
+        sources.chain(wrapped).chain(own).chain(self.photos.iter().map(|p| &p.at))
+    }
+
+    /// All assets that it refers to.
+    pub fn assets(&self) -> impl Iterator<Item = &str> {
         let of_command = self.wrapped.iter().flat_map(|w| &w.command);
         let of_command = of_command.filter_map(|a| a.strip_prefix("asset:").map(|a| a.split('/').next().unwrap_or(a)));
-        let own = self.wrap.mask.iter().chain(&self.wrap.schedule);
-        let files = sources.chain(wrapped).chain(own).chain(self.photos.iter().map(|p| &p.at));
-        files.map(|at| at.asset.as_str()).chain(of_command)
+        self.files().map(|at| at.asset.as_str()).chain(of_command)
     }
 
     /// The model that wraps it.
@@ -554,24 +561,12 @@ impl Case {
             }
             Edit::RemovePair { name } => self.wrap.pairs.retain(|pair| pair.name != *name),
             Edit::SetPairs { pairs } => {
-                pairs.iter().try_for_each(check_pair)?;
-                let mut names: Vec<&str> = pairs.iter().map(|pair| pair.name.as_str()).collect();
-                names.sort_unstable();
-                if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-                    return Err(problem(format!("landmark {:?} comes twice; give each its own name", twice[0])));
-                }
+                check_pairs(pairs)?;
                 self.wrap.pairs.clone_from(pairs);
             }
             Edit::SetWrap { settings } => {
+                check_settings(settings)?;
                 let WrapSettings { pairs, mask, schedule, .. } = std::mem::take(&mut self.wrap);
-                settings.model.iter().try_for_each(|name| name.parse::<ModelKind>().map(drop)).map_err(problem)?;
-                for [low, high] in settings.expression_bounds.iter().chain(&settings.identity_bounds) {
-                    if low.is_nan() || high.is_nan() || low > high {
-                        return Err(problem(format!(
-                            "no weight lies between {low} and {high}; put the lower bound first"
-                        )));
-                    }
-                }
                 // no message names a file: one that is there stays, or is taken away
                 let schedule = schedule.filter(|_| settings.schedule.is_some());
                 self.wrap = WrapSettings { pairs, mask, schedule, ..settings.clone() };
@@ -617,11 +612,57 @@ impl Case {
             Edit::MoveStep { from, to } => self.recipe(|text| plan::moved(text, *from as usize, *to as usize))?,
             Edit::RemoveStep { index } => self.recipe(|text| plan::without(text, *index as usize))?,
         }
+        self.check_counts()
+    }
+
+    fn check_counts(&self) -> Result<(), Problem> {
         let most = [self.wrap.pairs.len(), self.plans.len(), self.scans.len(), self.photos.len()];
         if most.iter().any(|count| *count > MOST) {
             return Err(problem(format!("a case holds at most {MOST} of a kind; remove some first")));
         }
         Ok(())
+    }
+
+    /// Checks a case that no edits have made, as one from elsewhere: it keeps all rules that they keep.
+    ///
+    /// # Errors
+    /// With the first one that it breaks.
+    pub fn check(&self) -> Result<(), Problem> {
+        self.check_counts()?;
+        named("the client", &self.name)?;
+        checked("the date", &self.date)?;
+        checked("the notes", &self.notes)?;
+        check_pairs(&self.wrap.pairs)?;
+        check_settings(&self.wrap)?;
+        for plan in &self.plans {
+            named("a plan", &plan.name)?;
+            if self.plans.iter().filter(|other| other.id == plan.id).count() > 1 {
+                return Err(problem(format!("two plans have the number {}", plan.id)));
+            }
+        }
+        self.plan_in_work()?;
+        if self.scan.is_some() && self.scan_in_work().is_none() {
+            return Err(problem("the scan in work is not there"));
+        }
+        Ok(())
+    }
+
+    /// Pairs that were found on the scan join those that are there. Where the user has placed one, it stays: how many do.
+    ///
+    /// # Errors
+    /// When they break a rule.
+    pub fn take_suggestions(&mut self, found: Vec<Pair>) -> Result<usize, Problem> {
+        let mut kept = 0;
+        for pair in found {
+            match self.wrap.pairs.iter_mut().find(|known| known.name == pair.name) {
+                Some(known) if known.by_hand && known.target.is_some() => {
+                    known.vertex = known.vertex.or(pair.vertex);
+                    kept += 1;
+                }
+                _ => self.apply(&Edit::SetPair { pair })?,
+            }
+        }
+        Ok(kept)
     }
 }
 
@@ -633,11 +674,54 @@ fn check_pair(pair: &Pair) -> Result<(), Problem> {
     Ok(())
 }
 
+fn check_pairs(pairs: &[Pair]) -> Result<(), Problem> {
+    pairs.iter().try_for_each(check_pair)?;
+    let mut names: Vec<&str> = pairs.iter().map(|pair| pair.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(problem(format!("landmark {:?} comes twice; give each its own name", twice[0])));
+    }
+    Ok(())
+}
+
+fn check_settings(settings: &WrapSettings) -> Result<(), Problem> {
+    settings.model.iter().try_for_each(|name| name.parse::<ModelKind>().map(drop)).map_err(problem)?;
+    for [low, high] in settings.expression_bounds.iter().chain(&settings.identity_bounds) {
+        if low.is_nan() || high.is_nan() || low > high {
+            return Err(problem(format!("no weight lies between {low} and {high}; put the lower bound first")));
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use serde_json::{Value, from_value, json};
 
     use super::*;
+
+    #[test]
+    fn suggestions_leave_what_the_user_has_placed() {
+        let pair = |name: &str, vertex, x: f64, by_hand| {
+            let target = (x >= 0.0).then_some([x, 0.0, 0.0]);
+            Pair { name: name.to_owned(), vertex, target, doubt: None, by_hand }
+        };
+        let mut case = Case::default();
+        case.wrap.pairs = vec![
+            pair("mole", Some(7), 1.0, true),
+            pair("30", None, 2.0, true),
+            pair("8", Some(3), 3.0, false),
+            pair("27", Some(4), -1.0, true),
+        ];
+        let found = ["30", "8", "27", "33"].map(|name| pair(name, Some(9), 5.0, false));
+        assert_eq!(case.take_suggestions(found.to_vec()).unwrap(), 1);
+        let names: Vec<&str> = case.wrap.pairs.iter().map(|p| p.name.as_str()).collect();
+        assert_eq!(names, ["mole", "30", "8", "27", "33"]);
+        assert_eq!(case.wrap.pairs[0], pair("mole", Some(7), 1.0, true));
+        // its place stays, and it learns where it is on the template
+        assert_eq!(case.wrap.pairs[1], pair("30", Some(9), 2.0, true));
+        assert!(case.wrap.pairs[2..].iter().all(|p| p.vertex == Some(9) && p.target == Some([5.0, 0.0, 0.0])));
+    }
 
     #[test]
     fn a_result_is_one_of_its_scan_in_its_unit() {

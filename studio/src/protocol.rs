@@ -76,7 +76,18 @@ pub enum Export {
     Case,
 }
 
-/// From the page.
+/// From the page: a message, and the case that the page shows.
+#[derive(Debug, Clone, PartialEq, Deserialize, TS)]
+pub struct FromPage {
+    /// The case; what is meant for it is not done to another one that was opened meanwhile.
+    #[serde(default)]
+    pub case: Option<u32>,
+    /// The message.
+    #[serde(flatten)]
+    pub message: ClientMessage,
+}
+
+/// What the page wants.
 #[derive(Debug, Clone, PartialEq, Deserialize, TS)]
 #[serde(rename_all = "snake_case", tag = "type")]
 pub enum ClientMessage {
@@ -191,6 +202,31 @@ pub enum ClientMessage {
         /// Which.
         id: u32,
     },
+}
+
+impl ClientMessage {
+    /// Whether it is about the open case.
+    #[must_use]
+    pub const fn is_of_the_case(&self) -> bool {
+        !matches!(
+            self,
+            Self::ListCases { .. }
+                | Self::NewCase { .. }
+                | Self::OpenCase { .. }
+                | Self::DeleteCase { .. }
+                | Self::Add { role: Role::Case, .. }
+                | Self::Cancel
+                | Self::ListArticles { .. }
+                | Self::SaveArticle { .. }
+                | Self::DeleteArticle { .. }
+        )
+    }
+
+    /// Whether it changes nothing and only asks what something looks or would look like.
+    #[must_use]
+    pub const fn only_looks(&self) -> bool {
+        matches!(self, Self::Preview { .. } | Self::Blend { .. } | Self::Analyse { .. })
+    }
 }
 
 /// The frame of the face in which masks are drawn.
@@ -518,6 +554,7 @@ pub fn typescript() -> String {
         Upload,
         LandmarkSide,
         Export,
+        FromPage,
         ClientMessage,
         FrameView,
         StepResult,

@@ -1,7 +1,7 @@
 //! The server: one page, one WebSocket, uploads and downloads. It holds faces of patients: it answers only who knows its token, only
 //! under its own address, and only to its own page.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,7 +23,7 @@ use tokio::net::TcpListener;
 
 use crate::case::FileRef;
 use crate::error::{Problem, problem};
-use crate::protocol::{ClientMessage, ServerMessage};
+use crate::protocol::{FromPage, ServerMessage};
 use crate::session::{self, Hub, Inbox, Outgoing};
 use crate::vault::{LARGEST_FILE, check_name, random_name};
 
@@ -46,9 +46,11 @@ struct Gate {
     hub: Arc<Hub>,
     token: String,
     cookie: String,
-    /// `Host` as a browser sends it.
+    port: u16,
+    /// Names and addresses that it is called by, without the port.
     hosts: Vec<String>,
-    policy: String,
+    /// Whether it is called by any address: it listens on all of them. A page of another site that has its name lead here comes by name.
+    any_address: bool,
 }
 
 impl Server {
@@ -60,25 +62,37 @@ impl Server {
         let busy = |e| problem(format!("cannot listen on {host} port {port}: {e}; choose another one with --port"));
         let listener = TcpListener::bind(SocketAddr::new(host, port)).await.map_err(busy)?;
         let port = listener.local_addr()?.port();
-        let mut hosts = vec![SocketAddr::new(host, port).to_string()];
-        if host.is_loopback() {
-            hosts.push(format!("localhost:{port}"));
+        let any_address = host.is_unspecified();
+        // where it listens on all addresses, this machine's browser takes the one that never leaves it
+        let own = match host {
+            IpAddr::V4(_) if any_address => Ipv4Addr::LOCALHOST.into(),
+            IpAddr::V6(_) if any_address => Ipv6Addr::LOCALHOST.into(),
+            _ => host,
+        };
+        let mut hosts = vec![if own.is_ipv6() { format!("[{own}]") } else { own.to_string() }];
+        if own.is_loopback() {
+            hosts.push("localhost".to_owned());
         }
-        let sockets: Vec<String> = hosts.iter().map(|h| format!("ws://{h}")).collect();
-        let policy = format!(
-            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self' {}; \
-             base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-            sockets.join(" ")
-        );
+        if any_address {
+            hosts.extend(names_of_this_machine());
+        }
         // browsers keep one cookie for all ports of a host
         let cookie = format!("nonrigid_studio_{port}");
-        Ok(Self { listener, gate: Arc::new(Gate { hub, token: random_name()?, cookie, hosts, policy }) })
+        Ok(Self { listener, gate: Arc::new(Gate { hub, token: random_name()?, cookie, port, hosts, any_address }) })
     }
 
     /// Its address, with the token.
     #[must_use]
     pub fn address(&self) -> String {
-        format!("http://{}/?token={}", self.gate.hosts[0], self.gate.token)
+        let Gate { hosts, port, token, .. } = &*self.gate;
+        format!("http://{}:{port}/?token={token}", hosts[0])
+    }
+
+    /// The names of this machine under which it answers others, where it listens on all of its addresses.
+    #[must_use]
+    pub fn names(&self) -> Option<&[String]> {
+        // the first two are for this machine alone
+        self.gate.any_address.then(|| &self.gate.hosts[2..])
     }
 
     /// Serves until the process ends.
@@ -125,7 +139,27 @@ fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
+/// As `hostname` says, also in the local network; none where there is no such program.
+fn names_of_this_machine() -> Vec<String> {
+    let out = std::process::Command::new("hostname").output();
+    let name = out.map_or_else(|_| String::new(), |out| String::from_utf8_lossy(&out.stdout).trim().to_lowercase());
+    let plain = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "-.".contains(c));
+    if plain { vec![format!("{name}.local"), name] } else { Vec::new() }
+}
+
 impl Gate {
+    /// Whether a `Host` is one that it is called by.
+    fn is_own(&self, host: &str) -> bool {
+        let named = host.strip_suffix(&format!(":{}", self.port));
+        // browsers leave the usual port out
+        let Some(name) = named.or_else(|| (self.port == 80).then_some(host)) else { return false };
+        let literal = || match name.strip_prefix('[').and_then(|name| name.strip_suffix(']')) {
+            Some(name) => name.parse::<Ipv6Addr>().is_ok(),
+            None => name.parse::<Ipv4Addr>().is_ok(),
+        };
+        self.hosts.iter().any(|own| own.eq_ignore_ascii_case(name)) || (self.any_address && literal())
+    }
+
     fn knows(&self, headers: &HeaderMap) -> bool {
         let cookies = headers.get_all(header::COOKIE).iter().filter_map(|c| c.to_str().ok()).flat_map(|c| c.split(';'));
         let mut values = cookies.filter_map(|c| c.trim().split_once('=')).filter(|(name, _)| *name == self.cookie);
@@ -135,7 +169,9 @@ impl Gate {
     /// A page of another site can neither read answers nor make changes: what it sends names where it comes from.
     fn own_origin(&self, headers: &HeaderMap, needed: bool) -> bool {
         match text(headers, header::ORIGIN) {
-            Some(origin) => self.hosts.iter().any(|host| origin.strip_prefix("http://") == Some(host)),
+            Some(origin) => {
+                text(headers, header::HOST).is_some_and(|host| origin.strip_prefix("http://") == Some(host))
+            }
             None => !needed && !headers.contains_key(header::ORIGIN),
         }
     }
@@ -153,8 +189,10 @@ fn refused(status: StatusCode, why: &'static str) -> Response {
 /// What every request has to pass.
 async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, request: Request, next: Next) -> Response {
     let headers = request.headers();
-    let mut response = if !text(headers, header::HOST).is_some_and(|host| gate.hosts.iter().any(|h| h == host)) {
-        refused(StatusCode::MISDIRECTED_REQUEST, "This server answers only under the address that it has printed.")
+    let host = text(headers, header::HOST).filter(|host| gate.is_own(host)).map(str::to_owned);
+    let mut response = if host.is_none() {
+        let why = "This server answers only under its own address: the one that it has printed, or a number where it listens on all.";
+        refused(StatusCode::MISDIRECTED_REQUEST, why)
     } else if request.uri().path() == "/" && given.token.as_ref().is_some_and(|token| same(token, &gate.token)) {
         // the token leaves the address bar and the history
         let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", gate.cookie, gate.token);
@@ -169,7 +207,12 @@ async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, reques
         next.run(request).await
     };
     let headers = response.headers_mut();
-    headers.extend(HeaderValue::from_str(&gate.policy).map(|p| (header::CONTENT_SECURITY_POLICY, p)));
+    let socket = host.map_or_else(String::new, |host| format!(" ws://{host}"));
+    let policy = format!(
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'{socket}; \
+         base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    );
+    headers.extend(HeaderValue::from_str(&policy).map(|p| (header::CONTENT_SECURITY_POLICY, p)));
     for (name, value) in [
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),
@@ -294,7 +337,7 @@ async fn window(hub: Arc<Hub>, socket: WebSocket) {
     });
     while let Some(Ok(message)) = stream.next().await {
         let message = match message {
-            Message::Text(text) => serde_json::from_str::<ClientMessage>(&text).map_err(|e| e.to_string()),
+            Message::Text(text) => serde_json::from_str::<FromPage>(&text).map_err(|e| e.to_string()),
             Message::Binary(_) => Err("binary frames are not understood".to_owned()),
             Message::Close(_) => break,
             Message::Ping(_) | Message::Pong(_) => continue,

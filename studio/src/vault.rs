@@ -12,7 +12,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -457,6 +457,26 @@ impl Vault {
     #[must_use]
     pub fn path_of_folder(&self) -> String {
         self.folder.display().to_string()
+    }
+
+    /// A text that calls the vault's files by their own names, and a whole folder of them the rig.
+    #[must_use]
+    pub fn without_folders(&self, text: &str) -> String {
+        let mut text = text.to_owned();
+        for part in ["assets", "incoming"] {
+            let start = format!("{}{MAIN_SEPARATOR}", self.folder.join(part).display());
+            let mut pieces = text.split(&start);
+            let mut out = pieces.next().unwrap_or_default().to_owned();
+            for piece in pieces {
+                let rest = piece.trim_start_matches(|c: char| c.is_ascii_hexdigit());
+                match rest.strip_prefix(MAIN_SEPARATOR) {
+                    Some(file) => out += file,
+                    None => out = out + "the rig" + rest,
+                }
+            }
+            text = out;
+        }
+        text
     }
 
     /// Where a file of the vault is.

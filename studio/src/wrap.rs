@@ -342,7 +342,7 @@ impl WrapJob {
                 () if outcome.summary.probability > 0.5 => Some("the registration itself is doubtful".to_owned()),
                 () => None,
             };
-            Some(Pair { name: name.clone(), vertex: Some(*vertex), target: Some(target.into()), doubt })
+            Some(Pair { name: name.clone(), vertex: Some(*vertex), target: Some(target.into()), doubt, by_hand: false })
         };
         landmarks.iter().filter_map(place).collect()
     }

@@ -1,5 +1,8 @@
 //! Files that join a case, and files that are written for the user.
 
+use std::io::Read as _;
+use std::path::Path;
+
 use nonrigid::io;
 use nonrigid::mesh::PolygonMesh;
 
@@ -7,7 +10,6 @@ use super::{Window, nearest_vertex};
 use crate::case::{Edit, FileRef, Pair, Photo, Source, Unit};
 use crate::error::{Problem, problem};
 use crate::protocol::{Export, Role, ServerMessage, Upload};
-use crate::vault::Incoming;
 use crate::vault::OpenCase;
 use crate::{plan, store, wrap};
 
@@ -46,7 +48,7 @@ impl Window {
                 let rig = role == Role::Rig;
                 let whole = if main.is_empty() { &gathered.folder } else { &at_file };
                 let points = if rig { store::points_of_rig(whole) } else { store::points_of_mesh(whole) };
-                let points = points.map_err(|e| without_folder(&e, &gathered))?;
+                let points = points?;
                 match unit.map_or_else(|| store::guess_unit(&at_file, &points), Ok) {
                     Ok(unit) => unit,
                     Err((text, units)) => {
@@ -61,7 +63,7 @@ impl Window {
         match role {
             Role::Recipe => {
                 let text = plan::text_of(&at_file)?;
-                plan::check(&text).map_err(|e| without_folder(&e, &gathered))?;
+                plan::check(&text)?;
                 let name = main.trim_end_matches(".toml").to_owned();
                 self.change(&format!("recipe {name}"), |case| {
                     case.apply(&Edit::NewPlan { name, copy_of: None, recipe: Some(text) })
@@ -69,7 +71,7 @@ impl Window {
             }
             Role::Schedule => {
                 let model = self.case()?.case.model().parse().map_err(problem)?;
-                wrap::read_schedule(&at_file, &model).map_err(|e| without_folder(&e, &gathered))?;
+                wrap::read_schedule(&at_file, &model)?;
                 let asset = hub.vault.take(&gathered)?;
                 self.change(&format!("schedule {main}"), |case| {
                     case.wrap.schedule = Some(FileRef { asset, file: main });
@@ -80,14 +82,15 @@ impl Window {
                 let case = &self.case()?.case;
                 let source = case.scan_in_work().ok_or_else(|| problem("add the scan before its landmarks"))?;
                 let scan = hub.store.scan(&hub.vault, source)?;
-                let places =
-                    wrap::scan_places(&at_file, source.unit, &scan).map_err(|e| without_folder(&e, &gathered))?;
+                let places = wrap::scan_places(&at_file, source.unit, &scan)?;
                 self.change(&format!("{} landmarks of {main}", places.len()), |case| {
                     for (name, target) in places {
                         let known = case.wrap.pairs.iter().find(|p| p.name == name);
                         // a name that is a number is a vertex of the template, unless a landmark has it
                         let vertex = known.map_or_else(|| name.parse().ok(), |p| p.vertex);
-                        case.apply(&Edit::SetPair { pair: Pair { name, vertex, target: Some(target), doubt: None } })?;
+                        case.apply(&Edit::SetPair {
+                            pair: Pair { name, vertex, target: Some(target), doubt: None, by_hand: true },
+                        })?;
                     }
                     Ok(())
                 })?;
@@ -98,18 +101,21 @@ impl Window {
                 let mesh = hub.store.mesh(&hub.vault, source)?;
                 let mut set = nonrigid::landmark::read_landmark_set(&at_file)?;
                 set.assume(source.unit.length());
-                let points = set.on_template(&at_file, &mesh).map_err(|e| without_folder(&e.into(), &gathered))?;
+                let points = set.on_template(&at_file, &mesh)?;
                 self.change(&format!("{} landmarks of {main}", points.len()), |case| {
                     for (name, point) in points {
                         let vertex = Some(nearest_vertex(&mesh.positions, point.position(&mesh.positions)));
                         let known = case.wrap.pairs.iter().find(|p| p.name == name);
-                        let target = known.and_then(|p| p.target);
-                        case.apply(&Edit::SetPair { pair: Pair { name, vertex, target, doubt: None } })?;
+                        let (target, by_hand) = known.map_or((None, false), |p| (p.target, p.by_hand));
+                        case.apply(&Edit::SetPair { pair: Pair { name, vertex, target, doubt: None, by_hand } })?;
                     }
                     Ok(())
                 })?;
             }
             Role::Template | Role::Scan | Role::Rig | Role::Photo => {
+                if role == Role::Photo {
+                    check_picture(&at_file)?;
+                }
                 let asset = hub.vault.take(&gathered)?;
                 let at = FileRef { asset, file: main.clone() };
                 let name = if main.is_empty() { "rig".to_owned() } else { main.clone() };
@@ -135,7 +141,7 @@ impl Window {
                         }
                         Role::Rig => {
                             if case.template.is_none() && template_inside {
-                                let file = FileRef { file: "template.obj".to_owned(), ..at };
+                                let file = FileRef { file: "template.obj".to_owned(), ..at.clone() };
                                 case.template = Some(Source { at: file, name: "template.obj".to_owned(), unit });
                             }
                             case.rig = Some(source);
@@ -144,15 +150,33 @@ impl Window {
                             case.scans.push(source);
                             case.apply(&Edit::UseScan { index: case.scans.len() as u32 - 1 })?;
                         }
-                        _ => case.photos.push(Photo { at, name }),
+                        _ => case.photos.push(Photo { at: at.clone(), name }),
                     }
                     Ok(())
                 })?;
                 self.made(open)?;
+                if matches!(role, Role::Template | Role::Scan) {
+                    self.say_what_is_missing(&hub.vault.path(&at)?);
+                }
             }
             Role::Case => {}
         }
         Ok(false)
+    }
+
+    /// Says which materials and images of a mesh have not come with it.
+    fn say_what_is_missing(&self, mesh: &Path) {
+        let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let missing: Vec<String> =
+            io::files_of_painted_mesh(mesh).iter().filter(|file| !file.is_file()).map(|file| name(file)).collect();
+        if !missing.is_empty() {
+            let text = format!(
+                "{} names {}, which did not come with it: add them together to keep its materials and colours",
+                name(mesh),
+                missing.join(", ")
+            );
+            self.say(ServerMessage::Note { text });
+        }
     }
 
     pub(super) fn paint(&mut self, weights: Option<Vec<f32>>) -> Result<(), Problem> {
@@ -168,7 +192,7 @@ impl Window {
                         "a mask has a number from 0 to 1 for each of the {vertices} vertices"
                     )));
                 }
-                let write = |path: &std::path::Path| Ok(io::write_npy(path, &[weights.len()], &weights)?);
+                let write = |path: &Path| Ok(io::write_npy(path, &[weights.len()], &weights)?);
                 Some(hub.vault.add_file("mask.npy", write)?)
             }
         };
@@ -198,8 +222,7 @@ impl Window {
                 } else {
                     // the colours come back from the file, eight bits each
                     let file = io::read_mesh_file(&hub.vault.path(&wrapped.mesh)?)?;
-                    let write =
-                        |path: &std::path::Path| Ok(io::write_colored_mesh(path, &file.mesh, file.colors.as_deref())?);
+                    let write = |path: &Path| Ok(io::write_colored_mesh(path, &file.mesh, file.colors.as_deref())?);
                     hub.vault.add_file(&format!("wrapped.{format}"), write)?
                 }
             }
@@ -234,21 +257,32 @@ impl Window {
             Export::Case => crate::archive::export(&hub.vault, id)?,
         };
         hub.vault.leave(id, &at)?;
+        let at = match what {
+            Export::Wrapped { .. } | Export::Face { .. } => crate::archive::with_files_beside(&hub.vault, &at)?,
+            _ => at,
+        };
+        hub.vault.leave(id, &at)?;
         self.say(ServerMessage::Exported { at });
         Ok(())
     }
+}
+
+/// Refuses a photo that no browser shows.
+fn check_picture(path: &Path) -> Result<(), Problem> {
+    let mut head = Vec::new();
+    std::fs::File::open(path)?.take(12).read_to_end(&mut head)?;
+    let webp = head.starts_with(b"RIFF") && head.ends_with(b"WEBP");
+    if webp || head.starts_with(b"\x89PNG\r\n\x1a\n") || head.starts_with(b"\xff\xd8\xff") {
+        return Ok(());
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Err(problem(format!("{name} is no picture: add a PNG, JPEG or WebP file")))
 }
 
 /// Whether a number means the same vertex of both meshes: the polygons join the same ones, or where there are none, all lie where they did.
 fn same_vertices(a: &PolygonMesh, b: &PolygonMesh) -> bool {
     let polygons = a.positions.len() == b.positions.len() && a.starts == b.starts && a.corners == b.corners;
     polygons && (!a.corners.is_empty() || a.positions == b.positions)
-}
-
-/// A message about a file that waits, without the folder where it waits.
-fn without_folder(error: &Problem, incoming: &Incoming) -> Problem {
-    let folder = format!("{}{}", incoming.folder.display(), std::path::MAIN_SEPARATOR);
-    problem(error.0.replace(&folder, "").replace(&*incoming.folder.to_string_lossy(), "the rig"))
 }
 
 /// Of files that were added together, the one that the others belong to: a glTF file's buffers, an OBJ file's materials.

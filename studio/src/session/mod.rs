@@ -6,7 +6,7 @@ mod jobs;
 mod plans;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,10 +15,11 @@ use nonrigid::mesh::Vec3;
 use nonrigid::morph::MorphModel;
 use nonrigid::registration::ModelKind;
 
+use self::jobs::{FromJob, Inputs, Running};
 use self::plans::{Base, Dragged};
 use crate::case::{Case, Edit, FileRef, Pair, Source};
 use crate::error::{Problem, problem};
-use crate::protocol::{ClientMessage, LandmarkSide, ServerMessage, Upload};
+use crate::protocol::{ClientMessage, CompareRow, FromPage, LandmarkSide, ServerMessage, Upload};
 use crate::store::{self, Store, clear_frame, mesh_frame, positions_frame, scan_frame, values_frame};
 use crate::vault::{Incoming, OpenCase, Vault, check_name, stale};
 use crate::{plan, wrap};
@@ -39,11 +40,11 @@ pub struct Hub {
 /// What a window's thread is told.
 pub enum Inbox {
     /// By the page.
-    Page(Box<ClientMessage>),
+    Page(Box<FromPage>),
     /// A case has changed: this one, or (none) perhaps any.
     Changed(Option<u32>),
-    /// A job of this window has ended.
-    Ended,
+    /// By the job of this window.
+    Job(FromJob),
     /// The window is closed.
     Closed,
 }
@@ -98,8 +99,14 @@ impl Hub {
     fn gathered(&self, files: &[Upload]) -> Result<Incoming, Problem> {
         let uploads = lock(&self.uploads);
         let folder = self.vault.incoming()?;
-        for file in files {
+        for (k, file) in files.iter().enumerate() {
             check_name(&file.name)?;
+            if files[..k].iter().any(|before| before.name == file.name) {
+                return Err(problem(format!(
+                    "two files are called {}: add those of one folder alone, without its subfolders",
+                    file.name
+                )));
+            }
             let found = uploads.iter().find(|(id, _)| *id == file.id);
             let (_, upload) =
                 found.ok_or_else(|| problem(format!("{}: it did not arrive; add it again", file.name)))?;
@@ -150,14 +157,15 @@ struct Shown {
     template: Option<Source>,
     scan: Option<Source>,
     face: Option<Source>,
-    wrapped: Option<FileRef>,
+    /// The result, or that there is none; none where a job has shown something else since.
+    wrapped: Option<Option<FileRef>>,
     mask: Option<FileRef>,
     plan: Option<(Option<Source>, Option<Source>, String)>,
 }
 
-/// Whether a message only asks what something would look like.
+/// Whether a message is one of many in a row, of which only the last one counts.
 fn live(message: &Inbox) -> bool {
-    matches!(message, Inbox::Page(m) if matches!(**m, ClientMessage::Preview { .. } | ClientMessage::Blend { .. }))
+    matches!(message, Inbox::Page(m) if matches!(m.message, ClientMessage::Preview { .. } | ClientMessage::Blend { .. }))
 }
 
 struct Window {
@@ -170,8 +178,7 @@ struct Window {
     shown: Shown,
     base: Option<Base>,
     dragged: Option<Dragged>,
-    /// Ends the job that runs.
-    job: Option<Arc<AtomicBool>>,
+    job: Option<Running>,
 }
 
 impl Window {
@@ -192,17 +199,14 @@ impl Window {
                 }
             }
             match message {
-                Inbox::Page(message) => self.guarded(|window| window.answer(*message)),
+                Inbox::Page(message) => self.guarded(|window| window.hear(*message)),
                 Inbox::Changed(id) => self.guarded(|window| window.refresh_if(id)),
-                Inbox::Ended => {
-                    self.job = None;
-                    self.say(ServerMessage::Idle);
-                }
+                Inbox::Job(message) => self.guarded(|window| window.pass_on(message)),
                 Inbox::Closed => break,
             }
         }
-        if let Some(cancel) = &self.job {
-            cancel.store(true, Ordering::Relaxed);
+        if let Some(job) = &self.job {
+            job.cancel();
         }
     }
 
@@ -214,7 +218,17 @@ impl Window {
         }
     }
 
-    fn say(&self, message: ServerMessage) {
+    fn say(&self, mut message: ServerMessage) {
+        // where the server keeps its files is nobody's business
+        match &mut message {
+            ServerMessage::Error { text }
+            | ServerMessage::Note { text }
+            | ServerMessage::Plan { error: Some(text), .. }
+            | ServerMessage::Compared { row: CompareRow { error: text, .. } } => {
+                *text = self.hub.vault.without_folders(text);
+            }
+            _ => {}
+        }
         // a page that is gone is told nothing
         let _ = self.page.blocking_send(Outgoing::Message(Box::new(message)));
     }
@@ -325,6 +339,9 @@ impl Window {
     /// Shows what has changed of the open case.
     fn changed(&mut self, open: OpenCase) -> Result<(), Problem> {
         let OpenCase { id, revision, case, undo, redo } = open.clone();
+        if let Some(job) = self.job.as_ref().filter(|job| job.for_page_alone && job.inputs != Inputs::of(&open)) {
+            job.cancel();
+        }
         self.open = Some(open);
         self.since = revision;
         let hub = self.hub.clone();
@@ -366,30 +383,11 @@ impl Window {
         let scan = case.scan_in_work().cloned();
         if self.shown.scan != scan {
             self.shown.scan.clone_from(&scan);
+            self.shown.wrapped = None;
             let loaded = scan.map(|source| hub.store.scan(&hub.vault, &source)).transpose()?;
             self.show(loaded.map_or_else(|| clear_frame("scan"), |loaded| scan_frame("scan", &loaded.scan)));
         }
-        let wrapped = case.wrapped.as_ref().map(|w| w.mesh.clone());
-        if self.shown.wrapped != wrapped {
-            self.shown.wrapped.clone_from(&wrapped);
-            match &case.wrapped {
-                None => self.show(clear_frame("wrapped")),
-                Some(result) => {
-                    let source = store::face_source(&case)?;
-                    let mesh = hub.store.mesh(&hub.vault, &source)?;
-                    self.show(positions_frame("wrapped", &mesh.positions));
-                    // only on the scan that it was wrapped onto
-                    if let Some(scan) = case.scan_in_work().filter(|scan| result.is_of(scan)) {
-                        let scan = hub.store.scan(&hub.vault, scan)?;
-                        if let Some(surface) = &scan.surface {
-                            let distance = |p: &Vec3| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt());
-                            let distances: Vec<f64> = mesh.positions.iter().map(distance).collect();
-                            self.show(values_frame("wrapped", "distance to the scan / mm", &distances, 0.0, 3.0));
-                        }
-                    }
-                }
-            }
-        }
+        self.show_result(&case)?;
         let face = store::face_source(&case).ok();
         if self.shown.face != face {
             self.shown.face.clone_from(&face);
@@ -406,6 +404,50 @@ impl Window {
             self.replay(&case, &recipe, false)?;
         }
         unreadable.map_or(Ok(()), Err)
+    }
+
+    /// Shows the result of a case, unless the page shows it.
+    fn show_result(&mut self, case: &Case) -> Result<(), Problem> {
+        let hub = self.hub.clone();
+        let wrapped = Some(case.wrapped.as_ref().map(|w| w.mesh.clone()));
+        if self.shown.wrapped == wrapped {
+            return Ok(());
+        }
+        self.shown.wrapped = wrapped;
+        let Some(result) = &case.wrapped else {
+            self.show(clear_frame("wrapped"));
+            return Ok(());
+        };
+        let mesh = hub.store.face(&hub.vault, case)?;
+        self.show(positions_frame("wrapped", &mesh.positions));
+        // only on the scan that it was wrapped onto
+        if let Some(scan) = case.scan_in_work().filter(|scan| result.is_of(scan)) {
+            let scan = hub.store.scan(&hub.vault, scan)?;
+            if let Some(surface) = &scan.surface {
+                let distance = |p: &Vec3| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt());
+                let distances: Vec<f64> = mesh.positions.iter().map(distance).collect();
+                self.show(values_frame("wrapped", "distance to the scan / mm", &distances, 0.0, 3.0));
+            }
+        }
+        Ok(())
+    }
+
+    /// A message of the page's, if it is about the case that is open by now.
+    fn hear(&mut self, FromPage { case, message }: FromPage) -> Result<(), Problem> {
+        let open = self.open.as_ref().map(|open| open.id);
+        let another = case.zip(open).is_some_and(|(shown, open)| shown != open);
+        if !another || !message.is_of_the_case() {
+            return self.answer(message);
+        }
+        if let ClientMessage::Add { files, .. } = &message {
+            self.hub.forget(files);
+        }
+        if message.only_looks() {
+            return Ok(());
+        }
+        Err(problem(
+            "this was for a client who is not open any more, so nothing was done: open that client, and do it again",
+        ))
     }
 
     fn answer(&mut self, message: ClientMessage) -> Result<(), Problem> {
@@ -454,7 +496,7 @@ impl Window {
             ClientMessage::Compare { models } => self.compare(models),
             ClientMessage::Cancel => {
                 match &self.job {
-                    Some(cancel) => cancel.store(true, Ordering::Relaxed),
+                    Some(job) => job.cancel(),
                     None => self.say(ServerMessage::Idle),
                 }
                 Ok(())
@@ -493,7 +535,7 @@ impl Window {
         let free = || (1..).map(|k| format!("point {k}")).find(|n| !case.wrap.pairs.iter().any(|p| p.name == *n));
         let name = name.or_else(|| open.map(|p| p.name.clone())).or_else(free).unwrap_or_default();
         let known = case.wrap.pairs.iter().find(|p| p.name == name).cloned();
-        let mut pair = known.unwrap_or(Pair { name, vertex: None, target: None, doubt: None });
+        let mut pair = known.unwrap_or(Pair { name, vertex: None, target: None, doubt: None, by_hand: false });
         let point = Vec3::from(point);
         match side {
             LandmarkSide::Template => {
@@ -507,7 +549,7 @@ impl Window {
                 let closest = scan.surface.as_ref().and_then(|s| s.query(&point)).map(|c| c.point);
                 let place = closest.unwrap_or_else(|| positions[nearest_vertex(positions, point) as usize]);
                 pair.target = Some(place.into());
-                pair.doubt = None;
+                (pair.doubt, pair.by_hand) = (None, true);
             }
         }
         let (plan, revision) = (case.plan, self.case()?.revision);

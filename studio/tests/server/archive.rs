@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use studio::archive::{export, import};
-use studio::case::{Case, Photo, WrapSummary, Wrapped};
+use studio::case::{Case, FileRef, Pair, Photo, WrapSummary, Wrapped};
 use studio::vault::Vault;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
@@ -44,6 +44,44 @@ fn a_case_comes_back_the_same_in_another_vault() {
     assert_eq!(std::fs::read(to.path(&case.photos[0].at).unwrap()).unwrap(), b"png");
     // twice gives two clients, not a mixture
     assert_ne!(import(&to, &from.path(&zip).unwrap()).unwrap(), new);
+}
+
+#[test]
+fn a_name_of_many_bytes_can_be_exported() {
+    let (_folder, vault) = vault();
+    let id = vault.add_case(&Case { name: "\u{20000}".repeat(50), ..Case::default() }).unwrap();
+    let at = export(&vault, id).unwrap();
+    assert_eq!(at.file, format!("{}.zip", "\u{20000}".repeat(25)));
+}
+
+#[test]
+fn a_case_that_breaks_the_rules_of_edits_is_refused() {
+    let (_folder, vault) = vault();
+    let outside = tempfile::tempdir().unwrap();
+    let path = outside.path().join("case.zip");
+    let at = vault.add_bytes("x.obj", b"x").unwrap();
+    let there = format!("assets/{}/x.obj", at.asset);
+    let refused = |why: &str, change: &dyn Fn(&mut Case)| {
+        let mut case = Case::default();
+        change(&mut case);
+        write(&path, &[("case.json", &document(&case)), (&there, b"x")]);
+        let error = import(&vault, &path).unwrap_err().0;
+        assert!(error.contains(why), "{why}: {error}");
+    };
+    let pair = |name: &str| Pair { name: name.to_owned(), vertex: None, target: None, doubt: None, by_hand: false };
+    let file = |name: &str| FileRef { file: name.to_owned(), ..at.clone() };
+    refused("give it a name", &|case| case.name = " ".to_owned());
+    refused("at most 200 bytes", &|case| case.name = "x".repeat(100_000));
+    refused("longer than", &|case| case.notes = "x".repeat(200_000));
+    refused("no weight lies between", &|case| case.wrap.identity_bounds = Some([3.0, -3.0]));
+    refused("no-such", &|case| case.wrap.model = Some("no-such".to_owned()));
+    refused("two plans", &|case| case.plans.push(case.plans[0].clone()));
+    refused("no plan 9", &|case| case.plan = 9);
+    refused("comes twice", &|case| case.wrap.pairs = vec![pair("a"), pair("a")]);
+    refused("the scan in work", &|case| case.scan = Some(3));
+    refused("\"gone.obj\" is missing", &|case| case.photos.push(Photo { at: file("gone.obj"), name: String::new() }));
+    refused("cannot be the name", &|case| case.photos.push(Photo { at: file("../x.obj"), name: String::new() }));
+    assert!(vault.cases("").unwrap().is_empty());
 }
 
 #[test]

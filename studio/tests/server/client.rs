@@ -25,10 +25,14 @@ pub struct Running {
 
 impl Running {
     pub fn start() -> Self {
+        Self::start_on([127, 0, 0, 1])
+    }
+
+    pub fn start_on(address: [u8; 4]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let hub = Arc::new(Hub::new(Vault::open(folder.path()).unwrap()));
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-        let server = runtime.block_on(Server::bind(hub.clone(), [127, 0, 0, 1].into(), 0)).unwrap();
+        let server = runtime.block_on(Server::bind(hub.clone(), address.into(), 0)).unwrap();
         let address = server.address();
         let (host, token) = address.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
         let (host, token) = (host.to_owned(), token.to_owned());
@@ -92,10 +96,15 @@ impl Running {
         page
     }
 
+    /// A file of the vault, in millimetres.
+    pub fn source(&self, name: &str, text: &str) -> Source {
+        let at = self.hub.vault.add_bytes(name, text.as_bytes()).unwrap();
+        Source { at, name: name.to_owned(), unit: Unit::Mm }
+    }
+
     /// A case of a bumpy sheet, 100 mm wide, as template and as scan.
     pub fn add_sheet(&self) -> u32 {
-        let at = self.hub.vault.add_bytes("sheet.obj", sheet().as_bytes()).unwrap();
-        let source = Source { at, name: "sheet.obj".to_owned(), unit: Unit::Mm };
+        let source = self.source("sheet.obj", &sheet());
         let case = Case { template: Some(source.clone()), scans: vec![source], scan: Some(0), ..Case::default() };
         self.hub.vault.add_case(&case).unwrap()
     }
@@ -143,9 +152,10 @@ pub fn no_file() -> FileRef {
 pub struct Page(WebSocket<TcpStream>, Value);
 
 impl Page {
-    /// Sends a message; an edit is made on what is shown.
+    /// Sends a message for the case that is shown; an edit is made on what is shown.
     pub fn send(&mut self, message: &Value) {
         let mut message = message.clone();
+        message["case"] = self.1["id"].clone();
         if message["type"] == "edit" {
             message["plan"] = self.1["case"]["plan"].clone();
             message["revision"] = self.1["revision"].clone();
@@ -174,12 +184,30 @@ impl Page {
     /// The next message that is no numbers.
     pub fn next(&mut self) -> Value {
         loop {
-            if let Message::Text(text) = self.0.read().unwrap() {
-                let message: Value = serde_json::from_str(&text).unwrap();
-                if message["type"] == "case" {
-                    self.1.clone_from(&message);
-                }
+            let (message, _) = self.anything();
+            if message["type"].is_string() {
                 return message;
+            }
+        }
+    }
+
+    /// The next message, or the header of the next numbers and what follows it.
+    pub fn anything(&mut self) -> (Value, Vec<u8>) {
+        loop {
+            match self.0.read().unwrap() {
+                Message::Text(text) => {
+                    let message: Value = serde_json::from_str(&text).unwrap();
+                    if message["type"] == "case" {
+                        self.1.clone_from(&message);
+                    }
+                    return (message, Vec::new());
+                }
+                Message::Binary(bytes) => {
+                    let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+                    let header = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
+                    return (header, bytes[4 + length..].to_vec());
+                }
+                _ => {}
             }
         }
     }
@@ -187,12 +215,9 @@ impl Page {
     /// The header of the next numbers in a slot.
     pub fn numbers(&mut self, slot: &str) -> Value {
         loop {
-            if let Message::Binary(bytes) = self.0.read().unwrap() {
-                let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
-                let header: Value = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
-                if header["slot"] == slot {
-                    return header;
-                }
+            let (header, _) = self.anything();
+            if header["slot"] == slot {
+                return header;
             }
         }
     }

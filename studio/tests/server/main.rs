@@ -5,6 +5,7 @@
 mod archive;
 mod big;
 mod client;
+mod jobs;
 mod program;
 mod protocol;
 mod rewrap;

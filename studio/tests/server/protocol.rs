@@ -1,7 +1,9 @@
 //! What messages come to, friendly and hostile.
 
 use serde_json::{Value, json};
+use studio::case::FileRef;
 use studio::session::MOST_UPLOADS;
+use zip::ZipArchive;
 
 use crate::client::{Running, no_file, scaled_sheet, sheet};
 
@@ -260,6 +262,91 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
 }
 
 #[test]
+fn what_cannot_join_is_named_without_the_server_s_folders() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let mut refused = |role: &str, files: &[(&str, &[u8])]| {
+        let files: Vec<Value> =
+            files.iter().map(|(name, bytes)| json!({ "id": server.upload(name, bytes), "name": name })).collect();
+        let text = page.refused(&json!({ "type": "add", "role": role, "files": files, "unit": "mm" }));
+        assert!(!text.contains("incoming") && !text.contains(server.folder.path().to_str().unwrap()), "{text}");
+        text
+    };
+    for role in ["scan_landmarks", "template_landmarks", "recipe", "scan", "template", "rig"] {
+        let text = refused(role, &[("garbage.json", b"\xff\x00{")]);
+        assert!(text.contains("garbage.json"), "{role}: {text}");
+    }
+    assert!(refused("photo", &[("x.png", b"no picture at all")]).contains("x.png is no picture"));
+    let text = refused("rig", &[("template.obj", sheet().as_bytes()), ("template.obj", b"v 0 0 0"), ("a.obj", b"")]);
+    assert!(text.contains("two files are called template.obj"), "{text}");
+}
+
+#[test]
+fn materials_come_and_go_with_a_mesh_or_are_missed() {
+    let server = Running::start();
+    let mut page = server.page();
+    page.send(&json!({ "type": "new_case", "name": "A" }));
+    page.wait("case");
+    let text = format!("mtllib face.mtl\nusemtl skin\n{}", sheet());
+    let mut add = |files: &[(&str, &[u8])]| {
+        let files: Vec<Value> =
+            files.iter().map(|(name, bytes)| json!({ "id": server.upload(name, bytes), "name": name })).collect();
+        page.send(&json!({ "type": "add", "role": "template", "files": files, "unit": "mm" }));
+        let mut notes = Vec::new();
+        loop {
+            let message = page.next();
+            match message["type"].as_str().unwrap() {
+                "note" => notes.push(message["text"].as_str().unwrap().to_owned()),
+                "idle" => return notes,
+                _ => {}
+            }
+        }
+    };
+    let face = ("face.obj", text.as_bytes());
+    let [note] = &add(&[face])[..] else { panic!("one note") };
+    assert!(note.starts_with("face.obj names face.mtl, which did not come with it"), "{note}");
+    assert!(add(&[face, ("face.mtl", b"newmtl skin\nmap_Kd skin.png\n"), ("skin.png", b"\x89PNG")]).is_empty());
+
+    page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": bump(false) } }));
+    page.wait("case");
+    let mut saved = |format: &str| {
+        page.send(&json!({ "type": "export", "what": { "export": "face", "format": format } }));
+        let at: FileRef = serde_json::from_value(page.wait("exported")["at"].clone()).unwrap();
+        at
+    };
+    let at = saved("obj");
+    assert_eq!(at.file, "morphed.zip");
+    let zip = ZipArchive::new(std::fs::File::open(server.hub.vault.path(&at).unwrap()).unwrap()).unwrap();
+    let mut names: Vec<&str> = zip.file_names().collect();
+    names.sort_unstable();
+    assert_eq!(names, ["morphed.mtl", "morphed.obj", "morphed_skin.png"]);
+    assert_eq!(saved("ply").file, "morphed.ply");
+}
+
+#[test]
+fn a_face_without_a_rig_is_measured_by_those_landmarks_that_have_a_name_for_it() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    for (name, y) in [(json!("nasion"), 90.0), (json!("menton"), 10.0), (Value::Null, 50.0)] {
+        page.send(&json!({ "type": "place", "name": name, "side": "template", "point": [51.0, y, 5.0] }));
+        page.wait("case");
+    }
+    page.send(&json!({ "type": "analyse", "plans": [] }));
+    let answer = loop {
+        let message = page.next();
+        if ["analysis", "error"].contains(&message["type"].as_str().unwrap()) {
+            break message;
+        }
+    };
+    assert_eq!(answer["type"], "analysis", "{answer}");
+    assert!(answer["analysis"]["rows"].as_array().unwrap().iter().any(|row| row["values"][0].is_number()));
+}
+
+#[test]
 fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
     let server = Running::start();
     server.add_sheet();
@@ -298,11 +385,11 @@ fn uploads_that_nobody_uses_make_room_for_new_ones() {
     page.wait("case");
     let add =
         |id: &str| json!({ "type": "add", "role": "photo", "files": [{ "id": id, "name": "a.png" }], "unit": null });
-    let first = server.upload("a.png", b"first");
+    let first = server.upload("a.png", b"\x89PNG\r\n\x1a\n 1");
     for _ in 0..MOST_UPLOADS - 1 {
         server.hub.keep_upload(server.hub.vault.incoming().unwrap());
     }
-    let last = server.upload("a.png", b"last");
+    let last = server.upload("a.png", b"\x89PNG\r\n\x1a\n 2");
     assert_eq!(server.waiting(), MOST_UPLOADS);
     assert!(page.refused(&add(&first)).contains("add it again"));
     page.send(&add(&last));

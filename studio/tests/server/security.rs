@@ -79,6 +79,32 @@ fn another_host_or_origin_is_refused() {
 }
 
 #[test]
+fn open_to_a_network_it_answers_under_numbers_but_under_no_other_name() {
+    let server = Running::start_on([0, 0, 0, 0]);
+    // what it prints works in a browser of this machine
+    assert!(server.host.starts_with("127.0.0.1:"), "{}", server.host);
+    let port = server.host.rsplit(':').next().unwrap();
+    let status =
+        |host: &str, more: &str| server.http("GET", "/", &format!("Host: {host}\r\n{more}{}", server.cookie()), b"").0;
+    for own in ["127.0.0.1", "192.168.1.20", "10.0.0.5", "[::1]", "[fe80::1]", "localhost"] {
+        let own = format!("{own}:{port}");
+        assert_eq!(status(&own, ""), 200, "{own}");
+        assert_eq!(status(&own, &format!("Origin: http://{own}\r\n")), 200, "{own}");
+        assert_eq!(status(&own, &format!("Origin: http://10.9.9.9:{port}\r\n")), 403, "{own}");
+    }
+    for other in ["evil.example", "10.0.0.5.evil.example", "0x0a000005", "[::1", "127.1", ""] {
+        assert_eq!(status(&format!("{other}:{port}"), ""), 421, "{other}");
+    }
+    assert_eq!(status("10.0.0.5:1", ""), 421);
+    let (_, head, _) = server.http("GET", "/", &format!("Host: 10.0.0.5:{port}\r\n{}", server.cookie()), b"");
+    assert!(head.contains(&format!("connect-src 'self' ws://10.0.0.5:{port};")), "{head}");
+    // one address is one address
+    let bound = Running::start();
+    let port = bound.host.rsplit(':').next().unwrap();
+    assert_eq!(bound.http("GET", "/", &format!("Host: 10.0.0.5:{port}\r\n{}", bound.cookie()), b"").0, 421);
+}
+
+#[test]
 fn no_path_leads_out_of_the_vault() {
     let server = Running::start();
     let secret = server.folder.path().join("secret.txt");

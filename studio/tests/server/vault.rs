@@ -7,7 +7,8 @@ use studio::error::problem;
 use studio::vault::{Article, Vault};
 
 fn pair(name: String) -> Edit {
-    Edit::SetPair { pair: Pair { name, vertex: Some(1), target: Some([1.0, 2.0, 0.1 + 0.2]), doubt: None } }
+    let target = Some([1.0, 2.0, 0.1 + 0.2]);
+    Edit::SetPair { pair: Pair { name, vertex: Some(1), target, doubt: None, by_hand: true } }
 }
 
 #[test]

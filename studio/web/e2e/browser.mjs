@@ -1,9 +1,10 @@
 // What the end-to-end tests share: a server on a vault of its own, a headless Chromium, and pictures that are looked at.
 
 import { spawn } from "node:child_process";
-import { copyFileSync, existsSync, mkdirSync, mkdtempSync, rmSync } from "node:fs";
+import { copyFileSync, existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
+import { inflateRawSync } from "node:zlib";
 import { chromium } from "playwright-core";
 
 export const shots = process.env.STUDIO_SHOTS;
@@ -107,6 +108,24 @@ export async function download(page, press, folder) {
   const path = join(folder, given.suggestedFilename());
   copyFileSync(await given.path(), path);
   return path;
+}
+
+/** The bytes of a file in a zip file. */
+export function unpacked(path, name) {
+  const zip = readFileSync(path);
+  // the directory at the end says where each file is: its name behind 46 bytes, its bytes behind a head of 30 and two lengths
+  let at = zip.readUInt32LE(zip.lastIndexOf("PK\x05\x06", undefined, "latin1") + 16);
+  while (zip.toString("latin1", at, at + 4) === "PK\x01\x02") {
+    const [method, packed, start] = [zip.readUInt16LE(at + 10), zip.readUInt32LE(at + 20), zip.readUInt32LE(at + 42)];
+    const [named, extra, comment] = [28, 30, 32].map((k) => zip.readUInt16LE(at + k));
+    if (zip.toString("utf8", at + 46, at + 46 + named) === name) {
+      const from = start + 30 + zip.readUInt16LE(start + 26) + zip.readUInt16LE(start + 28);
+      const bytes = zip.subarray(from, from + packed);
+      return method === 0 ? bytes : inflateRawSync(bytes);
+    }
+    at += 46 + named + extra + comment;
+  }
+  throw new Error(`${path} has no ${name}`);
 }
 
 /**

@@ -4,7 +4,7 @@
 import { execFileSync } from "node:child_process";
 import { copyFileSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { check, download, idle, journey, mode, shot, until, variance } from "./browser.mjs";
+import { check, download, idle, journey, mode, shot, unpacked, until, variance } from "./browser.mjs";
 
 const [studio, nonrigid] = process.argv.slice(2).map((path) => resolve(path));
 await journey("studio", studio, async ({ folder, vault, visit, end, restart }) => {
@@ -65,7 +65,8 @@ await journey("studio", studio, async ({ folder, vault, visit, end, restart }) =
   await page.locator(".weights tr").first().waitFor();
   const wrapped = await saved(page, () => page.locator(".panel").getByRole("button", { name: "obj" }).click());
   const again = replayed(heard.case.command, {}, "wrapped.obj");
-  check(readFileSync(wrapped).equals(again), "nonrigid register makes the same bytes");
+  check(unpacked(wrapped, "wrapped.obj").equals(again), "nonrigid register makes the same bytes");
+  check(unpacked(wrapped, "wrapped.mtl").length > 0, "the materials come along");
 
   // sculpt with a brush
   await mode(page, "Plan");
@@ -129,7 +130,7 @@ await journey("studio", studio, async ({ folder, vault, visit, end, restart }) =
   const recipe = await saved(page, () => page.getByRole("button", { name: "Save recipe" }).click());
   const morphed = await saved(page, () => page.locator(".panel").getByRole("button", { name: "obj" }).click());
   const bytes = replayed(heard.plan.command, { "plan.toml": recipe }, "morphed.obj");
-  check(readFileSync(morphed).equals(bytes), "nonrigid morph makes the same bytes of the recipe");
+  check(unpacked(morphed, "morphed.obj").equals(bytes), "nonrigid morph makes the same bytes of the recipe");
 
   await mode(page, "Analyse");
   await page.locator(".profile .outline").first().waitFor();

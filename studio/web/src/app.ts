@@ -1,6 +1,6 @@
 // What the page knows, and its way to the server. Modes draw from here; nothing else keeps state of the case.
 
-import type { Analysis, Article, CaseSummary, ClientMessage, CompareRow, Edit, Numbers, Role, ServerMessage, Unit, Upload } from "./protocol";
+import type { Analysis, Article, Case, CaseSummary, ClientMessage, CompareRow, Edit, FromPage, Numbers, Role, ServerMessage, Unit, Upload } from "./protocol";
 
 type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { type: T }>;
 
@@ -64,23 +64,31 @@ export function connect() {
   socket.onmessage = (event) => (typeof event.data === "string" ? message(JSON.parse(event.data)) : numbers(event.data));
 }
 
-export function send(message: ClientMessage) {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+/** Sends what is meant for a client: the one that is shown, or that was when the user began. */
+export function send(message: ClientMessage, client = app.open?.id ?? null) {
+  const whole: FromPage = { case: client, ...message };
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(whole));
   else toast("The server does not answer: is the program still running? Nothing was changed.", "error");
 }
 
-/** What a change is made on: the plan and the revision that are shown. */
+/** What a change is made on: the client, the plan and the revision that are shown. */
 export function shown() {
-  return { plan: app.open?.case.plan ?? 0, revision: app.open?.revision ?? 0 };
+  return { client: app.open?.id ?? null, plan: app.open?.case.plan ?? 0, revision: app.open?.revision ?? 0 };
 }
 
 /** Changes the case; what another window has changed since `on` was shown, the server does not let be changed unseen. */
 export function edit(change: Edit, on = shown()) {
-  send({ type: "edit", ...on, edit: change });
+  const { client, plan, revision } = on;
+  send({ type: "edit", plan, revision, edit: change }, client);
 }
 
 export function preview(change: Edit | null) {
   send({ type: "preview", edit: change });
+}
+
+/** The scan in work, in its unit, as a text. */
+function scanOf({ scan, scans }: Case): string {
+  return JSON.stringify(scan === null ? null : scans[scan]);
 }
 
 function message(m: ServerMessage) {
@@ -97,7 +105,7 @@ function message(m: ServerMessage) {
         app.analysis = null;
         app.compared = [];
         app.steps = [];
-      }
+      } else if (scanOf(app.open.case) !== scanOf(m.case)) app.steps = [];
       app.open = m;
       break;
     case "no_case":
@@ -211,6 +219,7 @@ export function download(url: string, name: string) {
 /** Sends files and lets them join the case. */
 export async function addFiles(role: Role, files: File[], unit: Unit | null = null) {
   const uploads: Upload[] = [];
+  const client = app.open?.id ?? null;
   app.progress = { type: "progress", what: "sending files", share: 0 };
   changed("progress");
   try {
@@ -222,7 +231,7 @@ export async function addFiles(role: Role, files: File[], unit: Unit | null = nu
       app.progress = { type: "progress", what: "sending files", share: (k + 1) / files.length };
       changed("progress");
     }
-    send({ type: "add", role, files: uploads, unit });
+    send({ type: "add", role, files: uploads, unit }, client);
   } catch (error) {
     toast(error instanceof Error ? error.message : String(error), "error");
   }

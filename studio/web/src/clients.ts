@@ -2,7 +2,7 @@
 
 import { app, edit, send, toast } from "./app";
 import { ask, button, h, section, sure } from "./dom";
-import { pickFiles } from "./wrap";
+import { MESHES, pickFiles } from "./wrap";
 
 let query = "";
 
@@ -60,7 +60,7 @@ function details(go: (mode: string) => void): HTMLElement {
         edit({ edit: "use_scan", index: k });
         go("wrap");
       }), button("×", () => edit({ edit: "remove_scan", index: k }), { title: "Remove; undo brings it back", "aria-label": `remove ${scan.name}` }))),
-      button("Add a scan", () => pickFiles("scan", ".obj,.ply,.stl,.off,.xyz,.gz,.glb,.gltf,.bin")),
+      button("Add a scan", () => pickFiles("scan", MESHES)),
     ),
     section("Plans", c.plans.map((plan) => h("div", { class: "row" }, h("span", { class: "grow clip" }, plan.name, plan.id === c.plan && h("small", {}, " in work")), button("Open", () => {
       edit({ edit: "use_plan", id: plan.id });

@@ -177,8 +177,9 @@ sculpt.onRedraw(render);
 onUnitWanted((wanted) => {
   const options = wanted.units.map((u) => wrap.UNITS.find(([known]) => known === u)!) as [string, string][];
   const choice = select(options, wanted.units[0]!, () => {}, { "data-key": "ask" });
+  const client = app.open?.id ?? null;
   void dialog(wanted.text, [choice], "Use this unit", () => choice.value).then((unit) => {
-    if (unit) send({ type: "add", role: wanted.role, files: wanted.files, unit: unit as Unit });
+    if (unit) send({ type: "add", role: wanted.role, files: wanted.files, unit: unit as Unit }, client);
   });
 });
 

@@ -39,7 +39,11 @@ target: [number, number, number] | null,
 /**
  * Why the place is doubtful, where it was suggested.
  */
-doubt: string | null, };
+doubt: string | null, 
+/**
+ * Whether the user has placed it on the scan: suggestions leave it there.
+ */
+by_hand: boolean, };
 export type WrapSettings = { 
 /**
  * Landmarks.
@@ -618,6 +622,115 @@ format: string, } | { "export": "recipe" } | { "export": "face",
  * `obj`, `ply` or `glb`.
  */
 format: string, } | { "export": "landmarks" } | { "export": "case" };
+export type FromPage = { 
+/**
+ * The case; what is meant for it is not done to another one that was opened meanwhile.
+ */
+case: number | null, } & ({ "type": "list_cases", 
+/**
+ * The text.
+ */
+query: string, } | { "type": "new_case", 
+/**
+ * The client.
+ */
+name: string, } | { "type": "open_case", 
+/**
+ * Which.
+ */
+id: number, } | { "type": "delete_case", 
+/**
+ * Which.
+ */
+id: number, } | { "type": "edit", 
+/**
+ * The plan in work.
+ */
+plan: number, 
+/**
+ * The revision that the page shows.
+ */
+revision: number, 
+/**
+ * How.
+ */
+edit: Edit, } | { "type": "preview", 
+/**
+ * The change; none shows the plan as it is.
+ */
+edit: Edit | null, } | { "type": "undo" } | { "type": "redo" } | { "type": "add", 
+/**
+ * As what.
+ */
+role: Role, 
+/**
+ * The files.
+ */
+files: Array<Upload>, 
+/**
+ * Their unit, if it is known.
+ */
+unit: Unit | null, } | { "type": "place", 
+/**
+ * Its name; none for the next pair that lacks this side, or a new one.
+ */
+name: string | null, 
+/**
+ * Where it is placed.
+ */
+side: LandmarkSide, 
+/**
+ * The point, mm.
+ */
+point: [number, number, number], } | { "type": "suggest" } | { "type": "run", 
+/**
+ * Goes on from the last result.
+ */
+warm: boolean, } | { "type": "compare", 
+/**
+ * Which.
+ */
+models: Array<string>, } | { "type": "cancel" } | { "type": "paint_mask", 
+/**
+ * One per vertex, 0 to 1.
+ */
+weights: Array<number> | null, } | { "type": "analyse", 
+/**
+ * Plans by number.
+ */
+plans: Array<number>, } | { "type": "blend", 
+/**
+ * The first; none for the face before.
+ */
+from: number | null, 
+/**
+ * The second.
+ */
+to: number, 
+/**
+ * Share of the second.
+ */
+share: number, 
+/**
+ * Sends the distances too.
+ */
+difference: boolean, } | { "type": "export", 
+/**
+ * Which.
+ */
+what: Export, } | { "type": "list_articles", 
+/**
+ * The text.
+ */
+query: string, } | { "type": "save_article", 
+/**
+ * The article.
+ */
+article: Article, } | { "type": "delete_article", 
+/**
+ * Which.
+ */
+id: number, });
 export type ClientMessage = { "type": "list_cases", 
 /**
  * The text.

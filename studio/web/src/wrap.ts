@@ -231,13 +231,16 @@ export function pickFiles(role: Parameters<typeof addFiles>[0], accept: string, 
   const input = h("input", { type: "file", accept: folder ? undefined : accept, multiple: true });
   if (folder) input.webkitdirectory = true;
   input.onchange = () => {
-    const files = [...(input.files ?? [])].filter((file) => !file.name.startsWith("."));
+    // of a folder those directly in it
+    const direct = (file: File) => file.webkitRelativePath.split("/").length <= 2;
+    const files = [...(input.files ?? [])].filter((file) => !file.name.startsWith(".") && direct(file));
     if (files.length) void addFiles(role, files);
   };
   input.click();
 }
 
-export const MESHES = ".obj,.ply,.stl,.off,.xyz,.gz,.glb,.gltf,.bin";
+/** Meshes, and what lies beside them. */
+export const MESHES = ".obj,.ply,.stl,.off,.xyz,.gz,.glb,.gltf,.bin,.mtl,.png,.jpg,.jpeg";
 
 export function panel(): HTMLElement[] {
   const open = app.open;
