@@ -43,7 +43,8 @@ struct Arguments {
     /// Port [default: a free one]
     #[arg(long, default_value_t = 0)]
     port: u16,
-    /// Address to listen on; any but 127.0.0.1 lets others on the network try, and nothing is encrypted
+    /// Address to listen on, 0.0.0.0 for all of this machine's; any but 127.0.0.1 lets others on the network try, and nothing is
+    /// encrypted
     #[arg(long, default_value = "127.0.0.1")]
     host: IpAddr,
     /// Do not open the browser
@@ -68,12 +69,19 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let with_files = arguments.template.is_some() || arguments.rig.is_some() || !arguments.scan.is_empty();
+    for (option, given) in [("--recipe", arguments.recipe.is_some()), ("--unit", arguments.unit.is_some())] {
+        if given && !with_files {
+            let text = format!("{option} is for a new case: say --template, --rig or --scan too");
+            return Err(Failure::new(Stage::Arguments, text));
+        }
+    }
     let folder = arguments.vault.clone().map_or_else(data_folder, Ok)?;
     let known = folder.join("vault.sqlite").exists();
     let vault = Vault::open(&folder).map_err(|e| if known { Failure::loading(e) } else { Failure::writing(e) })?;
-    let first = if arguments.template.is_some() || arguments.rig.is_some() || !arguments.scan.is_empty() {
+    let first = if with_files {
         Some(new_case(&vault, arguments)?)
-    } else if vault.cases("").map_err(Failure::loading)?.is_empty() {
+    } else if !known {
         eprintln!("a new vault, {}: making the demo", folder.display());
         Some(demo::add(&vault).map_err(Failure::writing)?)
     } else {
@@ -92,6 +100,10 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         let mut out = std::io::stdout();
         let said = writeln!(out, "{address}").and_then(|()| out.flush());
         said.map_err(|e| Failure::writing(format!("standard output: {e}")))?;
+        if let Some(names) = server.names() {
+            let names: String = names.iter().map(|name| format!(", or {name}")).collect();
+            eprintln!("on other machines, put an address of this one{names} in place of the one above");
+        }
         if !arguments.no_open {
             open_browser(&address);
         }

@@ -1,7 +1,9 @@
 //! The program by its command line: exit codes, and files of a new case.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io::{BufRead as _, BufReader};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use studio::case::FileRef;
@@ -32,6 +34,8 @@ fn each_failure_has_the_exit_code_of_its_stage() {
     for (code, said, arguments) in [
         (1, "--port", vec!["--vault", &vault, "--port", "x"]),
         (1, "mm, cm, m, um or in", vec!["--vault", &vault, "--unit", "foot"]),
+        (1, "--recipe is for a new case", vec!["--vault", &vault, "--recipe", &recipe]),
+        (1, "--unit is for a new case", vec!["--vault", &vault, "--unit", "mm"]),
         (1, "choose another one with --port", vec!["--vault", &vault, "--template", &sheet, "--port", &port]),
         (3, "cannot be a vault", vec!["--vault", &inside]),
         (4, "not a database", vec!["--vault", &broken]),
@@ -48,6 +52,28 @@ fn each_failure_has_the_exit_code_of_its_stage() {
     assert_eq!(program().arg("--help").output().unwrap().status.code(), Some(0));
 }
 
+/// Starts the program on a vault, and ends it when it has said its address.
+fn started(vault: &Path, arguments: &[&OsStr]) {
+    let mut child = program().arg("--vault").arg(vault).args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(line.starts_with("http://127.0.0.1:"), "{line}");
+}
+
+#[test]
+fn only_a_new_vault_gets_a_demo() {
+    let folder = tempfile::tempdir().unwrap();
+    let clients = || Vault::open(folder.path()).unwrap().cases("").unwrap();
+    started(folder.path(), &[]);
+    let demo = clients();
+    assert_eq!(demo.len(), 1);
+    Vault::open(folder.path()).unwrap().delete_case(demo[0].id).unwrap();
+    started(folder.path(), &[]);
+    assert!(clients().is_empty());
+}
+
 #[test]
 fn materials_come_along_with_a_mesh() {
     let folder = tempfile::tempdir().unwrap();
@@ -57,14 +83,7 @@ fn materials_come_along_with_a_mesh() {
     fs::write(at("skin.png"), b"\x89PNG").unwrap();
     fs::write(at("other.png"), b"of another mesh").unwrap();
     let vault = at("vault");
-    let mut started = program();
-    started.arg("--vault").arg(&vault).arg("--template").arg(at("face.obj")).stdout(Stdio::piped());
-    let mut child = started.spawn().unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(line.starts_with("http://127.0.0.1:"), "{line}");
+    started(&vault, &["--template".as_ref(), at("face.obj").as_os_str()]);
 
     let vault = Vault::open(&vault).unwrap();
     let case = vault.case(vault.cases("").unwrap()[0].id).unwrap().case;
