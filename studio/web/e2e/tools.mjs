@@ -165,6 +165,16 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await until("the sector is kept by Enter in a field", () => !heard.plan.preview && heard.plan.steps.length === steps + 3);
   check(heard.case.case.plans[0].recipe.includes("sector"), `a sector moves ${sector.moving} vertices`);
 
+  // a recipe with a fault is refused, and its text is there to be corrected
+  await panel.getByRole("button", { name: "Recipe as text" }).click();
+  const text = page.getByRole("dialog").locator("textarea");
+  await text.fill("step = 7");
+  await page.getByRole("dialog").getByRole("button", { name: "Use" }).click();
+  await page.locator(".toast.error").filter({ hasText: "expected a sequence" }).waitFor();
+  check((await text.inputValue()) === "step = 7", "a refused recipe is there to be corrected");
+  await page.getByRole("dialog").getByRole("button", { name: "Cancel" }).click();
+  await closed(page, "expected a sequence");
+
   // the history goes with the client, into the zip and out of it
   await mode(page, "Clients");
   const zip = await download(page, () => page.getByRole("button", { name: "Export as zip" }).click(), folder);
@@ -180,6 +190,26 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await page.keyboard.press("Control+Shift+Z");
   await until("redo in the imported client", () => heard.plan.steps.length === steps + 1);
   check(true, "a client dropped as a zip file has its history");
+  // half a screen, one at 200 %, a telephone: everything can be reached
+  for (const [width, height] of [[800, 600], [640, 360], [390, 844]]) {
+    await page.setViewportSize({ width, height });
+    await mode(page, "Clients");
+    const field = await page.locator(".details input").first().boundingBox();
+    check(field.width > 100, `a client's name has ${Math.round(field.width)} px of ${width}`);
+    await shot(page, `25-clients-${width}`);
+    await mode(page, "Wrap");
+    await panel.getByRole("heading", { name: "Files" }).waitFor();
+    await shot(page, `25-wrap-${width}`);
+    for (const part of ["header [aria-label]", "header [role=status]", ".panel .main", ".looks button"]) {
+      for (const element of await page.locator(part).all()) {
+        const box = await element.boundingBox();
+        check(box.x >= 0 && box.x + box.width <= width, `${part} lies on a screen of ${width} px`);
+      }
+    }
+    const [left, right] = await Promise.all([0, 1].map((k) => page.locator(".pane-label").nth(k).boundingBox()));
+    check(right.x - left.x > 100, `a pane has ${Math.round(right.x - left.x)} px of ${width}`);
+  }
+
   const unexpected = page.failures.filter((text) => !text.includes("400"));
   check(unexpected.length === 0, `nothing went wrong in the page ${unexpected.join("; ")}`);
 });

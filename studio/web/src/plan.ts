@@ -1,6 +1,6 @@
 // The panel of a plan: ready operations as sliders, fine sculpting, the steps in their order, several plans beside each other.
 
-import { app, copy, preview, send, shown, toast } from "./app";
+import { app, copy, onChange, preview, send, shown, toast } from "./app";
 import { ask, button, dialog, flag, h, section, select, slider, sure, toggle } from "./dom";
 import type { Edit, Mask, Preset, Side, StepResult } from "./protocol";
 import { options } from "./scene";
@@ -281,11 +281,26 @@ function saveSection(): HTMLElement {
   );
 }
 
-async function editRecipe() {
+/** A recipe that was sent as a text, until it is the plan's: one that is refused is there again, to be corrected. */
+let sent: string | null = null;
+
+onChange((what) => {
+  if (sent === null) return;
+  if (app.open?.case.plans.some((p) => p.recipe === sent)) sent = null;
+  else if (what === "error") {
+    const refused = sent;
+    sent = null;
+    void editRecipe(refused);
+  }
+});
+
+async function editRecipe(written: string | null = null) {
   const c = app.open!.case;
   const on = shown();
   const text = h("textarea", { rows: 24, cols: 90, spellcheck: "false", "data-key": "recipe" });
-  text.value = c.plans.find((p) => p.id === c.plan)?.recipe ?? "";
+  text.value = written ?? c.plans.find((p) => p.id === c.plan)?.recipe ?? "";
   const recipe = await dialog("The plan as a recipe", [text], "Use", () => text.value);
-  if (recipe !== null) edit({ edit: "set_recipe", recipe }, on);
+  if (recipe === null) return;
+  sent = recipe;
+  edit({ edit: "set_recipe", recipe }, on);
 }

@@ -377,6 +377,7 @@ export class Stage {
   constructor() {
     this.element.className = "stage";
     this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "application");
     this.canvas.setAttribute("aria-label", "3D view");
     this.element.append(this.canvas, this.overlay);
     this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, preserveDrawingBuffer: true });
