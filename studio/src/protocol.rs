@@ -77,7 +77,7 @@ pub enum Export {
 }
 
 /// From the page: a message, and the case that the page shows.
-#[derive(Debug, Clone, PartialEq, Deserialize, TS)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct FromPage {
     /// The case; what is meant for it is not done to another one that was opened meanwhile.
     #[serde(default)]
@@ -554,7 +554,6 @@ pub fn typescript() -> String {
         Upload,
         LandmarkSide,
         Export,
-        FromPage,
         ClientMessage,
         FrameView,
         StepResult,
@@ -567,7 +566,8 @@ pub fn typescript() -> String {
         Numbers,
     );
     format!(
-        "// Generated from studio/src/protocol.rs by `STUDIO_WRITE=1 cargo test -p studio protocol`; not to be changed here.\n\n{types}"
+        "// Generated from studio/src/protocol.rs by `STUDIO_WRITE=1 cargo test -p studio protocol`; not to be changed here.\n\n{types}\
+         export type FromPage = {{ case: number | null }} & ClientMessage;\n"
     )
 }
 
