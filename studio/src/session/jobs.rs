@@ -66,7 +66,7 @@ impl Running {
 /// What a job tells its window.
 pub enum FromJob {
     /// Said whatever the page shows.
-    Says(ServerMessage),
+    Says(Box<ServerMessage>),
     /// Shown while the page shows what the job works on.
     Shows(Outgoing),
     /// Positions on the way to a result, shown likewise; one of them may be left out.
@@ -83,14 +83,14 @@ impl Window {
         match from {
             FromJob::Says(mut message) => {
                 if now.is_none_or(|now| now.case != inputs.case) {
-                    match &mut message {
+                    match &mut *message {
                         ServerMessage::Progress { what: text, .. }
                         | ServerMessage::Error { text }
                         | ServerMessage::Note { text } => *text = format!("{client}: {text}"),
                         _ => {}
                     }
                 }
-                self.say(message);
+                self.say(*message);
             }
             FromJob::Shows(_) | FromJob::Live(_) if now.as_ref() != Some(inputs) => {}
             FromJob::Shows(Outgoing::Message(message)) => self.say(*message),
@@ -250,7 +250,7 @@ impl Job {
     }
 
     fn say(&self, message: ServerMessage) {
-        self.tell(FromJob::Says(message));
+        self.tell(FromJob::Says(Box::new(message)));
     }
 
     fn show(&self, what: Outgoing) {
