@@ -9,7 +9,9 @@ use super::inputs::{LANDMARKS, TEMPLATE_LANDMARKS, read_landmarks};
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, say, warn};
 use crate::correspondence::ScanError;
-use crate::evaluation::{DistanceSummary, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use crate::evaluation::{
+    DistanceSummary, EvaluationError, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors,
+};
 use crate::io::{self, FilePlan, Inputs, Scan};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
 use crate::registration::WITHIN_MM;
@@ -188,15 +190,12 @@ fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<
         Some(path) => io::read_npy_mask(path, Some(truth.len())).map_err(Failure::loading)?,
         None => vec![true; truth.len()],
     };
-    if let Some(path) = a.observed.as_deref().filter(|_| !observed.contains(&true)) {
-        return Err(Failure::loading(format!(
-            "{}: no vertex is observed, so there is nothing to measure",
-            path.display()
-        )));
-    }
     let triangles = result.triangulate().triangles;
-    let (errors, vertices) =
-        TruthErrors::new(&result.positions, truth, &observed, &triangles).map_err(Failure::computation)?;
+    let measured = TruthErrors::new(&result.positions, truth, &observed, &triangles);
+    let (errors, vertices) = measured.map_err(|e| match (&e, &a.observed) {
+        (EvaluationError::NothingObserved, Some(path)) => Failure::loading(format!("{}: {e}", path.display())),
+        _ => Failure::computation(e),
+    })?;
     let text = format!(
         "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n",
         errors.rmse,

@@ -26,6 +26,15 @@ pub use truth_errors::{TruthErrors, VertexErrors};
 /// Why an evaluation was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluationError {
+    /// No vertex is observed.
+    #[error("no vertex is observed, so there is nothing to measure")]
+    NothingObserved,
+    /// The truth is not known everywhere.
+    #[error("the truth is not finite at vertex {vertex}")]
+    NotFinite {
+        /// The first such vertex.
+        vertex: usize,
+    },
     /// Two arrays that describe the same vertices differ in length.
     #[error("{what} has {found} vertices where {expected} were expected; both must have the template's vertex order")]
     VertexCount {

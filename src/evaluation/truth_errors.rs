@@ -10,8 +10,7 @@ use super::{EvaluationError, check_count, check_triangles};
 use crate::mesh::Vec3;
 
 /// Errors of a result whose true vertex positions are known; millimetres over the *observed* vertices unless said
-/// otherwise. Without observed vertices the numbers are 0; with a non-finite observed vertex they are NaN (`null` in JSON)
-/// and `finite` is false.
+/// otherwise. With a non-finite observed vertex of the result they are NaN (`null` in JSON) and `finite` is false.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TruthErrors {
     /// Root mean square of |result - truth|.
@@ -61,7 +60,7 @@ impl TruthErrors {
     /// triangulation and `observed` says which vertices the scan shows.
     ///
     /// # Errors
-    /// When the lengths differ or a triangle names a vertex that does not exist.
+    /// When the lengths differ, a triangle names a vertex that does not exist, no vertex is observed, or the truth is not finite.
     pub fn new(
         result: &[Vec3],
         truth: &[Vec3],
@@ -71,6 +70,12 @@ impl TruthErrors {
         check_count("the result", truth.len(), result.len())?;
         check_count("the observed mask", truth.len(), observed.len())?;
         check_triangles(triangles, truth.len())?;
+        if !observed.contains(&true) {
+            return Err(EvaluationError::NothingObserved);
+        }
+        if let Some(vertex) = truth.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(EvaluationError::NotFinite { vertex });
+        }
 
         let face_normals: Vec<Vec3> = triangles.iter().map(|t| face_normal(truth, t)).collect();
         let mut normals = vec![Vec3::zeros(); truth.len()];
@@ -190,7 +195,9 @@ mod tests {
         broken[2].x = f64::NAN;
         let (e, _) = TruthErrors::new(&broken, &truth, &[true; 4], &triangles).unwrap();
         assert!(!e.finite && e.rmse.is_nan() && e.max.is_nan() && e.tangential.is_nan());
-        let (e, _) = TruthErrors::new(&truth, &truth, &[false; 4], &triangles).unwrap();
-        assert_eq!((e.rmse, e.median, e.observed_vertices), (0.0, 0.0, 0));
+        let unknown = TruthErrors::new(&truth, &broken, &[true; 4], &triangles).unwrap_err();
+        assert_eq!(unknown.to_string(), "the truth is not finite at vertex 2");
+        let unseen = TruthErrors::new(&truth, &truth, &[false; 4], &triangles).unwrap_err();
+        assert_eq!(unseen.to_string(), "no vertex is observed, so there is nothing to measure");
     }
 }
