@@ -594,7 +594,7 @@ pub struct PlyOptions<'a> {
 /// Writes triangles (or a point cloud) as binary little-endian PLY.
 ///
 /// # Errors
-/// When the file cannot be written, or normals or colours are not one per vertex.
+/// When the file cannot be written, or coordinates are not finite, or normals or colours not one per vertex.
 pub fn write_ply(path: &Path, mesh: &TriangleMesh, options: PlyOptions<'_>) -> Result<(), WriteError> {
     let faces = mesh.triangles.iter().map(<[u32; 3]>::as_slice);
     write_faces(path, &mesh.positions, mesh.triangles.len(), 3, faces, None, options)
@@ -638,6 +638,13 @@ fn write_faces<'a>(
         [("normals", options.normals.map(<[Vec3]>::len)), ("colours", options.colors.map(<[[u8; 3]]>::len))]
     {
         WriteError::check_count(path, what, length, positions.len())?;
+    }
+    for (what, vectors) in [("coordinates", Some(positions)), ("normals", options.normals)] {
+        let vectors = vectors.unwrap_or_default();
+        if let Some(v) = vectors.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            let found = format!("{:?} at vertex {v}", vectors[v].as_slice());
+            return Err(WriteError::data(path, format!("finite {what}"), found));
+        }
     }
     let double = options.precision == PlyPrecision::Double;
     let scalar = if double { "double" } else { "float" };

@@ -202,6 +202,10 @@ fn ply_round_trips() {
     write_polygon_mesh(&path, &wheel).unwrap();
     assert_eq!(read_polygon_mesh(&path).unwrap(), wheel);
     assert!(write_ply(&path, &cloud, PlyOptions { colors: Some(&colors[..3]), ..PlyOptions::default() }).is_err());
+    let mut broken = cloud.clone();
+    broken.positions[2].y = f64::INFINITY;
+    let refused = write_ply(&path, &broken, PlyOptions::default()).unwrap_err().to_string();
+    assert!(refused.contains("expected finite coordinates, found") && refused.ends_with("at vertex 2"), "{refused}");
     let names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names, ["mesh.ply"]);
 }
