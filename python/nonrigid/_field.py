@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from . import _nonrigid
-from ._mesh import Mesh, PathLike, indices, points, warn
+from ._mesh import Mesh, PathLike, count_or_none, indices, points, warn
 from ._rig import Rig
 
 ICT_NEUTRAL = "generic_neutral_mesh.obj"
@@ -60,6 +60,7 @@ def read_ict(
 
     Raises OSError if a file cannot be read, ValueError if one is malformed or has other vertices than the neutral.
     """
+    identity_modes = count_or_none("identity_modes", identity_modes)
     folder = Path(path)
     folder = folder if (folder / ICT_NEUTRAL).is_file() else folder / "FaceXModel"
     neutral = Mesh.read(folder / ICT_NEUTRAL, unit="mm")
@@ -191,6 +192,8 @@ def read_flame(
 
     Raises OSError if the file cannot be read, ValueError if it is malformed or refused, or if nothing of its size in metres is a head or body.
     """
+    identity_modes, expressions = count_or_none("identity_modes", identity_modes), count_or_none("expressions", expressions)
+    identities = count_or_none("identities", identities)
     file = Path(path)
     arrays = _flame_arrays(file)
     missing = [key for key in ("v_template", "shapedirs", "f") if key not in arrays]
@@ -224,6 +227,7 @@ def read_morphable(path: PathLike, *, identity_modes: int | None = None, express
 
     Raises OSError if the file cannot be read, ValueError if it is malformed, ImportError without h5py.
     """
+    identity_modes, expressions = count_or_none("identity_modes", identity_modes), count_or_none("expressions", expressions)
     try:
         import h5py
     except ImportError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,9 +36,35 @@ def is_npy(path: PathLike) -> bool:
     return os.fspath(path).lower().endswith(".npy")
 
 
+def count(what: str, value: Any, least: int = 0, most: int = 2**32 - 1) -> int:
+    """A whole number from `least` to `most`; of numpy as well."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{what}: expected a whole number, found {value!r}") from None
+    if not least <= number <= most:
+        raise ValueError(f"{what}: expected a whole number from {least} to {most}, found {number}")
+    return number
+
+
+def count_or_none(what: str, value: Any, least: int = 0) -> int | None:
+    return None if value is None else count(what, value, least)
+
+
+def bounds_of(what: str, given: Any) -> tuple[float, float] | None:
+    """Smallest and largest weight."""
+    if given is None:
+        return None
+    lower, upper = (float(x) for x in given)
+    if not (lower <= upper and lower < math.inf and upper > -math.inf):
+        raise ValueError(f"{what}: no weight lies between {lower:g} and {upper:g}")
+    return lower, upper
+
+
 def whole(what: str, values: ArrayLike) -> NDArray[Any]:
     """An array of which nothing is masked: what a mask hides would be taken for data."""
-    if np.ma.is_masked(values):
+    rows = values if isinstance(values, (list, tuple)) else []
+    if np.ma.is_masked(values) or any(map(np.ma.is_masked, rows)):
         raise ValueError(f"{what}: expected an array without a mask; leave out what is masked")
     return np.asarray(values)
 
@@ -79,7 +107,7 @@ def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
             starts = np.concatenate([[0], np.cumsum(sizes)])
             corners = np.concatenate([indices("faces", face) for face in faces])
             return starts.astype(np.uint32), corners
-        faces = np.asarray(faces)
+        faces = whole("faces", faces)
     if faces.ndim == 2 and len(faces) <= 4 < MOST_CORNERS < faces.shape[1]:
         raise ValueError(f"faces: expected a row for each face, found an array of shape {faces.shape}: transpose it")
     if faces.ndim != 2 or faces.shape[1] < 3:
@@ -166,12 +194,13 @@ class Mesh:
     def of(cls, thing: Any, *, unit: str | None = None) -> Mesh:
         """A mesh of whatever is one: a Mesh, a path, arrays (vertices, faces), a mesh or point cloud of trimesh, meshio, Open3D or PyVista.
 
-        unit: of what it is; unless stated that of a file is found as by `read`, and everything else is in millimetres.
+        unit: of what it is; unless stated that of a file is found as by `read`, and everything else is in millimetres. A `Mesh` is in
+        millimetres already, so no unit changes it.
         """
+        if unit not in (None, "auto"):
+            _nonrigid.millimetres(unit)  # refuses what is none
         if isinstance(thing, Mesh):
-            if unit in (None, "mm", "auto"):
-                return thing
-            return thing.with_vertices(thing.vertices * _nonrigid.millimetres(unit))
+            return thing
         if is_path(thing):
             return cls.read(thing, unit=unit or "auto")
         vertices, faces, normals, colors = _parts(thing)
@@ -239,11 +268,13 @@ class Mesh:
 
     def write(self, path: PathLike) -> None:
         """Writes .obj (everything; materials and images of the OBJ file that it was read from beside it), .glb (everything, 32 bits), .usda
-        (32 bits) or .ply (vertices in 64 bits, polygons, texture coordinates, colours): the whole file or none.
+        (32 bits) or .ply (vertices and normals in 64 bits, polygons, texture coordinates, colours): the whole file or none. Warns of
+        materials that are not where the OBJ file names them, and of a point cloud's normals, which .ply alone holds.
 
         Raises OSError if it cannot be written, ValueError for another extension or where it would overwrite the file it was read from.
         """
-        self._native.write(os.fspath(path), self._native.files)
+        for note in self._native.write(os.fspath(path), self._native.files):
+            warn(note)
 
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` of the triangles, vertices in their order, colours kept. Needs trimesh."""
@@ -269,7 +300,8 @@ class Mesh:
 
     def __reduce__(self) -> tuple[Any, ...]:
         native = self._native
-        return _unpickled, (native.positions, native.starts, native.corners, native.normals, native.colors, native.metadata)
+        arrays = (native.positions, native.starts, native.corners, native.normals, native.colors)
+        return _unpickled, (*arrays, native.metadata, native.source)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Mesh):
@@ -294,8 +326,9 @@ def _unpickled(
     normals: Floats | None,
     colors: NDArray[np.uint8] | None,
     metadata: tuple[Any, ...],
+    source: tuple[Any, ...] | None = None,
 ) -> Mesh:
-    return Mesh._of(_nonrigid.Mesh.of(positions, starts, corners, normals, colors, metadata))
+    return Mesh._of(_nonrigid.Mesh.of(positions, starts, corners, normals, colors, metadata, source))
 
 
 def _flat_faces(flat: Any) -> Any:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, indices, is_npy, is_path, names_of, warn
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, warn, whole
 from ._registration import _landmarks
 from ._rig import Rig, _vertices
 
-MorphModel = Literal["direct", "hybrid", "blendshape", "gpmm", "graph", "arap", "poisson", "laplacian", "mass_spring", "fem", "ffd", "free"]
+MorphModel = Literal["direct", "hybrid", "blendshape", "gpmm", "graph", "sumner", "arap", "poisson", "laplacian", "mass_spring", "fem", "ffd", "free"]
 
 
 class Preset(NamedTuple):
@@ -89,15 +89,17 @@ def _recipes(recipe: Any, amount: float | None) -> list[tuple[str, Any, float | 
     return [(kind, given, None if mm is None else float(mm)) for kind, given, mm in jobs]
 
 
-def _marks(landmarks: Any) -> list[_nonrigid.Landmarks]:
-    """Landmarks of a mesh: one source or several."""
+def _marks(landmarks: Any, unit: str | None) -> list[_nonrigid.Landmarks]:
+    """Landmarks of a mesh: one source or several, lengths of arrays in `unit`."""
     if landmarks is None:
         return []
-    if isinstance(landmarks, (np.ndarray, list)) and np.asarray(landmarks).dtype.kind in "iu":
-        landmarks = {str(k): int(v) for k, v in enumerate(np.asarray(landmarks))}
+    unit = None if unit == "auto" else unit
+    numbers = isinstance(landmarks, list) and landmarks and all(isinstance(one, (int, np.integer)) for one in landmarks)
+    if numbers or isinstance(landmarks, np.ndarray):
+        landmarks = {str(k): int(v) for k, v in enumerate(indices("landmarks", landmarks).reshape(-1))}
     if isinstance(landmarks, list):
-        return [_landmarks("landmarks", one, False) for one in landmarks]
-    return [_landmarks("landmarks", landmarks, False)]
+        return [_landmarks("landmarks", one, False, unit) for one in landmarks]
+    return [_landmarks("landmarks", landmarks, False, unit)]
 
 
 def morph(
@@ -124,23 +126,28 @@ def morph(
     unless stated. rig: blendshapes and regions on the mesh's vertices. weight_bounds: of blendshape weights.
 
     amount: what the displacements are multiplied by, for a preset millimetres. until: only so many steps. model: in place of every step's,
-    "direct", or an energy that follows the masks: "free", "arap", "graph", "blendshape", "hybrid". unit: of the mesh.
+    "direct", or an energy that follows the masks: "free", "arap", "graph", "blendshape", "hybrid". unit: of the mesh, of a rig's
+    files and of points of landmarks; a `Mesh` and a `Rig` are in millimetres already.
 
     Raises ValueError for what is not there or not understood, ComputationError for a step that is impossible on this mesh, OSError.
     """
     before = Mesh.of(mesh, unit=unit)
-    of_rig = None if rig is None else Rig.of(rig)
+    identity_modes, until = count("identity_modes", identity_modes), count_or_none("until", until, 1)
+    if rig is None and (shapes is not None or identity_modes or weight_bounds is not None):
+        raise ValueError("shapes, identity_modes and weight_bounds are of a rig; give rig")
+    of_rig = None if rig is None else Rig.of(rig, unit=unit or "auto")
     notes, steps = _nonrigid.morph_mesh(
         before._native,
         _recipes(recipe, amount),
-        _marks(landmarks),
+        _marks(landmarks, unit),
+        None if unit == "auto" else unit,
         None if of_rig is None else of_rig._native,
         None if shapes is None else names_of(shapes),
         identity_modes,
-        None if weight_bounds is None else (float(weight_bounds[0]), float(weight_bounds[1])),
+        bounds_of("weight_bounds", weight_bounds),
         until,
         model,
-        threads,
+        count_or_none("threads", threads),
     )
     for note in notes:
         warn(note)
@@ -195,16 +202,18 @@ def measure(
 
     mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path, measured along the axes of the face before, however the
     head is held. landmarks: {name: vertex or point}, the 68 vertex indices of Multi-PIE, files, or a list of these; unless stated those of
-    the rig, with the landmarks by name in its folder, which a pickled rig leaves behind. rig, regions: parts of the face; the groups of the
-    mesh unless stated. align: move the face after onto the one before first, which displacements and volumes alone depend on.
+    the rig, with the landmarks by name beside it. rig, regions: parts of the face; the groups of the mesh unless stated. align: move the
+    face after onto the one before first, which displacements and volumes alone depend on. unit: of mesh, after and points of landmarks; a
+    `Mesh` is in millimetres already.
 
     Warns of points off the mesh. Raises ValueError where nothing can be measured, or vertices do not correspond; OSError.
     """
     before = Mesh.of(mesh, unit=unit)
-    moved = None if after is None else _vertices("after", after)
+    moved = None if after is None else _vertices("after", after, unit)
     of_rig = None if rig is None else Rig.of(rig)
     parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
-    found = _nonrigid.measure_mesh(before._native, moved, _marks(landmarks), None if of_rig is None else of_rig._native, parts, align)
+    marks, of_unit = _marks(landmarks, unit), None if unit == "auto" else unit
+    found = _nonrigid.measure_mesh(before._native, moved, marks, of_unit, None if of_rig is None else of_rig._native, parts, align)
     warn(found[3])
     return _measured(json.loads(found[0]), found[1], found[2])
 
@@ -237,14 +246,15 @@ def evaluate(
     against the scan (distances both ways), and what became of the mesh.
 
     result: (V, 3), a mesh, or a path, in the template's vertex order. template: the mesh that was registered. truth: (V, 3) or a path.
-    observed: (V,) which vertices the scan shows, all unless stated. scan: a mesh or a point cloud with normals.
+    observed: (V,) which vertices the scan shows, all unless stated. scan: a mesh or a point cloud with normals. unit: of all that are
+    given; a `Mesh` is in millimetres already.
 
     Raises ValueError where they do not correspond, or neither or both of truth and scan are given; OSError.
     """
     if (truth is None) == (scan is None):
         raise ValueError("give truth or scan, one of them")
     start = Mesh.of(template, unit=unit)
-    positions = _vertices("result", result)
+    positions = _vertices("result", result, unit)
     if scan is not None:
         if observed is not None:
             raise ValueError("observed: goes with truth, not with scan")
@@ -252,11 +262,11 @@ def evaluate(
         return _evaluated(json.loads(text), distances)
     seen = None
     if observed is not None:
-        flags = np.load(observed) if is_path(observed) and is_npy(observed) else np.asarray(observed)  # type: ignore[arg-type]
+        flags = np.load(observed) if is_path(observed) and is_npy(observed) else whole("observed", observed)  # type: ignore[arg-type]
         if flags.dtype != np.bool_ or flags.shape != (len(positions),):
             raise ValueError(f"observed: expected {len(positions)} truth values, found {flags.dtype} of {flags.shape}")
         seen = np.ascontiguousarray(flags)
-    text, distances = _nonrigid.evaluate_truth(positions, start._native, _vertices("truth", truth), seen)
+    text, distances = _nonrigid.evaluate_truth(positions, start._native, _vertices("truth", truth, unit), seen)
     return _evaluated(json.loads(text), distances)
 
 

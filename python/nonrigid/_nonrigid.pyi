@@ -8,6 +8,11 @@ from numpy.typing import NDArray
 _Floats: TypeAlias = NDArray[np.float64]
 _Path: TypeAlias = str | os.PathLike[str]
 _Metadata: TypeAlias = tuple[_Floats, list[NDArray[np.uint32]], list[str], list[tuple[int, str, str]]]
+_Files: TypeAlias = list[tuple[str, str]]
+_Source: TypeAlias = tuple[str, str, _Files, tuple[str, str] | None]
+_Kept: TypeAlias = tuple[
+    _Files, list[str], tuple[str, str] | None, str, list[tuple[str, bytes | None]], tuple[_Floats, list[float], float] | None
+]
 _Row: TypeAlias = tuple[int, str, str | None, list[tuple[str, str]]]
 
 __all__ = [
@@ -34,6 +39,7 @@ __all__ = [
     "evaluate_truth",
     "glossary",
     "measure_mesh",
+    "mesh_files",
     "millimetres",
     "missing_files",
     "models",
@@ -91,7 +97,10 @@ class Mesh:
         normals: _Floats | None = None,
         colors: NDArray[np.uint8] | None = None,
         metadata: _Metadata | None = None,
+        source: _Source | None = None,
     ) -> Mesh: ...
+    @property
+    def source(self) -> _Source: ...
     @property
     def positions(self) -> _Floats: ...
     @property
@@ -117,7 +126,7 @@ class Mesh:
     @property
     def files(self) -> list[str]: ...
     def with_positions(self, positions: _Floats, colors: NDArray[np.uint8] | None = None) -> Mesh: ...
-    def write(self, path: _Path, reads: list[str]) -> None: ...
+    def write(self, path: _Path, reads: list[str]) -> list[str]: ...
 
 @final
 class Landmarks:
@@ -176,7 +185,10 @@ class Rig:
         landmarks: list[int] | None,
         regions: list[tuple[str, list[int]]] | None,
         files: list[str],
+        kept: _Kept | None = None,
     ) -> Rig: ...
+    @property
+    def kept(self) -> _Kept: ...
     @property
     def neutral(self) -> _Floats: ...
     @property
@@ -197,13 +209,15 @@ class Rig:
     def notes(self) -> list[str]: ...
     @property
     def files(self) -> list[str]: ...
-    def write(self, path: _Path, form: str, reads: list[str]) -> None: ...
+    def write(self, path: _Path, form: str) -> list[str]: ...
     def transfer(self, subject: _Floats, anchor: float) -> Rig: ...
     def fit(
         self, frames: list[_Floats], names: list[str] | None, neutral: _Floats | None, align: str, bounds: tuple[float, float]
     ) -> tuple[list[str], list[_Frame]]: ...
     @staticmethod
-    def pca(samples: list[_Floats], mesh: Mesh | None, components: int, align: str) -> tuple[Rig, list[float], list[float]]: ...
+    def pca(
+        samples: list[_Floats], mesh: Mesh | None, components: int, align: str, made_of: list[str]
+    ) -> tuple[Rig, list[float], list[float]]: ...
 
 @final
 class WarmStart:
@@ -316,6 +330,7 @@ def morph_mesh(
     mesh: Mesh,
     recipes: list[tuple[str, Any, float | None]],
     landmarks: list[Landmarks],
+    unit: str | None,
     rig: Rig | None,
     shapes: list[str] | None,
     identity_modes: int,
@@ -328,6 +343,7 @@ def measure_mesh(
     mesh: Mesh,
     after: _Floats | None,
     landmarks: list[Landmarks],
+    unit: str | None,
     rig: Rig | None,
     regions: list[tuple[str, list[int]]] | None,
     align: bool,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, is_npy, is_path, names_of, points, warn, whole
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, points, warn, whole
 from ._nonrigid import Step
 from ._rig import Rig
 from ._schedule import Schedule
@@ -119,16 +119,18 @@ class Registration:
         return csc_matrix((values, rows, pointers), shape=(len(gradient), len(gradient))), gradient
 
     def save(self, path: PathLike, *, report: PathLike | None = None, state: PathLike | None = None) -> None:
-        """Writes what `nonrigid register` writes, the same bytes: the mesh (.obj, .ply, .glb) and, where asked for, report and state (.json).
-        Each file is whole or not there; none that was read is overwritten.
+        """Writes what `nonrigid register` writes, the same bytes: the mesh (.obj, .ply, .glb), `finer` if there is one, and, where asked
+        for, report and state (.json). Each file is whole or not there; none that was read is overwritten.
 
         Raises OSError if a file cannot be written, ValueError if it must not be.
         """
         texts = [(os.fspath(file), text) for file, text in ((report, self.report_json), (state, self.state_json)) if file is not None]
         _nonrigid.check_plan(self._reads, [os.fspath(path), *(file for file, _ in texts)])
-        self.mesh._native.write(os.fspath(path), self._reads)
+        written = self.mesh if self.finer is None else self.finer
+        for note in written._native.write(os.fspath(path), self._reads):
+            warn(note)
         for file, text in texts:
-            _nonrigid.write_text(file, text + "\n", self._reads)
+            _nonrigid.write_text(file, text, self._reads)
 
     def picture(self, path: PathLike, *, scan: Any = None) -> None:
         """Writes a picture (.png) of template, scan, result, and result over scan. scan: needed after a pickle only.
@@ -142,20 +144,20 @@ class Registration:
         _nonrigid.picture(os.fspath(path), self._title, *parts, self._facing, self._reads)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_scan": None, "_equations": None}
+        return {**self.__dict__, "_reads": list(map(os.path.abspath, self._reads)), "_scan": None, "_equations": None}
 
     def __repr__(self) -> str:
         unfinished = "" if self.finished else ", stopped before its end"
         return f"Registration({self.model}, {self.error_probability:.0%} probably wrong by over 3 mm{unfinished})"
 
 
-def _landmarks(what: str, given: Any, scan: bool) -> _nonrigid.Landmarks:
-    """Landmarks of a file, a mapping, or two arrays."""
+def _landmarks(what: str, given: Any, scan: bool, unit: str | None) -> _nonrigid.Landmarks:
+    """Landmarks of a file, a mapping, or two arrays; of these, lengths are in `unit`."""
     if is_path(given):
         return _nonrigid.Landmarks.read(os.fspath(given), scan)
     if isinstance(given, tuple) and len(given) == 2:
-        vertices, places = np.asarray(given[0]), points(what, given[1])
-        if vertices.dtype.kind not in "iu" or vertices.shape != (len(places),):
+        vertices, places = indices(what, given[0]), points(what, given[1])
+        if vertices.shape != (len(places),):
             raise ValueError(f"{what}: expected vertex indices (L,) and points (L, 3), found {vertices.shape} and {places.shape}")
         given = dict(zip(vertices.tolist(), places))
     if not isinstance(given, Mapping):
@@ -163,7 +165,7 @@ def _landmarks(what: str, given: Any, scan: bool) -> _nonrigid.Landmarks:
     entries: list[dict[str, Any]] = []
     for name, place in given.items():
         entry: dict[str, Any] = {"name": str(name)}
-        numbers = np.asarray(place)
+        numbers = whole(f"{what}: {name!r}", place)
         if numbers.ndim == 0 and numbers.dtype.kind in "iu" and not scan:
             entry["vertex"] = int(numbers)
         elif numbers.dtype.kind in "fiu" and numbers.shape in ((3,), (4,)):
@@ -177,7 +179,7 @@ def _landmarks(what: str, given: Any, scan: bool) -> _nonrigid.Landmarks:
             expected = "x, y, z, and its standard deviation if known" if scan else "a vertex index, or x, y, z"
             raise ValueError(f"{what}: {name!r}: expected {expected}, found {place!r}")
         entries.append(entry)
-    return _nonrigid.Landmarks.parse(json.dumps({"unit": "mm", "landmarks": entries}), f"{what}.json")
+    return _nonrigid.Landmarks.parse(json.dumps({"unit": unit or "mm", "landmarks": entries}), f"{what}.json")
 
 
 def _mask(what: str, given: Any, vertices: int) -> _nonrigid.Mask | None:
@@ -189,13 +191,6 @@ def _mask(what: str, given: Any, vertices: int) -> _nonrigid.Mask | None:
     if values.dtype.kind not in "fiub" or values.shape != (vertices,):
         raise ValueError(f"{what}: expected {vertices} numbers, one for each template vertex, found {values.dtype} of {values.shape}")
     return _nonrigid.Mask.of(np.ascontiguousarray(values, dtype=np.float64))
-
-
-def _bounds(what: str, given: Any) -> tuple[float, float] | None:
-    if given is None:
-        return None
-    lower, upper = (float(x) for x in given)
-    return lower, upper
 
 
 _UNITS = ("template", "target", "neutral", "rig", "landmarks", "template_landmarks")
@@ -211,8 +206,11 @@ class _Units:
                 if name not in _UNITS:
                     raise ValueError(f"unit: no input {name!r}; there are {', '.join(_UNITS)}")
 
-    def of(self, name: str) -> str | None:
+    def of(self, name: str, thing: Any = None) -> str | None:
+        """That of an input. One that is in millimetres already has none."""
         unit = self.given.get(name) if isinstance(self.given, Mapping) else self.given
+        if isinstance(thing, (Mesh, Rig)) and isinstance(self.given, Mapping) and unit is not None:
+            raise ValueError(f"unit of {name}: a {type(thing).__name__} is in millimetres already; leave that out")
         return None if unit == "auto" else unit
 
 
@@ -263,7 +261,8 @@ def register(
     neutral: the subject's own neutral, (V, 3) or a file. mask: (V,) from 0 to 1, what the scan says counts so much; free_mask: 1 for vertices
     that follow smoothness alone; regions, free_regions: the same by names of the rig's regions, or of groups of the template.
 
-    flip: whether the scan is inside out. unit: "mm", "cm", "m", "um", "in" or "auto", for all inputs, or {"target": "m"} for some.
+    flip: whether the scan is inside out. unit: "mm", "cm", "m", "um", "in" or "auto", for all inputs, landmarks too, or {"target": "m"} for
+    some; a `Mesh` or a `Rig` is in millimetres already.
     warm_start: the registration of the frame before, or its state file. subdivide: how often
     to divide the result, up to 3 times, for `Registration.finer`. threads: one a core unless stated; the result does not depend on it.
 
@@ -287,8 +286,10 @@ def register(
     True
     """
     units = _Units(unit)
-    start = Mesh.of(template, unit=units.of("template"))
-    target = Mesh.of(scan, unit=units.of("target"))
+    start = Mesh.of(template, unit=units.of("template", template))
+    target = Mesh.of(scan, unit=units.of("target", scan))
+    identity_modes, subdivide = count_or_none("identity_modes", identity_modes), count("subdivide", subdivide)
+    threads = count_or_none("threads", threads)
     vertices = len(start._native.positions)
     rest = None
     if neutral is not None:
@@ -296,11 +297,11 @@ def register(
             rest = _nonrigid.Mesh.read_points(os.fspath(neutral), units.of("neutral"))
             warn(rest.note)
         else:
-            rest = Mesh.of(neutral, unit=units.of("neutral"))._native
+            rest = Mesh.of(np.asarray(neutral) if isinstance(neutral, list) else neutral, unit=units.of("neutral", neutral))._native
     of_rig = None
     if rig is not None:
         modes = identity_modes if is_path(rig) else None
-        of_rig = Rig.of(rig, identity_modes=modes, unit=units.of("rig") or "auto")
+        of_rig = Rig.of(rig, identity_modes=modes, unit=units.of("rig", rig) or "auto")
     elif shapes is not None or identity_modes or expression_bounds is not None or identity_bounds is not None:
         raise ValueError("shapes, identity_modes, expression_bounds and identity_bounds are of a rig; give rig")
     elif model == "hybrid":
@@ -311,11 +312,13 @@ def register(
         raise ValueError(f"subdivide: found {subdivide}, expected 0 to 3 rounds")
     if template_landmarks is not None and landmarks is None:
         raise ValueError("template_landmarks say what the names of landmarks mean; give landmarks")
-    marks = None if landmarks is None else _landmarks("landmarks", landmarks, True)
-    names = None if template_landmarks is None else _landmarks("template_landmarks", template_landmarks, False)
+    marks = None if landmarks is None else _landmarks("landmarks", landmarks, True, units.of("landmarks"))
+    names = None
+    if template_landmarks is not None:
+        names = _landmarks("template_landmarks", template_landmarks, False, units.of("template_landmarks"))
     masks = [_mask(what, given, vertices) for what, given in (("mask", mask), ("free_mask", free_mask))]
     steering = Schedule.of(schedule, model)._native.with_options(
-        _bounds("expression_bounds", expression_bounds), _bounds("identity_bounds", identity_bounds), flip
+        bounds_of("expression_bounds", expression_bounds), bounds_of("identity_bounds", identity_bounds), flip
     )
     warm = None
     if isinstance(warm_start, Registration):
@@ -354,7 +357,7 @@ def register(
     result.template, result.model = start, model
     result.weights = {name: Weight(value, std_dev, held) for name, value, std_dev, held in found.weights}
     result.accepted = found.accepted
-    result.report_json, result.state_json = found.report, found.state
+    result.report_json, result.state_json = found.report + "\n", found.state + "\n"
     result.error_probability, result.doubts = found.error_probability, found.doubts
     result.finished = found.finished
     result.finer = None if found.finer is None else Mesh._of(found.finer)

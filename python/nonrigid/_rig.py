@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, indices, is_npy, is_path, names_of, points, warn
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, points, warn
 
 Align = Literal["rigid", "similarity", "none"]
 
@@ -68,37 +68,39 @@ class Rig:
         shape_kind: Literal["full", "delta"] = "delta",
         landmarks: ArrayLike | None = None,
         regions: Mapping[str, ArrayLike] | None = None,
-        unit: str = "mm",
+        unit: str | None = None,
     ) -> None:
         """A rig of arrays.
 
-        neutral: (V, 3), or a mesh, whose polygons the rig then has. shapes: by name, (V, 3) differences to the neutral, or with
+        neutral: (V, 3), or a mesh or a path, whose polygons the rig then has. shapes: by name, (V, 3) differences to the neutral, or with
         shape_kind="full" whole shapes. faces: as of `Mesh`. families: what the shapes are, one word for all or one for each name.
-        landmarks: vertex indices of the 68 landmarks of Multi-PIE/iBUG. regions: vertex indices by name. unit: of all lengths.
+        landmarks: vertex indices of the 68 landmarks of Multi-PIE/iBUG. regions: vertex indices by name. unit: of all
+        lengths; unless stated arrays are in millimetres, and a file's is found as by `Mesh.read`. A `Mesh` is in millimetres already.
 
         Raises ValueError where numbers of vertices differ, or a name comes twice; shapes that move nothing are left out with a warning.
         """
-        factor = _nonrigid.millimetres(unit)
+        factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
         of_arrays = isinstance(neutral, (np.ndarray, list)) or (isinstance(neutral, tuple) and np.ndim(neutral[0]) == 1)
         if of_arrays:
-            rest = points("neutral", neutral)
+            rest = points("neutral", neutral) * factor
             mesh = None if faces is None else Mesh(rest, faces)
         else:
-            mesh = Mesh.of(neutral)
+            mesh = Mesh.of(neutral, unit=unit)
             if faces is not None:
                 raise ValueError("faces: the neutral is a mesh, which has its own")
             rest = mesh.vertices
         deltas = np.empty((len(shapes), *rest.shape), dtype=np.float64)
         for k, (name, shape) in enumerate(shapes.items()):
-            deltas[k] = points(f"shape {name!r}", shape, len(rest))
+            deltas[k] = points(f"shape {name!r}", shape, len(rest)) * factor
             if shape_kind == "full":
                 deltas[k] -= rest
             elif shape_kind != "delta":
                 raise ValueError(f'shape_kind: {shape_kind!r}; there are "full" and "delta"')
         names = list(shapes)
+        if not isinstance(families, str) and (lacking := [name for name in names if name not in families]):
+            raise ValueError(f"families: none is given for {', '.join(lacking)}")
         kinds: list[str] = [families] * len(names) if isinstance(families, str) else [families[name] for name in names]
-        scaled = None if mesh is None else mesh.with_vertices(rest * factor)
-        self._assemble(rest * factor, scaled, names, kinds, deltas * factor, landmarks, regions, [])
+        self._assemble(rest, mesh, names, kinds, deltas, landmarks, regions, [])
 
     def _assemble(
         self,
@@ -110,11 +112,13 @@ class Rig:
         landmarks: ArrayLike | None,
         regions: Mapping[str, ArrayLike] | None,
         files: list[str],
+        kept: tuple[Any, ...] | None = None,
     ) -> None:
         flat = np.ascontiguousarray(deltas, dtype=np.float32).reshape(-1)
         marks = None if landmarks is None else indices("landmarks", landmarks).tolist()
         parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
-        self._native = _nonrigid.Rig.of(neutral, None if mesh is None else mesh._native, names, families, flat, marks, parts, files)
+        of_mesh = None if mesh is None else mesh._native
+        self._native = _nonrigid.Rig.of(neutral, of_mesh, names, families, flat, marks, parts, files, kept)
         self.standard_deviations = self.explained = None
         for note in self._native.notes:
             warn(note)
@@ -150,6 +154,7 @@ class Rig:
         """
         from . import _field
 
+        identity_modes = count_or_none("identity_modes", identity_modes)
         if not os.path.exists(path):
             raise FileNotFoundError(2, "no such rig", os.fspath(path))
         foreign = _field.reader_of(Path(path))
@@ -159,7 +164,7 @@ class Rig:
 
     @classmethod
     def of(cls, thing: Rig | PathLike, *, identity_modes: int | None = None, unit: str = "auto") -> Rig:
-        """A rig that is one already, or is read from a path."""
+        """A rig that is one already, in millimetres whatever `unit` says, or is read from a path."""
         if isinstance(thing, Rig):
             return thing
         if is_path(thing):
@@ -223,7 +228,9 @@ class Rig:
         """Writes a rig: .npz or .glb by extension, otherwise a folder of arrays, or with form="shapes" of one .obj a shape. All of it or
         nothing; what was read is never overwritten; a rig that is there already is replaced.
 
-        What a form does not hold: a folder of shapes has no families and landmarks; .npz no groups and materials.
+        Landmarks by name and materials beside the rig that was read go along into folders, components of `pca` into folders of arrays.
+        Warns of what a form does not hold: a folder of shapes has no families and landmarks; .npz no groups and materials; neither .npz nor
+        .glb landmarks by name.
 
         Raises OSError if it cannot be written, ValueError if it must not.
         """
@@ -231,7 +238,8 @@ class Rig:
         kind: str = {".npz": "npz", ".glb": "gltf"}.get(ending, form)
         if ending == ".gltf":
             raise ValueError(f"{os.fspath(path)}: .gltf is not written; give .glb, .npz or a folder")
-        self._native.write(os.fspath(path), kind, self._native.files)
+        for note in self._native.write(os.fspath(path), kind):
+            warn(note)
 
     def transfer(self, subject: Any, *, anchor: float = 1.0) -> Rig:
         """The rig of another neutral with the same vertices, by deformation transfer (Sumner & Popovic 2004). Identity modes are left out.
@@ -259,9 +267,11 @@ class Rig:
         Raises ValueError if a mesh is none of this rig, ComputationError if the minimiser fails.
         """
         names = None if shapes is None else names_of(shapes)
+        if names == [] or (names is None and set(self.families) <= {"identity"}):
+            raise ValueError("shapes: none to fit; identity modes are left out unless shapes names them")
         rest = None if neutral is None else _vertices("neutral", neutral)
         frames = [_vertices("meshes", mesh) for mesh in _meshes_of(meshes)]
-        found, fitted = self._native.fit(frames, names, rest, align, bounds)
+        found, fitted = self._native.fit(frames, names, rest, align, bounds_of("bounds", bounds) or (0.0, 1.0))
         return [
             FittedFrame(dict(zip(found, w)), scale, np.array(rotation), np.array(translation), rms, largest, converged, doubts)
             for w, scale, rotation, translation, rms, largest, converged, doubts in fitted
@@ -277,24 +287,26 @@ class Rig:
 
         Raises ValueError if meshes differ in topology or there are too few, ComputationError if they cannot be aligned.
         """
-        all_meshes = list(_meshes_of(meshes))
-        first = None if not all_meshes or isinstance(all_meshes[0], np.ndarray) else Mesh.of(all_meshes[0])
+        all_meshes = [points("meshes", m) if isinstance(m, (list, np.ndarray)) else Mesh.of(m) for m in _meshes_of(meshes)]
+        first = None if not all_meshes or isinstance(all_meshes[0], np.ndarray) else all_meshes[0]
         if first is not None and len(first._native.starts) < 2:
             first = None
         if first is not None:
             corners = first._native.corners
             for k, mesh in enumerate(all_meshes):
-                if not isinstance(mesh, np.ndarray) and not np.array_equal(Mesh.of(mesh)._native.corners, corners):
+                if isinstance(mesh, Mesh) and not np.array_equal(mesh._native.corners, corners):
                     raise ValueError(f"meshes: number {k}, from 0, has other polygons than the first; they must correspond")
         samples = [_vertices("meshes", mesh) for mesh in all_meshes]
-        native, deviations, explained = _nonrigid.Rig.pca(samples, None if first is None else first._native, components, align)
+        files = [file for mesh in all_meshes if isinstance(mesh, Mesh) for file in mesh._native.files]
+        kept = count("components", components, 1)
+        native, deviations, explained = _nonrigid.Rig.pca(samples, None if first is None else first._native, kept, align, files)
         rig = cls._of(native)
         rig.standard_deviations, rig.explained = np.array(deviations), np.array(explained)
         return rig
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.neutral, self.mesh, self.names, self.families, self.deltas, self.landmarks, self._native.regions)
-        return _unpickled, (*parts, self.standard_deviations, self.explained)
+        return _unpickled, (*parts, self.standard_deviations, self.explained, self._native.kept)
 
     def __repr__(self) -> str:
         families = self.families
@@ -304,20 +316,23 @@ class Rig:
 
 
 def _unpickled(neutral: Floats, mesh: Mesh | None, names: list[str], families: list[str], deltas: Any, landmarks: Any,
-               regions: Any, deviations: Any, explained: Any) -> Rig:  # fmt: skip
+               regions: Any, deviations: Any, explained: Any, kept: Any = None) -> Rig:  # fmt: skip
     rig = Rig.__new__(Rig)
-    rig._assemble(neutral, mesh, names, families, deltas, landmarks, None if regions is None else dict(regions), [])
+    rig._assemble(neutral, mesh, names, families, deltas, landmarks, None if regions is None else dict(regions), [], kept)
     rig.standard_deviations, rig.explained = deviations, explained
     return rig
 
 
-def _vertices(what: str, thing: Any) -> Floats:
-    """Vertices of a mesh, a path, or an array."""
+def _vertices(what: str, thing: Any, unit: str | None = None) -> Floats:
+    """Vertices of a mesh, a path, or an array, which are in `unit`."""
     if is_path(thing) and is_npy(thing):
-        return _nonrigid.Mesh.read_points(os.fspath(thing), None).positions
+        read = _nonrigid.Mesh.read_points(os.fspath(thing), unit)
+        warn(read.note)
+        return read.positions
     if isinstance(thing, (np.ndarray, list)):
-        return points(what, thing)
-    return Mesh.of(thing).vertices
+        factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
+        return points(what, thing) * factor
+    return Mesh.of(thing, unit=unit).vertices
 
 
 def _meshes_of(meshes: Any) -> list[Any]:

@@ -96,6 +96,59 @@ impl Mesh {
     }
 }
 
+/// Where a mesh comes from, for a copy or a pickle: path, the file whose materials go along, files with their SHA-256, unit and how it is
+/// known. Paths hold wherever it is loaded.
+type Source = (OsString, OsString, Files, Option<(String, String)>);
+/// Files and their SHA-256.
+pub type Files = Vec<(OsString, String)>;
+
+/// How a unit is known, by name.
+const UNIT_SOURCES: [(&str, UnitSource); 4] = [
+    ("option", UnitSource::Option),
+    ("file", UnitSource::File),
+    ("size", UnitSource::Size),
+    ("mesh", UnitSource::Mesh),
+];
+
+/// Names of a unit and of how it is known.
+pub fn names_of_unit(known: KnownUnit) -> Option<(String, String)> {
+    let (name, _) = UNIT_SOURCES.iter().find(|(_, by)| *by == known.by)?;
+    Some((known.unit.to_string(), (*name).to_owned()))
+}
+
+/// [`names_of_unit`], the other way.
+pub fn unit_of_names((unit, by): (String, String)) -> PyResult<KnownUnit> {
+    let source = UNIT_SOURCES.iter().find(|(name, _)| *name == by).ok_or_else(|| value(format!("unit by {by:?}")))?;
+    Ok(KnownUnit { unit: unit.parse().map_err(value)?, by: source.1 })
+}
+
+/// A path that holds in any working folder; an empty one stays empty.
+pub fn anywhere(path: &Path) -> OsString {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).into()
+}
+
+/// Files as a pickle has them.
+pub fn files_out(files: &[Input]) -> Files {
+    files.iter().map(|file| (anywhere(&file.path), file.sha256.clone())).collect()
+}
+
+/// [`files_out`], the other way.
+pub fn files_in(files: Files) -> Vec<Input> {
+    let input = |(path, sha256): (OsString, String)| Input { role: String::new(), path: path.into(), sha256 };
+    files.into_iter().map(input).collect()
+}
+
+/// Refuses to overwrite files beside an output that is not there; beside one that is, they are of the run that made it.
+pub fn refuse_beside(out: &Path, files: &[PathBuf]) -> PyResult<()> {
+    match files.iter().find(|file| file.exists() && !out.exists()) {
+        None => Ok(()),
+        Some(file) => {
+            let message = format!("{}: is there already, and would be overwritten", file.display());
+            Err(value(format!("{message}; remove it, or give another name")))
+        }
+    }
+}
+
 /// Texture coordinates, indices of texture and of normal of each corner, material libraries, statements with the polygon before which each stands.
 type Metadata<'py> =
     (Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray1<u32>>; 2], Vec<String>, Vec<(u32, &'static str, String)>);
@@ -133,7 +186,7 @@ impl Mesh {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (positions, starts, corners, normals=None, colors=None, metadata=None))]
+    #[pyo3(signature = (positions, starts, corners, normals=None, colors=None, metadata=None, source=None))]
     fn of(
         positions: PyReadonlyArray2<'_, f64>,
         starts: PyReadonlyArray1<'_, u32>,
@@ -146,6 +199,7 @@ impl Mesh {
             Vec<String>,
             Vec<(u32, String, String)>,
         )>,
+        source: Option<Source>,
     ) -> PyResult<Self> {
         let positions = arrays::points("vertices", &positions)?;
         let (starts, corners) = (starts.as_array().to_vec(), corners.as_array().to_vec());
@@ -186,7 +240,18 @@ impl Mesh {
                 ObjMetadata { uvs, corner_uvs, corner_normals, material_libraries, statements }
             }
         };
-        Ok(Self::of_arrays(MeshFile { mesh: PolygonMesh { positions, starts, corners, metadata }, normals, colors }))
+        let file = MeshFile { mesh: PolygonMesh { positions, starts, corners, metadata }, normals, colors };
+        let Some((path, materials, files, known)) = source else { return Ok(Self::of_arrays(file)) };
+        let known = known.map(unit_of_names).transpose()?;
+        let (path, materials) = (path.into(), materials.into());
+        Ok(Self { known, files: files_in(files), path, materials, ..Self::of_arrays(file) })
+    }
+
+    /// For a copy or a pickle.
+    #[getter]
+    fn source(&self) -> Source {
+        let known = self.known.and_then(names_of_unit);
+        (anywhere(&self.path), anywhere(&self.materials), files_out(&self.files), known)
     }
 
     #[getter]
@@ -278,27 +343,37 @@ impl Mesh {
     }
 
     /// Writes by extension: .obj, with copies of materials and images, .ply, .glb, .usda. `reads` are files that must not be overwritten.
-    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>) -> PyResult<()> {
+    /// Returns what is to be said of that.
+    fn write(&self, py: Python<'_>, path: PathBuf, reads: Vec<PathBuf>) -> PyResult<Vec<String>> {
         compute(py, Some(1), || {
-            let is_obj = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
-            let materials = match is_obj(&path) {
-                true => MaterialFiles::of(&self.materials, &self.file.mesh),
-                false => MaterialFiles::default(),
-            };
+            let is = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+            let of_file = !self.materials.as_os_str().is_empty();
+            let mut mesh = self.file.mesh.clone();
+            if !of_file {
+                mesh.metadata.material_libraries.clear(); // they are nowhere
+            }
+            let materials =
+                if is("obj") { MaterialFiles::of(&self.materials, &mesh) } else { MaterialFiles::default() };
             let writes: Vec<PathBuf> = std::iter::once(path.clone()).chain(materials.writes(&path)).collect();
             // a mesh that was made of another does not overwrite that either
-            let made_of = Some(&self.materials).filter(|path| !path.as_os_str().is_empty());
+            let made_of = Some(&self.materials).filter(|_| of_file);
             let reads: Vec<PathBuf> = reads.iter().chain(made_of).chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
-            if let Some(other) = writes[1..].iter().find(|file| file.exists()).filter(|_| !path.exists()) {
-                let message = format!("{}: is there already, and would be overwritten", other.display());
-                return Err(value(format!("{message}; remove it, or give another name")));
-            }
-            let mut mesh = self.file.mesh.clone();
+            refuse_beside(&path, &writes[1..])?;
+            let mut notes: Vec<String> = materials.missing.iter().map(|(_, told)| told.clone()).collect();
             let copied = materials.write(&path, &mut mesh).map_err(input)?;
-            io::write_colored_mesh(&path, &mesh, self.file.colors.as_deref()).map_err(input)?;
+            let (colors, normals) = (self.file.colors.as_deref(), self.file.normals.as_deref());
+            if is("ply") {
+                let options = io::PlyOptions { normals, colors, precision: io::PlyPrecision::Double };
+                io::write_ply_polygons(&path, &mesh, options).map_err(input)?;
+            } else {
+                io::write_colored_mesh(&path, &mesh, colors).map_err(input)?;
+                if normals.is_some() && mesh.corners.is_empty() {
+                    notes.push(format!("{}: this format holds no normals of a point cloud; .ply does", path.display()));
+                }
+            }
             copied.keep();
-            Ok(())
+            Ok(notes)
         })
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use nonrigid::correspondence::ScanError;
 use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use nonrigid::io::LengthUnit;
 use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint};
 use nonrigid::measurement::{self, NamedRegion};
 use nonrigid::mesh::PolygonMesh;
@@ -68,6 +69,7 @@ fn recipe(py: Python<'_>, kind: &str, given: &Bound<'_, PyAny>) -> PyResult<Reci
 /// Names of landmarks and where they are on a mesh: those given, or else a rig's; and which of them lie off it.
 fn places(
     landmarks: &[&Landmarks],
+    unit: Option<LengthUnit>,
     rig: Option<&Rig>,
     mesh: &Mesh,
 ) -> PyResult<(Vec<(String, TemplatePoint)>, OffTemplate)> {
@@ -78,7 +80,7 @@ fn places(
     }
     let mut points = Vec::new();
     for landmarks in landmarks {
-        let (mut set, _) = landmarks.in_millimetres(None, mesh)?;
+        let (mut set, _) = landmarks.in_millimetres(unit, mesh)?;
         set.format = LandmarkFormat::Native; // positions are points of the surface, as where they are measured
         let of_set = set.on_template(&landmarks.path, mesh.polygons()).map_err(input)?;
         off.extend(OffTemplate::of(&landmarks.path, &set, &of_set, mesh.polygons()).map_err(input)?);
@@ -91,12 +93,13 @@ fn places(
 type Steps<'py> = Vec<(Bound<'py, PyArray2<f64>>, String, Vec<(String, Bound<'py, PyArray1<f64>>)>)>;
 
 #[pyfunction]
-#[pyo3(signature = (mesh, recipes, landmarks, rig, shapes, identity_modes, bounds, until, model, threads))]
+#[pyo3(signature = (mesh, recipes, landmarks, unit, rig, shapes, identity_modes, bounds, until, model, threads))]
 fn morph_mesh<'py>(
     py: Python<'py>,
     mesh: &Mesh,
     recipes: Vec<(String, Bound<'py, PyAny>, Option<f64>)>,
     landmarks: Vec<PyRef<'py, Landmarks>>,
+    unit: Option<&str>,
     rig: Option<&Rig>,
     shapes: Option<Vec<String>>,
     identity_modes: usize,
@@ -105,6 +108,7 @@ fn morph_mesh<'py>(
     model: Option<&str>,
     threads: Option<usize>,
 ) -> PyResult<(Vec<String>, Steps<'py>)> {
+    let unit = crate::mesh::unit(unit)?;
     let model = model.map(str::parse::<MorphModel>).transpose().map_err(value)?;
     let recipes = recipes.iter().map(|(kind, given, amount)| Ok((recipe(py, kind, given)?, *amount)));
     let recipes = recipes.collect::<PyResult<Vec<_>>>()?;
@@ -113,8 +117,18 @@ fn morph_mesh<'py>(
     {
         return Err(value(format!("until: {until}; the recipe has {} steps", recipes[0].0.step.len())));
     }
+    if until.is_some() && recipes.len() > 1 {
+        return Err(value("until: counts the steps of one recipe; there are several"));
+    }
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     let mut notes: Vec<String> = recipes.iter().flat_map(|(recipe, amount)| recipe.doubts(*amount, model)).collect();
+    let mut models = recipes.iter().flat_map(|(recipe, _)| &recipe.step).map(|s| model.unwrap_or(s.get_ref().model));
+    if !models.any(MorphModel::uses_shapes) {
+        let given =
+            [("shapes", shapes.is_some()), ("identity_modes", identity_modes > 0), ("weight_bounds", bounds.is_some())];
+        let idle = given.into_iter().filter(|(_, given)| *given);
+        notes.extend(idle.map(|(option, _)| format!("{option} has no effect: no step's model has blendshapes")));
+    }
     let (outcomes, off) = compute(py, threads, || {
         let mut basis = match rig {
             None => ShapeBasis::none(),
@@ -126,7 +140,7 @@ fn morph_mesh<'py>(
         if let Some(bounds) = bounds {
             basis = basis.with_bounds(|_| bounds);
         }
-        let (points, off) = places(&landmarks, rig, mesh)?;
+        let (points, off) = places(&landmarks, unit, rig, mesh)?;
         let mut moved: PolygonMesh = mesh.polygons().clone();
         let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
@@ -154,16 +168,18 @@ fn morph_mesh<'py>(
 
 /// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks.
 #[pyfunction]
-#[pyo3(signature = (mesh, after, landmarks, rig, regions, align))]
+#[pyo3(signature = (mesh, after, landmarks, unit, rig, regions, align))]
 fn measure_mesh(
     py: Python<'_>,
     mesh: &Mesh,
     after: Option<PyReadonlyArray2<'_, f64>>,
     landmarks: Vec<PyRef<'_, Landmarks>>,
+    unit: Option<&str>,
     rig: Option<&Rig>,
     regions: Option<Vec<(String, Vec<u32>)>>,
     align: bool,
 ) -> PyResult<(String, String, String, Option<String>)> {
+    let unit = crate::mesh::unit(unit)?;
     let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
     let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     compute(py, None, || {
@@ -175,11 +191,12 @@ fn measure_mesh(
         }
         let polygons = mesh.polygons();
         let mut known = match rig.filter(|_| landmarks.is_empty()) {
-            Some(rig) => measurement::Landmarks::of_rig(rig.folder(), rig.rig.landmarks(), polygons).map_err(input)?,
+            Some(rig) => measurement::Landmarks::of_rig(&rig.companions.landmarks, rig.rig.landmarks(), polygons)
+                .map_err(input)?,
             None => measurement::Landmarks::default(),
         };
         for landmarks in &landmarks {
-            let (set, _) = landmarks.in_millimetres(None, mesh)?;
+            let (set, _) = landmarks.in_millimetres(unit, mesh)?;
             known.add_set(&landmarks.path, set, polygons).map_err(input)?;
         }
         let regions = match regions {

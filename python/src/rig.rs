@@ -6,15 +6,19 @@ use std::path::{Path, PathBuf};
 use nonrigid::io::{Input, Inputs, KnownUnit, LengthUnit};
 use nonrigid::mesh::{PoseKind, Vec3};
 use nonrigid::rig::{
-    self, Family, Population, Regions, RigReadOptions, Shape, ShapeKind, ShapePca, ShapeSelection, TransferError,
-    TransferOptions, WeightFitOptions, WeightFitter,
+    self, COMPONENT_FILES, Companions, Family, NAMED_LANDMARKS, Population, RIG_FILES, Regions, RigForm,
+    RigReadOptions, Shape, ShapeKind, ShapePca, ShapeSelection, TransferError, TransferOptions, WeightFitOptions,
+    WeightFitter,
 };
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 use crate::arrays;
 use crate::errors::{computation, compute, guarded, input, value};
-use crate::mesh::{Measured, Mesh, check_plan, hashed, measured};
+use crate::mesh::{
+    Files, Measured, Mesh, anywhere, check_plan, files_in, files_out, hashed, measured, names_of_unit, refuse_beside,
+    unit_of_names,
+};
 
 /// A rig, millimetres, with the files that it came from.
 #[pyclass(frozen, module = "nonrigid._nonrigid")]
@@ -22,22 +26,38 @@ pub struct Rig {
     pub rig: rig::Rig,
     pub known: Option<KnownUnit>,
     pub files: Vec<Input>,
+    /// What goes along where it is written.
+    pub companions: Companions,
+    /// Components that it was made of.
+    pca: Option<ShapePca>,
+    /// Files of the rig or the meshes that it was made of, which it does not overwrite.
+    made_of: Vec<PathBuf>,
     notes: Vec<String>,
 }
 
 impl Rig {
     /// A rig of arrays.
     pub fn of_rig(rig: rig::Rig, notes: Vec<String>) -> Self {
-        Self { rig, known: None, files: Vec::new(), notes }
+        let (known, companions, pca) = (None, Companions::default(), None);
+        Self { rig, known, files: Vec::new(), companions, pca, made_of: Vec::new(), notes }
     }
 
-    /// The folder that it was read from, if it was one: there may be landmarks by name, which no rig holds.
-    pub fn folder(&self) -> Option<&Path> {
-        let neutral = ["neutral.npy", "neutral.obj", "neutral.ply", "template.obj", "template.ply"];
-        let is_neutral = |path: &&Path| path.file_name().is_some_and(|name| neutral.iter().any(|n| name == *n));
-        self.files.iter().map(|file| file.path.as_path()).find(is_neutral)?.parent()
+    /// Every file that it came from.
+    fn origins(&self) -> impl Iterator<Item = &PathBuf> {
+        self.files.iter().map(|file| &file.path).chain(&self.made_of)
     }
 }
+
+/// What a rig has besides shapes, for a copy or a pickle: files; files that it was made of; unit; the mesh of its materials; landmarks
+/// beside it; components, standard deviations and the variance of all.
+type Kept<'py> = (
+    Files,
+    Vec<OsString>,
+    Option<(String, String)>,
+    OsString,
+    Vec<(OsString, Option<Vec<u8>>)>,
+    Option<(Bound<'py, PyArray1<f64>>, Vec<f64>, f64)>,
+);
 
 fn family(name: &str) -> PyResult<Family> {
     match name {
@@ -85,13 +105,14 @@ impl Rig {
             let Measured { known, factor, note } = measured(&path, &rig.surface_points(), asked)?;
             rig.scale(factor);
             let notes = warnings.iter().map(ToString::to_string).chain(note).collect();
-            Ok(Self { rig, known: Some(known), files: inputs.files(), notes })
+            let companions = Companions::of(&path);
+            Ok(Self { known: Some(known), files: inputs.files(), companions, ..Self::of_rig(rig, notes) })
         })
     }
 
     /// `deltas`: shape by shape, vertex by vertex, x y z.
     #[staticmethod]
-    #[pyo3(signature = (neutral, mesh, names, families, deltas, landmarks, regions, files))]
+    #[pyo3(signature = (neutral, mesh, names, families, deltas, landmarks, regions, files, kept=None))]
     fn of(
         neutral: PyReadonlyArray2<'_, f64>,
         mesh: Option<&Mesh>,
@@ -101,6 +122,7 @@ impl Rig {
         landmarks: Option<Vec<u32>>,
         regions: Option<Vec<(String, Vec<u32>)>>,
         files: Vec<PathBuf>,
+        kept: Option<Kept<'_>>,
     ) -> PyResult<Self> {
         let neutral = arrays::points("neutral", &neutral)?;
         let families: Vec<Family> = families.iter().map(|f| family(f)).collect::<PyResult<_>>()?;
@@ -109,6 +131,7 @@ impl Rig {
         }
         let shapes = names.into_iter().zip(families).map(|(name, family)| Shape { name, family }).collect();
         let (vertices, deltas) = (neutral.len(), deltas.as_array().to_vec());
+        let materials = mesh.map(|m| m.materials.clone()).unwrap_or_default();
         let mesh = mesh.map(|m| m.polygons().clone());
         let (mut rig, warnings) = guarded(|| rig::Rig::new(neutral, mesh, shapes, deltas).map_err(input))?;
         if let Some(regions) = regions {
@@ -118,7 +141,36 @@ impl Rig {
             rig = rig.with_landmarks(landmarks).map_err(input)?;
         }
         let notes = warnings.iter().map(ToString::to_string).collect();
-        Ok(Self { rig, known: None, files: hashed(files)?, notes })
+        let Some((files, made_of, known, mesh, landmarks, pca)) = kept else {
+            let companions = Companions { mesh: materials, ..Companions::default() };
+            return Ok(Self { files: hashed(files)?, companions, ..Self::of_rig(rig, notes) });
+        };
+        let pca = pca.map(|(components, deviations, total)| {
+            let components = components.readonly().as_array().to_vec();
+            ShapePca::of_parts(rig.neutral().to_vec(), components, deviations, total).map_err(input)
+        });
+        let landmarks = landmarks.into_iter().map(|(path, text)| (path.into(), text)).collect();
+        Ok(Self {
+            known: known.map(unit_of_names).transpose()?,
+            files: files_in(files),
+            companions: Companions { mesh: mesh.into(), landmarks },
+            pca: pca.transpose()?,
+            made_of: made_of.into_iter().map(PathBuf::from).collect(),
+            ..Self::of_rig(rig, notes)
+        })
+    }
+
+    /// For a copy or a pickle.
+    #[getter]
+    fn kept<'py>(&self, py: Python<'py>) -> Kept<'py> {
+        let landmarks = self.companions.landmarks.iter().map(|(path, text)| (anywhere(path), text.clone())).collect();
+        let pca = self.pca.as_ref().map(|pca| {
+            let components = pca.components().to_vec().into_pyarray(py);
+            (components, pca.standard_deviations().to_vec(), pca.total_variance())
+        });
+        let made_of = self.made_of.iter().map(|path| anywhere(path)).collect();
+        let known = self.known.and_then(names_of_unit);
+        (files_out(&self.files), made_of, known, anywhere(&self.companions.mesh), landmarks, pca)
     }
 
     #[getter]
@@ -129,7 +181,8 @@ impl Rig {
     #[getter]
     fn mesh(&self) -> Option<Mesh> {
         let mesh = self.rig.mesh()?.clone();
-        Some(Mesh { known: self.known, ..Mesh::of_arrays(mesh.into()) })
+        let materials = self.companions.mesh.clone();
+        Some(Mesh { known: self.known, materials, ..Mesh::of_arrays(mesh.into()) })
     }
 
     #[getter]
@@ -181,34 +234,44 @@ impl Rig {
         self.files.iter().map(|f| f.path.clone().into()).collect()
     }
 
-    /// `form`: folder, shapes, npz or gltf.
-    fn write(&self, py: Python<'_>, path: PathBuf, form: &str, reads: Vec<PathBuf>) -> PyResult<()> {
-        let write = match form {
-            "folder" => rig::Rig::write,
-            "shapes" => rig::Rig::write_meshes,
-            "npz" => rig::Rig::write_npz,
-            "gltf" => rig::Rig::write_gltf,
+    /// `form`: folder, shapes, npz or gltf. Returns what is to be said of that.
+    fn write(&self, py: Python<'_>, path: PathBuf, form: &str) -> PyResult<Vec<String>> {
+        let form = match form {
+            "folder" => RigForm::Arrays,
+            "shapes" => RigForm::Meshes,
+            "npz" => RigForm::Npz,
+            "gltf" => RigForm::Gltf,
             _ => return Err(value(format!("form: {form:?}; there are folder, shapes, npz and gltf"))),
         };
         compute(py, Some(1), || {
-            if matches!(form, "folder" | "shapes") {
-                if let Some(file) = reads.iter().find(|file| file.starts_with(&path)) {
-                    return Err(value(format!(
-                        "{}: {} in it was read; give another folder",
-                        path.display(),
-                        file.display()
-                    )));
+            let materials = self.companions.materials(&self.rig, &path, form);
+            let of_mesh = Some(&self.companions.mesh).filter(|mesh| !mesh.as_os_str().is_empty());
+            let reads: Vec<PathBuf> = self.origins().chain(of_mesh).chain(materials.reads()).cloned().collect();
+            if let Some(mesh) = form.mesh_in(&path) {
+                let folder = real(&path);
+                if let Some(file) = self.origins().find(|file| real(file).starts_with(&folder)) {
+                    let (path, file) = (path.display(), file.display());
+                    return Err(value(format!("{path}: {file} in it was read; give another folder")));
                 }
-                if let Some(name) = self.rig.stranger_in(&path, form == "shapes") {
-                    return Err(value(format!(
-                        "{}: {name} is there, which would become a part of the rig",
-                        path.display()
-                    )));
+                if let Some(name) = self.rig.stranger_in(&path, form == RigForm::Meshes) {
+                    let message = format!("{name} is there, which would become a part of the rig");
+                    return Err(value(format!("{}: {message}", path.display())));
                 }
+                let of_materials = materials.writes(&mesh);
+                let shapes = self.rig.shapes().iter().map(|shape| format!("{}.obj", shape.name));
+                let names = match form {
+                    RigForm::Meshes => shapes.chain(["neutral.obj", "rig.json"].map(str::to_owned)).collect(),
+                    _ => RIG_FILES.into_iter().chain(COMPONENT_FILES).map(str::to_owned).collect::<Vec<_>>(),
+                };
+                let names = names.into_iter().chain(NAMED_LANDMARKS.map(str::to_owned)).map(|name| path.join(name));
+                check_plan(&reads, &names.chain(of_materials.clone()).collect::<Vec<_>>())?;
+                refuse_beside(&mesh, &of_materials)?;
             } else {
                 check_plan(&reads, std::slice::from_ref(&path))?;
             }
-            write(&self.rig, &path).map_err(input)
+            let missing = materials.missing.iter().map(|(_, told)| told.clone());
+            let written = self.companions.write(&self.rig, self.pca.as_ref(), &path, form, &materials);
+            Ok(missing.chain(written.map_err(input)?).collect())
         })
     }
 
@@ -220,8 +283,9 @@ impl Rig {
                 TransferError::Linear(_) => computation(e),
                 _ => input(e),
             })?;
-            let notes = warnings.iter().map(ToString::to_string).collect();
-            Ok(Self { rig, known: None, files: Vec::new(), notes })
+            let (companions, left) = self.companions.of_vertices();
+            let notes = warnings.iter().map(ToString::to_string).chain(left).collect();
+            Ok(Self { companions, made_of: self.origins().cloned().collect(), ..Self::of_rig(rig, notes) })
         })
     }
 
@@ -267,6 +331,7 @@ impl Rig {
         mesh: Option<&Mesh>,
         components: usize,
         align: &str,
+        made_of: Vec<PathBuf>,
     ) -> PyResult<(Self, Vec<f64>, Vec<f64>)> {
         let samples = samples.iter().map(|s| arrays::points("meshes", s)).collect::<PyResult<Vec<_>>>()?;
         let pose = pose_kind(align)?;
@@ -280,9 +345,18 @@ impl Rig {
             let (rig, warnings) = pca.to_rig(mesh.map(Mesh::polygons)).map_err(input)?;
             let notes = odd.into_iter().chain(warnings.iter().map(ToString::to_string)).collect();
             let (deviations, shares) = (pca.standard_deviations().to_vec(), pca.explained());
-            Ok((Self { rig, known: None, files: Vec::new(), notes }, deviations, shares))
+            let materials = mesh.map(|m| m.materials.clone()).unwrap_or_default();
+            let companions = Companions { mesh: materials, ..Companions::default() };
+            let rig = Self { companions, pca: Some(pca), made_of, ..Self::of_rig(rig, notes) };
+            Ok((rig, deviations, shares))
         })
     }
+}
+
+/// A path without links and steps back, as far as it is there.
+fn real(path: &Path) -> PathBuf {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    std::fs::canonicalize(&absolute).unwrap_or(absolute)
 }
 
 /// The meshes of a folder, by name.

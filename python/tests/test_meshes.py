@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from conftest import Data
 
 import nonrigid
-from nonrigid import Mesh
+from nonrigid import Mesh, data_gen
 
 SQUARE = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [5, 15, 0]], dtype=np.float64)
 TWO = [[0, 1, 2, 3], [3, 2, 4]]
@@ -103,6 +104,58 @@ def test_pickles_and_equality(data: Data) -> None:
     assert mesh.with_vertices(mesh.vertices + 1) != mesh and mesh != 3
     painted = Mesh(SQUARE, TWO, normals=SQUARE, colors=np.zeros((5, 3), dtype=np.uint8))
     assert pickle.loads(pickle.dumps(painted)) == painted
+
+
+def test_copies_overwrite_no_more_than_the_mesh(data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Mesh.read(data.template).write(tmp_path / "face.obj")
+    before = (tmp_path / "face.obj").read_bytes()
+    monkeypatch.chdir(tmp_path)
+    mesh = Mesh.read("face.obj")
+    for again in (copy.copy(mesh), copy.deepcopy(mesh), pickle.loads(pickle.dumps(mesh))):
+        assert again.unit == mesh.unit
+        (tmp_path / "elsewhere").mkdir(exist_ok=True)
+        monkeypatch.chdir(tmp_path / "elsewhere")
+        for made in (again, again.with_vertices(again.vertices * 2)):
+            with pytest.raises(ValueError, match="would overwrite"):
+                made.write(tmp_path / "face.obj")
+        again.write("copy.obj")
+        assert Path("copy.mtl").read_bytes() == (tmp_path / "face.mtl").read_bytes()
+    assert (tmp_path / "face.obj").read_bytes() == before
+
+
+def test_libraries_that_are_nowhere_are_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("face.mtl").write_text("newmtl mine\n")
+    mesh = data_gen.Face(1000, 1).rig.mesh
+    assert mesh is not None
+    mesh.write("a.obj")
+    assert not Path("a.mtl").exists() and "mtllib" not in Path("a.obj").read_text()
+
+
+def test_normals_of_a_cloud_are_written(tmp_path: Path) -> None:
+    normals = np.tile([0.0, 0.0, 1.0], (5, 1))
+    cloud = Mesh(SQUARE, normals=normals)
+    cloud.write(tmp_path / "cloud.ply")
+    assert np.array_equal(Mesh.read(tmp_path / "cloud.ply", unit="mm").normals, normals)
+    with pytest.warns(nonrigid.NonrigidWarning, match="no normals of a point cloud"):
+        cloud.write(tmp_path / "cloud.obj")
+    for name in ("n.ply", "n.obj"):
+        with pytest.raises(ValueError, match="finite coordinates"):
+            Mesh(SQUARE * np.nan, TWO).write(tmp_path / name)
+
+
+def test_a_mesh_is_in_millimetres(tmp_path: Path) -> None:
+    mesh = Mesh(SQUARE, TWO, unit="cm")
+    assert Mesh.of(mesh, unit="cm") is mesh
+    with pytest.raises(ValueError, match="unit"):
+        Mesh.of(mesh, unit="furlong")
+
+
+def test_masked_faces_are_refused() -> None:
+    hidden = np.ma.array([0, 1, 2], mask=[0, 0, 1])
+    for faces in ([hidden], [hidden, [0, 1, 2, 3]], np.ma.array([[0, 1, 2]], mask=[[0, 0, 1]])):
+        with pytest.raises(ValueError, match="without a mask"):
+            Mesh(SQUARE, faces)
 
 
 def colored() -> Mesh:

@@ -204,6 +204,18 @@ def test_pickles(registered: nonrigid.Registration, case: data_gen.Case, tmp_pat
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
+def test_a_pickle_saves_the_same_files(data: Data, tmp_path: Path) -> None:
+    found = nonrigid.register(data.template, data.scan(), landmarks=data.landmarks(), model="rigid")
+    for name, which in (("a", found), ("b", pickle.loads(pickle.dumps(found)))):
+        (tmp_path / name).mkdir()
+        which.save(tmp_path / name / "out.obj")
+        with pytest.raises(ValueError, match="would overwrite"):
+            which.save(data.template)
+    written = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()}
+    assert set(written) == {"out.obj", "out.mtl"}
+    assert written == {path.name: path.read_bytes() for path in (tmp_path / "b").iterdir()}
+
+
 def test_weights_have_standard_deviations(registered: nonrigid.Registration, face: data_gen.Face) -> None:
     assert list(registered.weights)[:54] == face.rig.names[:54] and len(registered.weights) == 58
     assert all(w.std_dev is None or w.std_dev > 0 for w in registered.weights.values())

@@ -29,6 +29,12 @@ def test_arrays(face: data_gen.Face) -> None:
     assert same(full, rig, 1e-4)
     centimetres = Rig(rig.neutral / 10, {n: d / 10 for n, d in shapes.items()}, unit="cm")
     assert same(centimetres, rig, 1e-4) and centimetres.mesh is None
+    mesh = Mesh(rig.neutral / 10, rig.mesh.faces, unit="cm")
+    for neutral, shapes_of in ((mesh, {}), (rig.neutral / 10, {}), (mesh, {"shape_kind": "full"})):
+        in_cm = {n: d / 10 + (rig.neutral / 10 if shapes_of else 0) for n, d in shapes.items()}
+        assert same(Rig(neutral, in_cm, unit="cm", **shapes_of), rig, 1e-4)
+    with pytest.raises(ValueError, match="families: none is given for browDown_L"):
+        Rig(rig.mesh, shapes, families={name: "other" for name in rig.names if name != "browDown_L"})
     with pytest.raises(ValueError, match="one for each vertex"):
         Rig(rig.neutral, {"a": rig.neutral[1:]})
     with pytest.raises(KeyError, match="no shape"):
@@ -50,6 +56,9 @@ def test_files(face: data_gen.Face, data: Data, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         Rig.read(tmp_path / "none")
     assert len(Rig.read(data.rig, identity_modes=2).names) == 56
+    for path in (data.rig, tmp_path / "b.npz"):
+        with pytest.raises(ValueError, match="identity_modes: expected a whole number from 0"):
+            Rig.read(path, identity_modes=-1)
     again = pickle.loads(pickle.dumps(rig))
     assert same(again, rig, 0) and again.mesh == rig.mesh and np.array_equal(again.landmarks, rig.landmarks)
 
@@ -63,6 +72,10 @@ def test_transfer_and_fit(face: data_gen.Face) -> None:
     fitted = mine.fit(frames)
     assert [abs(f.weights["jawOpen"] - w) < 0.02 for f, w in zip(fitted, (0.2, 0.6))] == [True, True]
     assert fitted[0].rms < 0.05 and fitted[0].converged and np.allclose(fitted[0].rotation, np.eye(3), atol=1e-3)
+    assert mine.fit([frames[0].vertices.tolist()], neutral=mine.neutral.tolist())[0].weights == fitted[0].weights
+    for options, words in [({"shapes": []}, "none to fit"), ({"bounds": (1, 0)}, "no weight lies between")]:
+        with pytest.raises(ValueError, match=words):
+            mine.fit(frames, **options)
     with pytest.raises(ValueError):
         mine.fit([frames[0].vertices[1:]])
     with pytest.raises(ValueError):
@@ -80,8 +93,10 @@ def test_pca(face: data_gen.Face, tmp_path: Path) -> None:
     assert same(Rig.pca(tmp_path, 3), rig)
     assert same(Rig.pca([m.vertices for m in people], 3), rig, 0)
     assert pickle.loads(pickle.dumps(rig)).explained.tolist() == rig.explained.tolist()
-    with pytest.raises(ValueError):
-        Rig.pca(people, 20)
+    assert same(Rig.pca([m.vertices.tolist() for m in people], 3), rig, 0)
+    for wrong in (20, 0, -1):
+        with pytest.raises(ValueError):
+            Rig.pca(people, wrong)
     with pytest.raises(ValueError, match="other polygons"):
         Rig.pca([people[0], Mesh(people[1].vertices, people[1].triangles)], 1)
 
@@ -143,6 +158,10 @@ def test_flame_arrays_and_pickles(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         check_flame(Rig.read(tmp_path / "flame.pkl"), arrays)
     few = nonrigid.read_flame(tmp_path / "flame.pkl", identity_modes=2, expressions=1)
     assert few.names == ["expression000", "identity000", "identity001"]
+
+    for negative in ("identity_modes", "expressions", "identities"):
+        with pytest.raises(ValueError, match=f"{negative}: expected a whole number from 0"):
+            nonrigid.read_flame(tmp_path / "flame.pkl", **{negative: -1})
 
     # made smaller, or in millimetres
     np.savez(tmp_path / "small.npz", **{**arrays, "shapedirs": arrays["shapedirs"][:, :, :150]})

@@ -11,7 +11,7 @@ use super::{Failure, check_output, check_output_folder, check_plan, has_extensio
 use crate::io::{FilePlan, LengthUnit, write_atomically};
 use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
-use crate::rig::{Regions, Rig, check_order};
+use crate::rig::{Companions, Regions, Rig, check_order};
 
 /// Arguments of `nonrigid measure`.
 #[derive(Debug, Args)]
@@ -139,7 +139,9 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     }
     let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
     let landmarks = match &rig {
-        Some((folder, rig)) if a.landmarks.is_empty() => Landmarks::of_rig(Some(folder), rig.landmarks(), &mesh),
+        Some((folder, rig)) if a.landmarks.is_empty() => {
+            Landmarks::of_rig(&Companions::of(folder).landmarks, rig.landmarks(), &mesh)
+        }
         _ => Landmarks::read(&a.landmarks, &mesh, unit),
     };
     let landmarks = landmarks.map_err(Failure::loading)?;

@@ -20,7 +20,7 @@ use crate::morph::{
     MorphError, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset,
     preset_names, preset_text, replay,
 };
-use crate::rig::Regions;
+use crate::rig::{Companions, Regions};
 
 /// Arguments of `nonrigid morph`.
 #[derive(Debug, Args)]
@@ -167,7 +167,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if let Some(folder) = &a.report {
         let mut known = Landmarks::default();
         if let (None, Some(rig)) = (&a.landmarks, &a.rig.rig) {
-            known = Landmarks::of_rig(Some(rig), of_rig.as_deref(), &before).map_err(Failure::loading)?;
+            known = Landmarks::of_rig(&Companions::of(rig).landmarks, of_rig.as_deref(), &before)
+                .map_err(Failure::loading)?;
         }
         if known.is_empty() {
             known = Landmarks::among(&landmarks).map_err(measure::failure)?;

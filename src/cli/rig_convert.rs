@@ -1,6 +1,5 @@
 //! `nonrigid rig convert`.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,11 +7,10 @@ use clap::Args;
 use super::inputs::{RigInput, rig_files};
 use super::units::UnitArguments;
 use super::{
-    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, materials_for, refuse_beside,
-    same_place, say, warn, write_json,
+    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, refuse_beside, same_place, say, warn,
 };
-use crate::io::{self, FilePlan, MaterialFiles, PlanError, WriteError};
-use crate::rig::{Family, NAMED_LANDMARKS, RIG_FILES, Rig, Shape};
+use crate::io::{FilePlan, PlanError};
+use crate::rig::{Companions, NAMED_LANDMARKS, RIG_FILES, Rig, RigForm, Shape, ShapePca};
 
 /// Arguments of `nonrigid rig convert`.
 #[derive(Debug, Args)]
@@ -110,65 +108,38 @@ impl RigOutput {
         extension.is_some_and(|e| e == "npz" || e == "glb" || !self.out.is_dir())
     }
 
-    /// Writes the rig, made of the one of `input`, with its materials, and says so and what the form does not hold.
+    fn form(&self) -> RigForm {
+        match (self.is_file(), self.format) {
+            (false, Format::Npy) => RigForm::Arrays,
+            (false, Format::Shapes) => RigForm::Meshes,
+            (true, _) if has_extension(&self.out, "npz") => RigForm::Npz,
+            (true, _) => RigForm::Gltf,
+        }
+    }
+
+    /// Writes the rig, made of the one of `input`, with what goes along, and says so and what the form does not hold.
     pub fn write(&self, rig: &Rig, input: &Path) -> Result<(), Failure> {
-        let shapes_folder = !self.is_file() && self.format == Format::Shapes;
-        let npz = self.is_file() && has_extension(&self.out, "npz");
-        let write: fn(&Rig, &Path) -> Result<(), WriteError> = match (self.is_file(), self.format) {
-            (false, Format::Npy) => Rig::write,
-            (false, Format::Shapes) => Rig::write_meshes,
-            (true, _) if npz => Rig::write_npz,
-            (true, _) => Rig::write_gltf,
-        };
-        let mesh = self.out.join(if shapes_folder { "neutral.obj" } else { "template.obj" });
-        let of_input = ["template.obj", "neutral.obj"].map(|name| input.join(name)).into_iter().find(|p| p.is_file());
-        let materials = of_input.filter(|_| !self.is_file()).map(|input| materials_beside(rig, &mesh, &input));
-        let materials = materials.transpose()?.unwrap_or_default();
-        write(rig, &self.out).map_err(Failure::writing)?;
-        bring_materials(rig, &mesh, &materials)?;
-        let lost = |what: &str| warn(format_args!("{}: this form of a rig holds no {what}", self.out.display()));
-        if shapes_folder && rig.shapes().iter().any(|s| s.family == Family::Identity) {
-            lost("families: identity modes are shapes like all others there");
-        }
-        if shapes_folder && rig.landmarks().is_some() {
-            lost("landmarks");
-        }
-        let named: Vec<&str> = NAMED_LANDMARKS.into_iter().filter(|name| input.join(name).is_file()).collect();
-        if self.is_file() && !named.is_empty() {
-            lost(&format!("named landmarks: {}", named.join(", ")));
-        }
-        for name in named.into_iter().filter(|_| !self.is_file()) {
-            // those by vertex hold on the new rig, whose vertices are in the old one's order
-            let path = input.join(name);
-            let vertices =
-                std::fs::read(&path).ok().and_then(|b| serde_json::from_slice::<BTreeMap<String, u32>>(&b).ok());
-            match vertices {
-                Some(vertices) => write_json(&self.out.join(name), &vertices)?,
-                None => warn(format_args!("{}: not taken along, since not all of it are vertices", path.display())),
-            }
-        }
-        if npz && rig.mesh().is_some_and(|m| !m.metadata.statements.is_empty()) {
-            lost("groups and materials");
-        }
+        write_with(&Companions::of(input), rig, None, &self.out, self.form())?;
         let (vertices, shapes) = (rig.neutral().len(), rig.shapes().len());
         say(format_args!("wrote {}: {vertices} vertices, {shapes} shapes", self.out.display()))
     }
 }
 
-/// The materials of a rig's mesh, which was read from `input`, to be copied beside `out`.
-pub fn materials_beside(rig: &Rig, out: &Path, input: &Path) -> Result<MaterialFiles, Failure> {
-    let materials = rig.mesh().map(|mesh| materials_for(out, input, mesh)).unwrap_or_default();
-    refuse_beside(out, materials.writes(out).into_iter().map(|path| ("--out", path)))?;
-    Ok(materials)
-}
-
-/// Copies materials beside the mesh of a rig that was written to `out`, which then names them.
-pub fn bring_materials(rig: &Rig, out: &Path, materials: &MaterialFiles) -> Result<(), Failure> {
-    let Some(mesh) = rig.mesh().filter(|_| !materials.is_empty()) else { return Ok(()) };
-    let mut mesh = mesh.with_positions(rig.neutral().to_vec());
-    let copied = materials.write(out, &mut mesh).map_err(Failure::writing)?;
-    io::write_obj(out, &mesh).map_err(Failure::writing)?;
-    copied.keep();
+/// Writes a rig with its companions, and says what the form does not hold.
+pub fn write_with(
+    companions: &Companions,
+    rig: &Rig,
+    pca: Option<&ShapePca>,
+    out: &Path,
+    form: RigForm,
+) -> Result<(), Failure> {
+    let materials = companions.materials(rig, out, form);
+    materials.missing.iter().for_each(|(_, told)| warn(told));
+    if let Some(mesh) = form.mesh_in(out) {
+        refuse_beside(&mesh, materials.writes(&mesh).into_iter().map(|path| ("--out", path)))?;
+    }
+    let notes = companions.write(rig, pca, out, form, &materials).map_err(Failure::writing)?;
+    notes.iter().for_each(warn);
     Ok(())
 }
 

@@ -1,17 +1,18 @@
 //! `nonrigid rig pca`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
 use super::inputs::Align;
-use super::rig_convert::{bring_materials, materials_beside, refuse_strangers};
+use super::rig_convert::{refuse_strangers, write_with};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output_folder, check_plan, on_threads, same_place, say, warn};
+use super::{Failure, Stage, check_output_folder, check_plan, has_extension, on_threads, same_place, say, warn};
 use crate::io::FilePlan;
 use crate::mesh::{PoseKind, bounding_box_diagonal};
 use crate::rig::{
-    COMPONENT_FILES, MOTIONLESS_SHARE, Population, PopulationError, RIG_FILES, ShapeInfo, ShapePca, mesh_files,
+    COMPONENT_FILES, Companions, MOTIONLESS_SHARE, Population, PopulationError, RIG_FILES, RigForm, ShapeInfo,
+    ShapePca, mesh_files,
 };
 
 /// Arguments of `nonrigid rig pca`.
@@ -52,6 +53,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
+    if ["npz", "glb"].iter().any(|extension| has_extension(&a.out, extension)) {
+        let message =
+            format!("--out: {} would be a folder; 'nonrigid rig convert' makes such a file of one", a.out.display());
+        return Err(Failure::new(Stage::Arguments, message));
+    }
     check_output_folder(&a.out)?;
     if same_place(&a.meshes, &a.out) {
         let message = "--out is the folder of --meshes: the mean would be one of the meshes the next time";
@@ -96,10 +102,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Computation, message));
     }
     refuse_strangers(&rig, &a.out, false)?;
-    let mesh = a.out.join("template.obj");
-    let materials = materials_beside(&rig, &mesh, Path::new(&population.names()[0]))?;
-    pca.write_with(&rig, &a.out).map_err(Failure::writing)?;
-    bring_materials(&rig, &mesh, &materials)?;
+    let companions = Companions { mesh: PathBuf::from(&population.names()[0]), ..Companions::default() };
+    write_with(&companions, &rig, Some(&pca), &a.out, RigForm::Arrays)?;
     say(format_args!("{} meshes of {} vertices, {alignment}", population.samples().len(), population.vertex_count()))?;
     print_table(&pca, &rig.info())?;
     say(format_args!("wrote {}", a.out.display()))

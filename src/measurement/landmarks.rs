@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::MeasurementError;
 use crate::io::LengthUnit;
-use crate::landmark::{LandmarkFormat, LandmarkSet, OffTemplate, TemplatePoint, read_landmark_set};
+use crate::landmark::{LandmarkFormat, LandmarkSet, OffTemplate, TemplatePoint, parse_landmark_set, read_landmark_set};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// A landmark: what its name means.
@@ -176,19 +176,26 @@ impl Landmarks {
         Ok(())
     }
 
-    /// Those that a rig has: the 68 in its folder, or else those that it holds itself, and those by name in its folder.
+    /// Those that a rig has: the 68 of a file beside it, or else those that it holds itself, and those by name of a file beside it. The
+    /// files come with what is in them, unless it cannot be read.
     ///
     /// # Errors
     /// As [`Self::read`].
     pub fn of_rig(
-        folder: Option<&Path>,
+        beside: &[(PathBuf, Option<Vec<u8>>)],
         numbered: Option<&[u32]>,
         template: &PolygonMesh,
     ) -> Result<Self, MeasurementError> {
-        let files = FILES_OF_RIG.map(|name| folder.map(|folder| folder.join(name)).filter(|path| path.exists()));
-        let of_files: Vec<&PathBuf> = files.iter().flatten().collect();
-        let mut landmarks = Self::read(&of_files, template, LengthUnit::Millimetre)?;
-        if let (None, Some(numbered)) = (&files[0], numbered) {
+        let mut landmarks = Self::default();
+        let file = |name: &str| beside.iter().find(|(path, _)| path.ends_with(name));
+        for (path, text) in FILES_OF_RIG.into_iter().filter_map(file) {
+            // what cannot be read says so when it is tried again
+            let read = || text.as_ref().map_or_else(|| read_landmark_set(path), |text| parse_landmark_set(text, path));
+            let mut set = read()?;
+            set.assume(LengthUnit::Millimetre);
+            landmarks.add_set(path, set, template)?;
+        }
+        if let (None, Some(numbered)) = (file(FILES_OF_RIG[0]), numbered) {
             let point = |(n, vertex): (usize, &u32)| (n.to_string(), TemplatePoint::Vertex(*vertex));
             landmarks.add(&numbered.iter().enumerate().map(point).collect::<Vec<_>>())?;
         }

@@ -7,6 +7,7 @@
 
 mod arkit;
 mod basis;
+mod companions;
 mod error;
 mod fit;
 mod gltf;
@@ -21,6 +22,7 @@ mod transfer;
 mod write;
 
 pub use basis::ShapeBasis;
+pub use companions::{Companions, NAMED_LANDMARKS, RigForm};
 pub use error::{RigError, RigWarning};
 pub use fit::{FittedFrame, WeightFitOptions, WeightFitter};
 pub use likeness::{Unlike, check_order};
@@ -32,7 +34,7 @@ pub use read::{RigReadOptions, ShapeKind, mesh_files};
 pub use regions::Regions;
 pub use subdivide::SubdivideError;
 pub use transfer::{TransferError, TransferOptions};
-pub use write::{NAMED_LANDMARKS, RIG_FILES};
+pub use write::RIG_FILES;
 
 use std::borrow::Cow;
 use std::path::Path;

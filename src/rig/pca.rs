@@ -161,6 +161,30 @@ impl ShapePca {
         Rig::new(self.mean.clone(), mesh, shapes, deltas)
     }
 
+    /// All components, one by one, vertex by vertex, x y z.
+    #[must_use]
+    pub fn components(&self) -> &[f64] {
+        &self.components
+    }
+
+    /// Components as [`fit`](Self::fit) has found them: [`mean`](Self::mean), [`components`](Self::components),
+    /// [`standard_deviations`](Self::standard_deviations), [`total_variance`](Self::total_variance).
+    ///
+    /// # Errors
+    /// When lengths do not fit.
+    pub fn of_parts(
+        mean: Vec<Vec3>,
+        components: Vec<f64>,
+        standard_deviations: Vec<f64>,
+        total_variance: f64,
+    ) -> Result<Self, RigError> {
+        let (found, expected) = (components.len() / 3, mean.len() * standard_deviations.len());
+        if components.len() != 3 * expected {
+            return Err(RigError::VertexCount { what: "the components".into(), found, expected });
+        }
+        Ok(Self { mean, components, standard_deviations, total_variance })
+    }
+
     /// Writes a rig, [as it writes itself](Rig::write), and the [components](Self::write_components) that it was made of, into one
     /// folder: all files or none.
     ///

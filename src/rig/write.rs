@@ -20,9 +20,6 @@ pub const RIG_FILES: [&str; 8] = [
     "identity_names.json",
 ];
 
-/// Files of a rig's folder that no [`Rig`] holds: vertices by the names of landmarks, as `measure` and `register` read them.
-pub const NAMED_LANDMARKS: [&str; 2] = ["landmarks.json", "landmarks_anthropometric.json"];
-
 impl Rig {
     /// Writes `template.obj` (if there are polygons), `neutral.npy` in 64 bits, and for each family that has shapes its
     /// deltas and names; shapes of no known family go with the expressions. Regions go into `regions.json`. Material

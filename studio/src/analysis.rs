@@ -3,7 +3,7 @@
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::measurement::{FaceState, Formula, LANDMARKS, Landmarks, Measurements, NamedRegion, Plan, Subject};
 use nonrigid::mesh::{PolygonMesh, Vec3};
-use nonrigid::rig::Regions;
+use nonrigid::rig::{Companions, Regions};
 
 use crate::case::Case;
 use crate::error::{Problem, problem};
@@ -19,7 +19,7 @@ pub fn landmarks(store: &Store, vault: &Vault, case: &Case, face: &PolygonMesh) 
     let mut known = Landmarks::default();
     if let Some(source) = &case.rig {
         let (path, rig) = (vault.path(&source.at)?, store.rig(vault, source, 0)?);
-        known = Landmarks::of_rig(Some(&path), rig.rig.landmarks(), face).map_err(problem)?;
+        known = Landmarks::of_rig(&Companions::of(&path).landmarks, rig.rig.landmarks(), face).map_err(problem)?;
     }
     if known.is_empty() {
         let own = case.wrap.pairs.iter().filter_map(|p| Some((p.name.clone(), TemplatePoint::Vertex(p.vertex?))));

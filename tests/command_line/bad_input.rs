@@ -219,6 +219,8 @@ const ROWS: &[Row] = &[
     ("rig pca", "--meshes nearly_one_way --align none", COMPUTATION, &["--components", "2 components", "only 1"]),
     ("rig pca", "--meshes clones", COMPUTATION, &["2 components", "4 meshes", "0 directions", "zero variance"]),
     ("rig pca", "--align sideways", ARGUMENTS, &["sideways", "rigid", "similarity", "none"]),
+    ("rig pca", "--out modes.npz", ARGUMENTS, &["modes.npz", "would be a folder", "rig convert"]),
+    ("rig pca", "--out modes.GLB", ARGUMENTS, &["modes.GLB", "would be a folder", "rig convert"]),
     ("rig pca", "--out schedule.toml", WRITING, &["schedule.toml", "not a folder"]),
     ("rig pca", "--out nowhere/rig", WRITING, &["nowhere/rig", "no folder"]),
     ("rig pca", "--out people/../people", ARGUMENTS, &["--out", "--meshes"]),
