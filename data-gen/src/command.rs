@@ -4,6 +4,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::scan::arguments::{camera_at, in_range};
@@ -11,8 +12,9 @@ use crate::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner, Subject,
     contact_sheet, preset_weights, simulate_scan, write_case, write_population, write_rig, write_weights,
 };
-use clap::Parser;
 use clap::builder::PossibleValuesParser;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, FromArgMatches as _, Parser};
 use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say};
 use nonrigid::io::FilePlan;
 use nonrigid::render::save_png;
@@ -142,30 +144,56 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn parsed(arguments: impl IntoIterator<Item = OsString>) -> Result<Arguments, Failure> {
+fn parsed(arguments: impl IntoIterator<Item = OsString>) -> Result<(Arguments, ArgMatches), Failure> {
     let line = std::iter::once(OsString::from("data-gen")).chain(arguments);
-    Arguments::try_parse_from(line).map_err(|e| {
+    let matches = command().try_get_matches_from(line);
+    let parsed = matches.and_then(|matches| Ok((Arguments::from_arg_matches(&matches)?, matches)));
+    parsed.map_err(|e| {
         let text = e.to_string();
         let lines: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
         Failure::new(Stage::Arguments, lines.join(" ").trim_start_matches("error: "))
     })
 }
 
-/// Does what the command line does with these arguments, without a word, on the threads of the caller.
+/// Does what the command line does with these arguments, without a word, on the threads of the caller. Between two folders it looks whether
+/// it is to `stop`.
 ///
 /// # Errors
-/// As the command line, at its stages.
-pub fn write(arguments: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
-    run(&parsed(arguments)?, &|_| Ok(()))
+/// As the command line, at its stages; and where it is stopped.
+pub fn write(arguments: impl IntoIterator<Item = OsString>, stop: &AtomicBool) -> Result<(), Failure> {
+    run(&parsed(arguments)?.0, &|_| {
+        if stop.load(Ordering::Relaxed) { Err(Failure::computation("stopped")) } else { Ok(()) }
+    })
 }
 
 /// The scan that these arguments of the command line describe, those of groups Cases, Scanner and Faults.
 ///
 /// # Errors
-/// When one of them makes no sense.
+/// When one of them makes no sense, or is of files, of which a scan alone has none.
 pub fn scan_options(arguments: impl IntoIterator<Item = OsString>) -> Result<ScanOptions, Failure> {
     let out = [OsString::from("--out"), OsString::from("nowhere")];
-    Ok(parsed(out.into_iter().chain(arguments))?.scan_options())
+    let (parsed, matches) = parsed(out.into_iter().chain(arguments))?;
+    let of_files = [
+        "threads",
+        "contact_sheet",
+        "rig",
+        "vertices",
+        "identity_modes",
+        "names",
+        "cases",
+        "frames",
+        "population",
+        "fps",
+    ];
+    let given = |id: &&str| matches.value_source(id) == Some(ValueSource::CommandLine);
+    match of_files.iter().find(|id| given(id)) {
+        None => Ok(parsed.scan_options()),
+        Some(id) => {
+            let option = if *id == "names" { "case".to_owned() } else { id.replace('_', "-") };
+            let message = format!("--{option}: has no effect on a scan alone, of a face that is there; leave it out");
+            Err(Failure::new(Stage::Arguments, message))
+        }
+    }
 }
 
 fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
@@ -352,11 +380,22 @@ mod help;
 
 #[cfg(test)]
 mod tests {
-    use super::{command, help};
+    use super::{command, help, scan_options};
 
     #[test]
     fn help_ends_with_examples_that_parse() {
         let faults = help::faults(&command());
         assert!(faults.is_empty(), "{}", faults.join("\n"));
+    }
+
+    #[test]
+    fn a_scan_alone_refuses_options_of_files() {
+        let told = |option: &str| scan_options([option.into()]).map(drop).map_err(|e| e.to_string());
+        assert_eq!(told("--noise=0.2"), Ok(()));
+        for option in ["population=3", "frames=4", "cases=2", "case=smile", "rig=x", "vertices=2000", "contact-sheet"] {
+            let error = told(&format!("--{option}")).unwrap_err();
+            let name = option.split('=').next().unwrap();
+            assert!(error.starts_with(&format!("--{name}: has no effect")), "{error}");
+        }
     }
 }

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike
+from ._mesh import Floats, Mesh, PathLike, count, count_or_none
 from ._rig import Rig
 
 __all__ = ["Case", "Face", "write"]
@@ -77,7 +77,7 @@ class Face:
 
     def __init__(self, vertices: int = 5000, identity_modes: int = 100) -> None:
         """vertices: of the template, approximately, 1,000 to 500,000. identity_modes: at most 200. Raises ValueError for other numbers."""
-        self._native = _nonrigid.Face(vertices, identity_modes)
+        self._native = _nonrigid.Face(count("vertices", vertices), count("identity_modes", identity_modes))
         self.rig = Rig._of(self._native.rig())
 
     @property
@@ -93,7 +93,7 @@ class Face:
 
         Raises ValueError for an option that makes no sense, ComputationError if the cameras see next to nothing.
         """
-        scan, truth, observed, vertices, points, expressions, identities = self._native.scan(_arguments(options), seed)
+        scan, truth, observed, vertices, points, expressions, identities = self._native.scan(_arguments(options), count("seed", seed, most=2**64 - 1))
         weights = dict(zip(self._native.expressions(), expressions))
         landmarks = {int(vertex): point for vertex, point in zip(vertices, points)}
         return Case(Mesh._of(scan), truth, observed, landmarks, weights, np.array(identities))
@@ -102,8 +102,8 @@ class Face:
 def write(out: PathLike, *, threads: int | None = None, **options: Any) -> None:
     """Writes what `data-gen --out OUT` writes, the same bytes: OUT/rig, and OUT/cases/NAME or OUT/sequence, OUT/population.
 
-    options: those of the command line with underscores: seed=7, vertices=5000, cases=20, frames=60, population=200, and those of `Face.scan`.
+    options: those of the command line with underscores: seed=7, vertices=5000, cases=20, frames=60, population=200, and those of `Face.scan`. Ctrl-C ends it between two folders.
 
     Raises ValueError for an option that makes no sense, OSError where it cannot be written.
     """
-    _nonrigid.write_data([f"--out={os.fspath(out)}", *_arguments(options)], threads)
+    _nonrigid.write_data([f"--out={os.fspath(out)}", *_arguments(options)], count_or_none("threads", threads))

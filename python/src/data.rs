@@ -12,7 +12,7 @@ use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{ComputationError, compute, input, value};
+use crate::errors::{ComputationError, compute, input, interruptible, value};
 use crate::mesh::Mesh;
 use crate::rig::Rig;
 
@@ -25,10 +25,10 @@ fn failed(failure: &Failure) -> PyErr {
     }
 }
 
-/// Folders of a rig and scans of it, as the command line makes them.
+/// Folders of a rig and scans of it, as the command line makes them. Ctrl-C ends it with what is whole.
 #[pyfunction]
 fn write_data(py: Python<'_>, arguments: Vec<OsString>, threads: Option<usize>) -> PyResult<()> {
-    compute(py, threads, || command::write(arguments).map_err(|e| failed(&e)))
+    interruptible(py, threads, |stop| command::write(arguments, stop).map_err(|e| failed(&e)))
 }
 
 /// A generated face at one resolution.

@@ -4,6 +4,8 @@ use std::any::Any;
 use std::error::Error;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -78,6 +80,30 @@ pub fn guarded<R>(work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let message = format!("a bug in nonrigid, please report it with what led to it: {}", said(&*panic));
         Err(ComputationError::new_err(message))
+    })
+}
+
+/// [`on_threads`] besides this one, which looks for Ctrl-C meanwhile; the work sees that it is to stop.
+pub fn interruptible<R: Send>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    work: impl FnOnce(&AtomicBool) -> PyResult<R> + Send,
+) -> PyResult<R> {
+    let stop = AtomicBool::new(false);
+    let stopped = &stop;
+    std::thread::scope(|scope| {
+        let thread = scope.spawn(move || on_threads(threads, || work(stopped)));
+        let mut interrupted = None;
+        while !thread.is_finished() {
+            if let Err(error) = py.check_signals() {
+                stop.store(true, Ordering::Relaxed);
+                interrupted.get_or_insert(error);
+            }
+            py.detach(|| std::thread::sleep(Duration::from_millis(20)));
+        }
+        let ended = || ComputationError::new_err("a thread of nonrigid has ended; please report it");
+        let outcome = thread.join().unwrap_or_else(|_| Err(ended()));
+        interrupted.map_or(outcome, Err)
     })
 }
 
