@@ -32,7 +32,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
 
 from . import _nonrigid
-from ._mesh import PathLike
+from ._mesh import PathLike, count, count_or_none
 from ._program import how
 
 __all__ = ["Batch", "run"]
@@ -381,8 +381,8 @@ class Batch:
     """What came of a batch."""
 
     rows: Sequence[dict[str, Any]] = field(default_factory=list)
-    """A row for each scan in the manifest's order, as summary.csv: name, status (done, doubtful, failed, pending), start, probability, inliers,
-    near, median, flipped, note."""
+    """A row for each scan in the manifest's order: name, status (done, doubtful, failed, pending), start, probability of an error (in summary.csv
+    error_probability), inliers, near, median (median_mm, millimetres), flipped, note."""
     before: int = 0
     """Scans that were done before."""
     ran: int = 0
@@ -422,6 +422,10 @@ def _options(given: Mapping[str, Any], known: list[str], paths: frozenset[str]) 
         if name in paths:
             text = _local(os.fspath(value))
             options.append((name, text if _url(text) else os.path.abspath(text)))
+        elif name == "unit" and isinstance(value, Mapping):
+            options.append((name, ",".join(f"{of.replace('_', '-')}={unit}" for of, unit in value.items())))
+        elif isinstance(value, Mapping):
+            raise TypeError(f"{key}: expected text, a number or a list, found {value!r}")
         elif isinstance(value, (list, tuple, set)):
             options.append((name, ",".join(str(item) for item in value)))
         else:
@@ -474,10 +478,13 @@ def run(
     storage = dict(storage_options or {})
     known, path_names = _nonrigid.batch_columns()
     paths = frozenset(path_names)
-    if not 1 <= threads <= 1024:
-        raise ValueError("threads: give a number from 1 to 1024")
-    if chunk is not None and chunk < 1:
-        raise ValueError("chunk: give a number of scans, 1 or more")
+    threads, fps, retries = count("threads", threads, 1, 1024), count("fps", fps, 1, 1000), count("retries", retries, -1)
+    chunk, jobs = count_or_none("chunk", chunk, 1), count_or_none("jobs", jobs, 1)
+    for what, flag in (("pictures", pictures), ("again", again)):
+        if not isinstance(flag, bool):
+            raise TypeError(f"{what}: expected True or False, found {flag!r}")
+    if smooth is not None and not isinstance(smooth, (int, float)):
+        raise TypeError(f"smooth: expected a frequency in Hz, or None, found {smooth!r}")
     common = _options(options, known, paths)
     listed = _local(os.fspath(manifest))
     if _url(listed):
@@ -492,14 +499,14 @@ def run(
         "program": "", "command": [], "folder": folder, "format": format, "pictures": pictures, "animation": animation, "fps": fps,
         "smooth": smooth, "threads": threads, "again": again, "options": common,
     }  # fmt: skip
+    engine, cores = _engine(scheduler, jobs, threads)
     holder = None
     if away:
         _refuse_clash(folder, format, rows, common, paths, listed)
     else:
         holder = _nonrigid.Holder(setting, listed, rows)
     try:
-        batch = Batch()
-        engine, batch.cores = _engine(scheduler, jobs, threads)
+        batch = Batch(cores=cores)
         run_id = uuid.uuid4().hex[:12]
         tasks = _Tasks(rows, _chunk(chunk, len(rows), batch.cores, scheduler), setting, paths, run_id, holder, storage)
         for k, result in engine(tasks, run_id, retries):

@@ -122,9 +122,20 @@ def test_what_makes_no_sense(data: Data, tmp_path: Path) -> None:
         ({"format": "stl"}, ValueError, "obj, ply and glb"),
         ({"chunk": 0}, ValueError, "chunk"),
         ({"threads": 0}, ValueError, "threads"),
+        ({"threads": 1.5}, TypeError, "threads: expected a whole number"),
+        ({"fps": 29.97}, TypeError, "fps: expected a whole number"),
+        ({"pictures": "yes"}, TypeError, "pictures: expected True or False"),
+        ({"jobs": 0}, ValueError, "jobs"),
+        ({"jobs": -1}, ValueError, "jobs"),
+        ({"scheduler": "slurm"}, TypeError, "scheduler"),
+        ({"regions": {"lips": 1}}, TypeError, "regions"),
     ]:
         with pytest.raises(error, match=words):
             run(**options)
+        assert not (tmp_path / "out").exists(), options
+    assert nonrigid.batch._options({"unit": {"template_landmarks": "cm", "target": "m"}}, ["unit"], frozenset()) == [
+        ("unit", "template-landmarks=cm,target=m")
+    ]
     with pytest.raises(FileNotFoundError, match="none.csv"):
         nonrigid.batch.run(tmp_path / "none.csv", tmp_path / "out")
     batch = run(identity_modes=3)
