@@ -89,7 +89,7 @@ fn one_failing_scan_never_stops_the_rest() {
         ("f1_scan", "done", "warm"),
         ("f3_scan", "done", "warm"),
         ("clay", "failed", "cold"),
-        ("-stiff", "doubtful", "cold"), // a smile
+        ("'-stiff", "doubtful", "cold"), // a smile, whose name is no formula
     ] {
         assert_eq!(summary[name], (status.to_owned(), start.to_owned()), "{name}");
     }

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use crate::awkward::{awkward, extent, plain};
-use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors, flipped_triangles};
+use nonrigid::evaluation::{
+    EvaluationError, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors, flipped_triangles,
+};
 use nonrigid::io::{
     PlyOptions, PlyPrecision, WriteError, read_polygon_mesh, read_scan, write_npy, write_ply, write_polygon_mesh,
 };
@@ -229,16 +231,20 @@ fn normals_and_areas_are_units_or_nothing() {
 fn evaluation_finds_no_error_where_there_is_none_and_counts_what_was_added() {
     for (name, mesh) in awkward() {
         let (p, triangles, count) = (&mesh.positions, mesh.triangulate(), mesh.positions.len());
-        let (errors, _) = TruthErrors::new(p, p, &vec![true; count], &triangles.triangles).unwrap();
-        assert_eq!((errors.rmse, errors.max, errors.flipped, errors.finite), (0.0, 0.0, 0, true), "{name}");
         assert_eq!(flipped_triangles(p, p, &triangles.triangles), Ok(0), "{name}");
         let (size, far) = extent(&mesh);
         let shift = Vec3::new(0.3, 0.4, 1.2) * size;
         let moved: Vec<Vec3> = p.iter().map(|p| p + shift).collect();
-        let (errors, vertices) = TruthErrors::new(&moved, p, &vec![true; count], &triangles.triangles).unwrap();
-        let expected = if count > 0 { shift.norm() } else { 0.0 };
-        assert!((errors.rmse - expected).abs() <= 1e-12 * size + 1e-14 * far, "{name}: {}", errors.rmse);
-        assert!(vertices.normal.iter().chain(&vertices.tangential).all(|e| e.is_finite()), "{name}");
+        let errors_of = |result: &[Vec3]| TruthErrors::new(result, p, &vec![true; count], &triangles.triangles);
+        if count == 0 {
+            assert_eq!(errors_of(p).unwrap_err(), EvaluationError::NothingObserved, "{name}");
+        } else {
+            let (errors, _) = errors_of(p).unwrap();
+            assert_eq!((errors.rmse, errors.max, errors.flipped, errors.finite), (0.0, 0.0, 0, true), "{name}");
+            let (errors, vertices) = errors_of(&moved).unwrap();
+            assert!((errors.rmse - shift.norm()).abs() <= 1e-12 * size + 1e-14 * far, "{name}: {}", errors.rmse);
+            assert!(vertices.normal.iter().chain(&vertices.tangential).all(|e| e.is_finite()), "{name}");
+        }
         let quality = MeshQuality::new(&mesh, &moved).unwrap();
         let stretch = [quality.stretch.min, quality.stretch.max];
         assert!(stretch.iter().all(|s| (s - 1.0).abs() < 1e-6), "{name}: {quality}");
