@@ -105,10 +105,10 @@ fn one_failing_scan_never_stops_the_rest() {
 
     // each is what `register` makes of it
     bench.done(&format!(
-        "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out stiff.obj --report stiff.json"
+        "register {OPTIONS} --target case/scan.ply --landmarks case/landmarks.json --model rigid --out ./-stiff.obj --report ./-stiff.json"
     ));
-    for name in ["stiff.obj", "stiff.json"] {
-        assert!(bench.read(name) == bench.read(&format!("out/-{name}")), "{name}");
+    for name in ["-stiff.obj", "-stiff.json"] {
+        assert!(bench.read(name) == bench.read(&format!("out/{name}")), "{name}");
     }
     // Two steps of each of four levels at most; a cold start takes what it needs.
     let [cold, warm] = ["f0", "f2"].map(|frame| steps(&bench, &format!("out/{frame}_scan.json")));
