@@ -198,11 +198,15 @@ pub fn read_painted_scan(path: &Path) -> Result<(Scan, Option<Paint>), ReadError
         check_coordinates(path, &mesh.positions)?;
         return Ok((Scan { mesh: mesh.into_triangles(), normals: None, colors }, Some(paint)));
     }
+    if gzip::inner_extension(path) == "ply" {
+        let bytes = gzip::read_unpacked(path)?; // once: it may be a pipe
+        let MeshFile { mesh, normals, colors } = parse_ply(&bytes, path)?;
+        check_coordinates(path, &mesh.positions)?;
+        let paint = material::paint_of_ply(path, &ply::texture_files(&bytes), &mesh)?;
+        return Ok((Scan { mesh: mesh.into_triangles(), normals, colors }, paint));
+    }
     let MeshFile { mesh, normals, colors } = read_mesh_file(path)?;
-    let paint = match gzip::inner_extension(path).as_str() {
-        "ply" => material::paint_of_ply(path, &ply::texture_files(&gzip::read_unpacked(path)?), &mesh)?,
-        _ => material::paint_of_obj(path, &mesh)?,
-    };
+    let paint = material::paint_of_obj(path, &mesh)?;
     Ok((Scan { mesh: mesh.into_triangles(), normals, colors }, paint))
 }
 

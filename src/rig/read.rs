@@ -283,14 +283,11 @@ fn files_of(folder: &Path, formats: &[&str]) -> Result<Vec<(String, PathBuf)>, R
         }
     }
     files.sort_by(|a, b| text::natural(&a.0, &b.0).then_with(|| a.cmp(b)));
-    match files.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-        None => Ok(files),
-        Some([(_, first), (name, second)]) => {
-            let expected = format!("one file called {name:?} in its folder");
-            Err(ReadError::malformed(second, Place::File, expected, format!("{} as well", first.display())))
-        }
-        Some(_) => unreachable!("windows of two"),
+    if let Some(((_, first), (name, second))) = files.iter().zip(files.iter().skip(1)).find(|(a, b)| a.0 == b.0) {
+        let expected = format!("one file called {name:?} in its folder");
+        return Err(ReadError::malformed(second, Place::File, expected, format!("{} as well", first.display())));
     }
+    Ok(files)
 }
 
 fn read_shape(path: &Path, kind: ShapeKind, neutral: &[Vec3]) -> Result<Vec<f32>, RigError> {
