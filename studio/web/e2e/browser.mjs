@@ -75,6 +75,9 @@ export async function until(what, test, seconds = 180) {
   }
 }
 
+/** Where an element is on the page. It may be drawn anew while it is asked for; then it is asked for again. */
+export const box = (locator) => until(`a place on the page for ${locator}`, () => locator.boundingBox());
+
 /** Opens the page and listens to what the server says: the last message of each type, and how many plans there were. */
 async function open(chromium, address) {
   const context = await chromium.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true });

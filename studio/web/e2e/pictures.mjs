@@ -3,7 +3,7 @@
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { browser, start, until, variance } from "./browser.mjs";
+import { box, browser, start, until, variance } from "./browser.mjs";
 
 const [studio, docs, frames] = process.argv.slice(2);
 const vault = mkdtempSync(join(tmpdir(), "studio-"));
@@ -53,7 +53,7 @@ await mode("Plan");
 await page.waitForTimeout(600);
 await page.getByRole("button", { name: "¾" }).click();
 await film(3);
-const range = await page.locator('[data-key="preset-nose-tip"]').boundingBox();
+const range = await box(page.locator('[data-key="preset-nose-tip"]'));
 const y = range.y + range.height / 2;
 await drag([range.x + range.width * 0.42, y], [range.x + range.width * 0.85, y], 8);
 await page.waitForTimeout(300);
@@ -70,7 +70,7 @@ for (let k = 1; k <= 24; k++) {
 await page.mouse.up();
 await page.waitForTimeout(400);
 await film(2);
-const handle = await until("the handle", () => page.locator(".handle").boundingBox());
+const handle = await box(page.locator(".handle"));
 await drag([handle.x + 9, handle.y + 9], [handle.x + 9, handle.y - 55], 8);
 await page.waitForTimeout(400);
 await film(2);

@@ -4,7 +4,7 @@
 import { execFileSync } from "node:child_process";
 import { copyFileSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { check, download, idle, journey, mode, shot, unpacked, until, variance } from "./browser.mjs";
+import { box, check, download, idle, journey, mode, shot, unpacked, until, variance } from "./browser.mjs";
 
 const [studio, nonrigid] = process.argv.slice(2).map((path) => resolve(path));
 await journey("studio", studio, async ({ folder, vault, visit, end, restart }) => {
@@ -80,7 +80,7 @@ await journey("studio", studio, async ({ folder, vault, visit, end, restart }) =
   const handle = page.locator(".handle");
   await handle.waitFor();
   await until("the mask is drawn", () => heard.plan.preview && heard.plan.results.length === 3);
-  const at = await until("the handle", () => handle.boundingBox());
+  const at = await box(handle);
   await page.mouse.move(at.x + at.width / 2, at.y + at.height / 2);
   await page.mouse.down();
   await page.mouse.move(at.x + at.width / 2, at.y - 30, { steps: 12 });
@@ -95,12 +95,12 @@ await journey("studio", studio, async ({ folder, vault, visit, end, restart }) =
   const times = [];
   await page.getByRole("tab", { name: "Smart operations" }).click();
   const range = page.locator('[data-key="preset-thin-face"]');
-  const box = await range.boundingBox();
-  await page.mouse.move(box.x + (box.width * 5) / 11, box.y + box.height / 2);
+  const slider = await box(range);
+  await page.mouse.move(slider.x + (slider.width * 5) / 11, slider.y + slider.height / 2);
   await page.mouse.down();
   for (let k = 1; k <= 10; k++) {
     const before = heard.plans;
-    await page.mouse.move(box.x + (box.width * (50 + 3 * k)) / 110, box.y + box.height / 2);
+    await page.mouse.move(slider.x + (slider.width * (50 + 3 * k)) / 110, slider.y + slider.height / 2);
     await until("a frame", () => heard.plans > before && heard.plan.preview);
     times.push(heard.plan.milliseconds);
   }

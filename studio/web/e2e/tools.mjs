@@ -3,7 +3,7 @@
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { check, download, idle, journey, mode, shot, until, variance } from "./browser.mjs";
+import { box, check, download, idle, journey, mode, shot, until, variance } from "./browser.mjs";
 
 const studio = resolve(process.argv[2]);
 const schedule = readFileSync(new URL("../../../src/model/schedules/hybrid.toml", import.meta.url), "utf8");
@@ -194,7 +194,7 @@ await journey("tools", studio, async ({ folder, visit }) => {
   for (const [width, height] of [[800, 600], [640, 360], [390, 844]]) {
     await page.setViewportSize({ width, height });
     await mode(page, "Clients");
-    const field = await page.locator(".details input").first().boundingBox();
+    const field = await box(page.locator(".details input").first());
     check(field.width > 100, `a client's name has ${Math.round(field.width)} px of ${width}`);
     await shot(page, `25-clients-${width}`);
     await mode(page, "Wrap");
@@ -202,11 +202,11 @@ await journey("tools", studio, async ({ folder, visit }) => {
     await shot(page, `25-wrap-${width}`);
     for (const part of ["header [aria-label]", "header [role=status]", ".panel .main", ".looks button"]) {
       for (const element of await page.locator(part).all()) {
-        const box = await element.boundingBox();
-        check(box.x >= 0 && box.x + box.width <= width, `${part} lies on a screen of ${width} px`);
+        const { x, width: own } = await box(element);
+        check(x >= 0 && x + own <= width, `${part} lies on a screen of ${width} px`);
       }
     }
-    const [left, right] = await Promise.all([0, 1].map((k) => page.locator(".pane-label").nth(k).boundingBox()));
+    const [left, right] = await Promise.all([0, 1].map((k) => box(page.locator(".pane-label").nth(k))));
     check(right.x - left.x > 100, `a pane has ${Math.round(right.x - left.x)} px of ${width}`);
   }
 
