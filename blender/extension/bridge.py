@@ -5,6 +5,7 @@ Lengths are millimetres."""
 from __future__ import annotations
 
 import json
+import re
 import sys
 import threading
 import warnings
@@ -15,6 +16,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 Result = TypeVar("Result")
+
+UNNAMED = "the mesh"
+"""A mesh for the package, which takes units from names of files too: an object may be called `face.glb`."""
 
 
 class Problem(Exception):
@@ -87,6 +91,22 @@ class Surface:
             and np.array_equal(self.starts, other.starts)
             and np.array_equal(self.corners, other.corners)
         )
+
+    def extent(self) -> float:
+        """The diagonal of the box that holds the middle 90 % of the surface along each axis, by which its unit is told."""
+        return float(np.linalg.norm(np.ptp(np.quantile(self._points(), [0.05, 0.95], axis=0), axis=0)))
+
+    def unit(self) -> tuple[float, str | None]:
+        """Millimetres of the unit in which this is a face, a head or a body; another that it could be in, in words. Raises ValueError."""
+        return package()._nonrigid.unit_of(UNNAMED, self._points())
+
+    def _points(self) -> np.ndarray:
+        used = np.zeros(len(self.positions), dtype=bool)
+        used[self.corners] = True
+        return self.positions[used]
+
+    def times(self, factor: float) -> Surface:
+        return replace(self, positions=self.positions * factor)
 
 
 class Job(Generic[Result]):
@@ -215,6 +235,29 @@ class Wrapped:
             landmarks={name: int(first[v]) for name, v in self.landmarks.items()},
             regions={name: np.flatnonzero(np.isin(of, vertices)) for name, vertices in self.regions.items()},
         )
+
+
+def unit_by_size(name: str, surface: Surface) -> tuple[float, str | None]:
+    """The unit of a mesh, millimetres, as `nonrigid register` finds it, and what is to be said of it. Raises Problem where its size does not tell."""
+
+    def named(said: object) -> str:  # what the package says, but for the argument to give
+        return name + re.split(r"[;,] say ", str(said))[0].removeprefix(UNNAMED)
+
+    try:
+        unit, doubt = surface.unit()
+    except ValueError as error:
+        raise Problem(f"{named(error)}: choose what a Blender unit is, Unit in the sidebar's tab Nonrigid") from error
+    return unit, doubt and f"{named(doubt)}, choose that Unit"
+
+
+def odd_size(name: str, surface: Surface, remedy: str) -> str | None:
+    """That a mesh, in millimetres as somebody has said, is then no face, head or body."""
+    try:
+        if surface.unit()[0] == 1.0:
+            return None
+    except ValueError:
+        pass
+    return f"{name} is {surface.extent():.3g} mm across, as no face, head or body is: {remedy}"
 
 
 def models() -> list[str]:

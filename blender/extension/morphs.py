@@ -58,8 +58,11 @@ class NONRIGID_OT_morph_add(bpy.types.Operator):
         thing = context.object
         try:
             names = [self.preset] if self.preset != ALL else [name for name, _ in bridge.preset_names()]
-            factor = float(thing.get(scene.MILLIMETRES, scene.millimetres(context.scene))) * scene.even_scale(thing)
-            surface = scene.base_surface(thing, factor)
+            context.view_layer.update()
+            scale = scene.even_scale(thing)
+            surface = scene.base_surface(thing, scale)
+            unit, doubt = scene.own_millimetres(context.scene, thing, surface)
+            factor, surface = unit * scale, surface.times(unit)
             landmarks = morph_landmarks(context, thing, surface, factor)
             there = set() if thing.data.shape_keys is None else set(thing.data.shape_keys.key_blocks.keys())
             if self.preset != ALL and scene.MORPH + self.preset in there:
@@ -75,6 +78,8 @@ class NONRIGID_OT_morph_add(bpy.types.Operator):
             key = scene.MORPH + name
             scene.add_key(thing, key, (surface.positions + morphed.delta) / factor, 0.0, morphed.range)
             scene.add_group(thing, key, morphed.mask)
+        if doubt is not None:
+            self.report({"WARNING"}, doubt)
         self.report({"INFO"}, f"{len(done)} morphs on {thing.name}; their sliders are millimetres")
         return {"FINISHED"}
 

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from . import bridge
 from .bridge import Problem, Surface, Wrapped, report_text
 
 DISTANCE = "nonrigid distance"
@@ -21,13 +22,23 @@ LANDMARKS = "nonrigid_landmarks"
 MILLIMETRES = "nonrigid_millimetres"
 OF_RIG = "nonrigid_of_rig"
 
-_UNITS = {"MM": 1.0, "CM": 10.0, "M": 1000.0}
+
+def millimetres(scene: bpy.types.Scene, name: str, surface: Surface) -> tuple[float, str | None]:
+    """How many a Blender unit is, for a mesh in Blender units; and what is to be said of that. Raises Problem where its size does not tell."""
+    chosen = scene.nonrigid.unit
+    if chosen == "SIZE":
+        return bridge.unit_by_size(name, surface)
+    unit = 1000.0 * scene.unit_settings.scale_length if chosen == "SCENE" else bridge.package()._nonrigid.millimetres(chosen.lower())
+    return unit, bridge.odd_size(name, surface.times(unit), f"Unit says that a Blender unit is {unit:g} mm")
 
 
-def millimetres(scene: bpy.types.Scene) -> float:
-    """How many a Blender unit is."""
-    unit = scene.nonrigid.unit
-    return _UNITS[unit] if unit in _UNITS else 1000.0 * scene.unit_settings.scale_length
+def own_millimetres(scene: bpy.types.Scene, thing: bpy.types.Object, surface: Surface) -> tuple[float, str | None]:
+    """The same, of a result as it was when it was wrapped."""
+    if MILLIMETRES not in thing:
+        return millimetres(scene, thing.name, surface)
+    unit = float(thing[MILLIMETRES])
+    remedy = f"it was wrapped where a Blender unit was {unit:g} mm; without its custom property {MILLIMETRES} Unit decides"
+    return unit, bridge.odd_size(thing.name, surface.times(unit), remedy)
 
 
 def even_scale(thing: bpy.types.Object) -> float:

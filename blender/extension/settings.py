@@ -36,11 +36,14 @@ FLIPS = [
 ]
 
 UNITS = [
-    ("MM", "Millimetres", "A Blender unit is a millimetre, as most scans and OBJ files have it"),
-    ("CM", "Centimetres", "A Blender unit is a centimetre"),
-    ("M", "Metres", "A Blender unit is a metre, as glTF files have it"),
-    ("SCENE", "Scene", "As Scene Properties > Units says: a Blender unit is its Unit Scale in metres"),
+    ("SIZE", "By Size", "The one in which a mesh is as large as a face, a head or a body", "NONE", 4),
+    ("MM", "Millimetres", "A Blender unit is a millimetre, as most scans and OBJ files have it", "NONE", 0),
+    ("CM", "Centimetres", "A Blender unit is a centimetre", "NONE", 1),
+    ("M", "Metres", "A Blender unit is a metre, as glTF files have it", "NONE", 2),
+    ("IN", "Inches", "A Blender unit is an inch", "NONE", 5),
+    ("SCENE", "Scene", "As Scene Properties > Units says: a Blender unit is its Unit Scale in metres", "NONE", 3),
 ]
+"""Files keep the numbers."""
 
 
 def _is_mesh(_settings: Settings, thing: bpy.types.Object) -> bool:
@@ -52,7 +55,7 @@ class Settings(bpy.types.PropertyGroup):
         name="Template", description="The mesh whose polygons, UVs and materials the result has", type=bpy.types.Object, poll=_is_mesh
     )
     scan: PointerProperty(name="Scan", description="The mesh whose shape the result has", type=bpy.types.Object, poll=_is_mesh)
-    unit: EnumProperty(name="Unit", description="What a Blender unit is", items=UNITS, default="MM")
+    unit: EnumProperty(name="Unit", description="What a Blender unit is", items=UNITS, default="SIZE")
     model: EnumProperty(name="Model", description="How the template may deform", items=MODELS, default="usual")
     schedule: StringProperty(
         name="Schedule", description="Levels and weights (.toml) instead of the model's own: 'nonrigid' documents the keys", subtype="FILE_PATH"

@@ -29,10 +29,17 @@ class Run:
         if template.data == scan.data:
             raise Problem(f"Template and scan are both {scan.name}: choose two meshes")
         context.view_layer.update()
-        unit = scene.millimetres(context.scene)
-        factor, scan_factor = unit * scene.even_scale(template), unit * scene.even_scale(scan)
-        surface = scene.base_surface(template, factor)
-        target = scene.seen_surface(scan, context.evaluated_depsgraph_get(), scan_factor)
+        scale, scan_scale = scene.even_scale(template), scene.even_scale(scan)
+        surface = scene.base_surface(template, scale)
+        target = scene.seen_surface(scan, context.evaluated_depsgraph_get(), scan_scale)
+        unit, doubt = scene.millimetres(context.scene, template.name, surface)
+        of_scan, scan_doubt = scene.millimetres(context.scene, scan.name, target)
+        if of_scan != unit:
+            found = f"{unit:g} mm for {template.name} and {of_scan:g} mm for {scan.name}"
+            raise Problem(f"By size a Blender unit is {found}: scale one of them, or choose Unit in the sidebar's tab Nonrigid")
+        self.notes = [note for note in (doubt, scan_doubt) if note is not None]
+        factor, scan_factor = unit * scale, unit * scan_scale
+        surface, target = surface.times(unit), target.times(unit)
         on_template, on_scan = scene.landmarks(template), scene.landmarks(scan)
         only_template, only_scan = scene.unpaired(on_template, on_scan)
         if only_template or only_scan:
@@ -79,6 +86,7 @@ class Run:
         wrapped = self.job.poll()
         if wrapped is None:
             return None
+        wrapped.notes[:0] = self.notes
         result, lost = scene.make_result(context, self.places, wrapped, self.worst)
         notes = [*wrapped.notes, *([lost] if lost else []), *(f"doubt: {doubt}" for doubt in wrapped.doubts)]
         return result, notes

@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from conftest import Data, Scene, everything, numbers
+from conftest import Data, Scene, everything, grow, numbers
 
 
 def no_template(scene: Scene) -> None:
@@ -66,6 +66,18 @@ def mirrored(scene: Scene) -> None:
 
 def flat(scene: Scene) -> None:
     scene.template.scale = (1.0, 0.0, 1.0)
+
+
+def size_of_no_face(scene: Scene) -> None:
+    grow(scene.scan, 0.01)
+
+
+def size_of_two_faces(scene: Scene) -> None:
+    grow(scene.template, 0.06)
+
+
+def sizes_of_two_units(scene: Scene) -> None:
+    grow(scene.scan, 0.001)
 
 
 def no_schedule(scene: Scene) -> None:
@@ -150,6 +162,9 @@ def scan_like_a_line(scene: Scene) -> None:
         (sheared_by_its_parent, "face is not scaled evenly"),
         (mirrored, "face is mirrored"),
         (flat, "face is not scaled evenly"),
+        (size_of_no_face, "scan: 2.* across, which no face is in mm, cm, m or um: choose what a Blender unit is"),
+        (size_of_two_faces, r"face: 1.* across, which a face may be in cm \(.* mm\) and in in \(.* mm\): choose what a Blender unit is"),
+        (sizes_of_two_units, "By size a Blender unit is 1 mm for face and 1000 mm for scan: scale one of them, or choose Unit"),
         (landmark_on_scan_alone, "without a partner: left ear only on scan"),
         (landmark_on_template_alone, "without a partner: left ear only on face"),
         (two_of_a_name, "two landmarks '"),

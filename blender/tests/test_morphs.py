@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -86,6 +88,35 @@ def test_what_is_there_stays(scene: Scene) -> None:
     assert bpy.ops.nonrigid.morph_add(preset="ALL") == {"FINISHED"}
     key = template.data.shape_keys.key_blocks["morph chin-forward"]
     assert np.array_equal(numbers(key.data), edited) and key.value == 2.0
+
+
+def morphed(preset: str) -> list[tuple[str, str]]:
+    """Adds a morph to the active mesh; what the operator reports."""
+    said: list[tuple[str, str]] = []
+    execute = vars(part("morphs").NONRIGID_OT_morph_add)["execute"]
+    operator = SimpleNamespace(preset=preset, report=lambda kind, text: said.append((*kind, text)))
+    assert execute(operator, bpy.context) == {"FINISHED"}
+    return said
+
+
+def test_a_template_in_metres(scene: Scene) -> None:
+    """Its unit is found; one that cannot be is said."""
+    template = scene.template
+    grow(template, 0.001)
+    bpy.context.view_layer.objects.active = template
+    assert [kind for kind, _ in morphed("nose-bridge")] == ["INFO"]
+    keys = template.data.shape_keys.key_blocks
+    assert 0.0009 < np.abs(numbers(keys["morph nose-bridge"].data) - numbers(keys[0].data)).max() < 0.0011
+    scene.chosen.unit = "MM"
+    (kind, text), _ = morphed("chin-forward")
+    assert kind == "WARNING" and "mm across, as no face" in text and text.endswith("Unit says that a Blender unit is 1 mm")
+
+
+def test_a_result_that_was_scaled(scene: Scene) -> None:
+    """Its millimetres are those of the wrap: that its size is no face's then is said."""
+    wrap().scale = (0.001, 0.001, 0.001)
+    (kind, text), _ = morphed("nose-bridge")
+    assert kind == "WARNING" and "it was wrapped where a Blender unit was 1 mm" in text
 
 
 def test_no_landmarks(scene: Scene, data: Data) -> None:

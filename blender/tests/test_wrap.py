@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -131,6 +132,28 @@ def test_places_units_and_scales(scene: Scene, data: Data) -> None:
         off = np.abs(1000.0 * seen(result) - local).max()
         assert off < 0.05, (unit, off)
         assert np.allclose(result.matrix_world, scan.matrix_world)
+
+
+def test_units_by_size(scene: Scene) -> None:
+    """A mesh is as large as a face, as importers bring it or scaled; what no face is in the unit that was chosen is said."""
+    expected = seen(wrap())
+    grow(scene.scan, 0.001)
+    scene.template.scale = (0.001, 0.001, 0.001)
+    result = wrap()
+    assert np.abs(1000.0 * seen(result) - expected).max() < 0.05 and result["nonrigid_millimetres"] == 1000.0
+    assert "Note: " not in result["nonrigid_report"].as_string()
+    scene.chosen.unit = "MM"
+    assert wrap()["nonrigid_report"].as_string().count("mm across, as no face, head or body is: Unit says that a Blender unit is 1 mm") == 2
+
+    thing, surface = scene.template, part("scene").base_surface(scene.template, 1.0)
+    millimetres = lambda factor: part("scene").millimetres(bpy.context.scene, thing.name, surface.times(factor))
+    for unit, length in (("MM", 1.0), ("CM", 10.0), ("M", 1000.0), ("IN", 25.4)):
+        scene.chosen.unit = unit
+        assert millimetres(1.0 / length) == (length, None)
+    scene.chosen.unit = "SIZE"
+    assert millimetres(0.001) == (1000.0, None)
+    found, doubt = millimetres(0.1)
+    assert found == 10.0 and re.fullmatch(r"face is taken for \d+ mm across, in cm; if it is in in, \d+ mm, choose that Unit", doubt)
 
 
 def test_template_from_gltf(scene: Scene, data: Data, tmp_path: Path) -> None:
