@@ -18,6 +18,7 @@ def _object(context: bpy.types.Context, on: str) -> bpy.types.Object:
     thing = chosen.template if on == "TEMPLATE" else chosen.scan
     if thing is None:
         raise Problem(f"No {on.lower()} is chosen: choose one in the sidebar's tab Nonrigid")
+    scene.refuse_disabled(context, thing)
     return thing
 
 

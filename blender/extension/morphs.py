@@ -32,7 +32,7 @@ def morph_landmarks(context: bpy.types.Context, thing: bpy.types.Object, surface
         return known
     empties = scene.landmarks(thing)
     if empties:
-        at = {name: factor * scene.array(scene.local_point(thing, empty)) for name, empty in empties.items()}
+        at = {name: factor * scene.array(scene.local_point(context, thing, empty)) for name, empty in empties.items()}
         return {name: surface.nearest(point) for name, point in at.items()}
     path = bpy.path.abspath(context.scene.nonrigid.rig_path)
     if not path:
@@ -58,6 +58,7 @@ class NONRIGID_OT_morph_add(bpy.types.Operator):
         thing = context.object
         try:
             names = [self.preset] if self.preset != ALL else [name for name, _ in bridge.preset_names()]
+            scene.refuse_disabled(context, thing)
             context.view_layer.update()
             scale = scene.even_scale(thing)
             surface = scene.base_surface(thing, scale)

@@ -41,6 +41,22 @@ def own_millimetres(scene: bpy.types.Scene, thing: bpy.types.Object, surface: Su
     return unit, bridge.odd_size(thing.name, surface.times(unit), remedy)
 
 
+def refuse_disabled(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """Raises Problem where Blender leaves an object's matrix and mesh as they once were: it is not shown in viewports, nor is a collection of
+    it. What the eye hides is kept up to date."""
+
+    def shown(layer: bpy.types.LayerCollection) -> bool:
+        if layer.collection.hide_viewport:
+            return False
+        return (not layer.exclude and thing.name in layer.collection.objects) or any(shown(child) for child in layer.children)
+
+    if thing.hide_viewport or not shown(context.view_layer.layer_collection):
+        raise Problem(
+            f"{thing.name} is disabled in viewports, or its collection is, and Blender keeps neither its place nor its modifiers up to date: "
+            "enable it in the Outliner, and hide it by the eye"
+        )
+
+
 def even_scale(thing: bpy.types.Object) -> float:
     """By how much the object is scaled. Raises Problem where that is not the same in all directions."""
     linear = np.array(thing.matrix_world.to_3x3(), dtype=np.float64)
@@ -153,8 +169,11 @@ def landmarks(thing: bpy.types.Object) -> dict[str, bpy.types.Object]:
     return found
 
 
-def local_point(thing: bpy.types.Object, empty: bpy.types.Object) -> Vector:
-    """Where an empty is in an object's coordinates."""
+def local_point(context: bpy.types.Context, thing: bpy.types.Object, empty: bpy.types.Object) -> Vector:
+    """Where an empty that is parented to an object is in its coordinates. Raises Problem where only Blender knows, and does not say."""
+    if empty.parent_type == "OBJECT" and not empty.constraints and empty.animation_data is None:
+        return (empty.matrix_parent_inverse @ empty.matrix_basis).translation  # also while it is disabled in viewports
+    refuse_disabled(context, empty)
     return thing.matrix_world.inverted() @ empty.matrix_world.translation
 
 

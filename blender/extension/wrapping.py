@@ -28,6 +28,8 @@ class Run:
                 raise Problem(f"No {what} is chosen: choose one in the sidebar's tab Nonrigid")
         if template.data == scan.data:
             raise Problem(f"Template and scan are both {scan.name}: choose two meshes")
+        for thing in (template, scan):
+            scene.refuse_disabled(context, thing)
         context.view_layer.update()
         scale, scan_scale = scene.even_scale(template), scene.even_scale(scan)
         surface = scene.base_surface(template, scale)
@@ -53,8 +55,8 @@ class Run:
             flip=None if chosen.flip == "SCHEDULE" else chosen.flip.lower(),
             rig=self._rig(chosen, template, factor),
             identity_modes=chosen.identity_modes,
-            template_landmarks={name: factor * scene.array(scene.local_point(template, empty)) for name, empty in on_template.items()},
-            scan_landmarks={name: scan_factor * scene.array(scene.local_point(scan, empty)) for name, empty in on_scan.items()},
+            template_landmarks={name: factor * scene.array(scene.local_point(context, template, empty)) for name, empty in on_template.items()},
+            scan_landmarks={name: scan_factor * scene.array(scene.local_point(context, scan, empty)) for name, empty in on_scan.items()},
             mask=scene.group_weights(template, chosen.mask),
             free_mask=scene.group_weights(template, chosen.free_mask),
             regions=tuple(name.strip() for name in chosen.free_regions.split(",") if name.strip()),

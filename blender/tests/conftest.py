@@ -146,6 +146,16 @@ def grow(thing: bpy.types.Object, factor: float) -> None:
         empty.location = empty.location * factor
 
 
+def moved_to_collection(thing: bpy.types.Object) -> bpy.types.LayerCollection:
+    """Puts an object into a collection of its own, and returns that as the view layer has it."""
+    collection = bpy.data.collections.new("apart")
+    bpy.context.scene.collection.children.link(collection)
+    for other in thing.users_collection:
+        other.objects.unlink(thing)
+    collection.objects.link(thing)
+    return bpy.context.view_layer.layer_collection.children[collection.name]
+
+
 def seen(thing: bpy.types.Object) -> np.ndarray:
     """(V, 3): what shape keys and modifiers make of an object, in its coordinates."""
     evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())

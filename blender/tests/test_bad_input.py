@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from conftest import Data, Scene, everything, grow, numbers
+from conftest import Data, Scene, everything, grow, moved_to_collection, numbers
 
 
 def no_template(scene: Scene) -> None:
@@ -66,6 +66,25 @@ def mirrored(scene: Scene) -> None:
 
 def flat(scene: Scene) -> None:
     scene.template.scale = (1.0, 0.0, 1.0)
+
+
+def disabled_scan(scene: Scene) -> None:
+    scene.scan.hide_viewport = True
+
+
+def scan_in_an_excluded_collection(scene: Scene) -> None:
+    moved_to_collection(scene.scan).exclude = True
+
+
+def template_in_a_disabled_collection(scene: Scene) -> None:
+    moved_to_collection(scene.template).collection.hide_viewport = True
+
+
+def disabled_landmark_that_follows(scene: Scene) -> None:
+    """Only where it is evaluated is it known where a constraint brings it."""
+    empty = scene.scan.children[0]
+    empty.constraints.new("COPY_LOCATION").target = scene.template
+    empty.hide_viewport = True
 
 
 def size_of_no_face(scene: Scene) -> None:
@@ -162,6 +181,10 @@ def scan_like_a_line(scene: Scene) -> None:
         (sheared_by_its_parent, "face is not scaled evenly"),
         (mirrored, "face is mirrored"),
         (flat, "face is not scaled evenly"),
+        (disabled_scan, "scan is disabled in viewports, .*: enable it"),
+        (scan_in_an_excluded_collection, "scan is disabled in viewports"),
+        (template_in_a_disabled_collection, "face is disabled in viewports"),
+        (disabled_landmark_that_follows, r"\d+\.\d+ is disabled in viewports"),
         (size_of_no_face, "scan: 2.* across, which no face is in mm, cm, m or um: choose what a Blender unit is"),
         (size_of_two_faces, r"face: 1.* across, which a face may be in cm \(.* mm\) and in in \(.* mm\): choose what a Blender unit is"),
         (sizes_of_two_units, "By size a Blender unit is 1 mm for face and 1000 mm for scan: scale one of them, or choose Unit"),

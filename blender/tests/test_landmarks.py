@@ -73,3 +73,18 @@ def test_the_same_name_pairs_and_is_not_given_twice(scene: Scene) -> None:
         with pytest.raises(RuntimeError, match=why):
             bpy.ops.nonrigid.landmark_add(on="TEMPLATE", name=name)
     assert everything() == before
+
+
+def test_not_on_what_is_disabled(scene: Scene) -> None:
+    """Blender knows neither its place nor its surface."""
+    scene.scan.hide_viewport = scene.template.hide_viewport = True
+    before = everything()
+    for add in (
+        lambda: bpy.ops.nonrigid.landmark_add(on="SCAN", name="chin"),
+        lambda: bpy.ops.nonrigid.landmark_pick(on="SCAN", name="chin", direction=(0, 0, -1)),
+        lambda: bpy.ops.nonrigid.landmarks_of_rig(),
+    ):
+        with pytest.raises(RuntimeError, match="is disabled in viewports") as raised:
+            add()
+        assert "Traceback" not in str(raised.value)
+    assert everything() == before

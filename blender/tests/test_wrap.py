@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
-from conftest import MARKS, MODULE, Data, Scene, everything, grow, imported, nearest, numbers, of_gltf, put, seen, turned
+from conftest import MARKS, MODULE, Data, Scene, everything, grow, imported, moved_to_collection, nearest, numbers, of_gltf, put, seen, turned
 
 
 def part(name: str) -> Any:
@@ -154,6 +154,31 @@ def test_units_by_size(scene: Scene) -> None:
     assert millimetres(0.001) == (1000.0, None)
     found, doubt = millimetres(0.1)
     assert found == 10.0 and re.fullmatch(r"face is taken for \d+ mm across, in cm; if it is in in, \d+ mm, choose that Unit", doubt)
+
+
+@pytest.mark.parametrize("by", ["viewports", "collection", "eye"])
+def test_hidden_landmarks(scene: Scene, by: str) -> None:
+    """They are where their parent is, though Blender does not look at them while they are hidden."""
+    expected = seen(wrap())
+    for empty in scene.scan.children:
+        if by == "viewports":
+            empty.hide_viewport = True
+        elif by == "eye":
+            empty.hide_set(True)
+        else:
+            moved_to_collection(empty).exclude = True
+    scene.scan.location.y += 400.0
+    scene.scan.rotation_euler = (0.3, 0.2, 0.1)
+    assert np.abs(seen(wrap()) - expected).max() < 1e-3
+
+
+def test_a_hidden_scan(scene: Scene) -> None:
+    """With its modifiers, as if it were seen."""
+    scene.scan.modifiers.new("thicker", "DISPLACE").strength = 6.0
+    expected = seen(wrap())
+    scene.scan.hide_set(True)
+    scene.template.hide_set(True)
+    assert np.array_equal(seen(wrap()), expected)
 
 
 def test_template_from_gltf(scene: Scene, data: Data, tmp_path: Path) -> None:
