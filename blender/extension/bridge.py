@@ -4,6 +4,7 @@ Lengths are millimetres."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import sys
@@ -84,13 +85,9 @@ class Surface:
         """The vertex nearest to a point."""
         return int(np.argmin(((self.positions - point) ** 2).sum(axis=1)))
 
-    def same_polygons(self, other: Surface) -> bool:
-        """Whether vertices and polygons are the same ones in the same order."""
-        return (
-            len(self.positions) == len(other.positions)
-            and np.array_equal(self.starts, other.starts)
-            and np.array_equal(self.corners, other.corners)
-        )
+    def topology(self) -> str:
+        """The same for the same vertices and polygons in the same order, wherever they lie."""
+        return hashlib.sha256(b"%d:%d:" % (len(self.positions), len(self.starts)) + self.starts.tobytes() + self.corners.tobytes()).hexdigest()
 
     def extent(self) -> float:
         """The diagonal of the box that holds the middle 90 % of the surface along each axis, by which its unit is told."""
@@ -289,19 +286,20 @@ def _refuse_other_mesh(rig: Any, name: str, vertices: int) -> None:
         raise Problem(f"The rig has {len(rig.neutral)} vertices and {name} {vertices}: a rig moves the vertices of its own template, in their order")
 
 
-def rig_landmarks(path: str, name: str, vertices: int) -> list[int]:
-    """The vertices of a rig's 68 landmarks, on a mesh of this name and count of vertices. Raises Problem where the rig cannot be read, is of
-    another mesh, or has none."""
+def rig_landmarks(path: str, name: str, surface: Surface) -> list[int]:
+    """The vertices of a rig's 68 landmarks, on a mesh of this name. Raises Problem where the rig cannot be read, is of another mesh, or has
+    none."""
     nonrigid = package()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", nonrigid.NonrigidWarning)
             rig = nonrigid.Rig.read(path, identity_modes=0)
+            _refuse_other_mesh(rig, name, len(surface.positions))
+            if rig.landmarks is None:
+                raise Problem(f"The rig at {path} has no landmarks")
+            nonrigid.measure(surface.mesh(), rig=rig)  # refuses vertices in another order
     except (ValueError, OSError, ImportError) as error:
         raise Problem(str(error)) from error
-    _refuse_other_mesh(rig, name, vertices)
-    if rig.landmarks is None:
-        raise Problem(f"The rig at {path} has no landmarks")
     return [int(v) for v in rig.landmarks]
 
 

@@ -150,7 +150,7 @@ class NONRIGID_OT_landmarks_of_rig(bpy.types.Operator):
             thing = _object(context, "TEMPLATE")
             path = bpy.path.abspath(chosen.rig_path)
             points = scene.basis(thing)
-            vertices = bridge.rig_landmarks(path, thing.name, len(points))
+            vertices = bridge.rig_landmarks(path, thing.name, scene.base_surface(thing, 1.0))
             there, size = scene.landmarks(thing), size_on(thing)
             made = 0
             for k, vertex in enumerate(vertices):

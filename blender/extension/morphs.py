@@ -26,18 +26,24 @@ def _presets(_self: object, _context: bpy.types.Context | None) -> list[tuple[st
 
 
 def morph_landmarks(context: bpy.types.Context, thing: bpy.types.Object, surface: bridge.Surface, factor: float) -> dict[str, int]:
-    """Vertices of a mesh by the names of landmarks: of a result its own, otherwise the empties on it, otherwise the rig's."""
+    """Vertices of a mesh by the names of landmarks: of a result its own while it has its vertices, otherwise the empties on it, otherwise the
+    rig's."""
     known: dict[str, int] = json.loads(thing.get(scene.LANDMARKS, "{}"))
-    if known:
+    if known and thing.get(scene.TOPOLOGY) == surface.topology():
         return known
     empties = scene.landmarks(thing)
     if empties:
         at = {name: factor * scene.array(scene.local_point(context, thing, empty)) for name, empty in empties.items()}
         return {name: surface.nearest(point) for name, point in at.items()}
+    if known:
+        raise Problem(
+            f"{thing.name} has other vertices or polygons than when it was wrapped, and its landmarks are lost with them: add morphs before such "
+            "changes, or choose it as the template and put landmarks on it"
+        )
     path = bpy.path.abspath(context.scene.nonrigid.rig_path)
     if not path:
         raise Problem(f"{thing.name} has no landmarks: morphs are drawn by the 68 of Multi-PIE, named 0 to 67. Choose a rig that has them")
-    return {str(k): vertex for k, vertex in enumerate(bridge.rig_landmarks(path, thing.name, len(surface.positions)))}
+    return {str(k): vertex for k, vertex in enumerate(bridge.rig_landmarks(path, thing.name, surface))}
 
 
 class NONRIGID_OT_morph_add(bpy.types.Operator):

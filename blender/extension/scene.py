@@ -19,6 +19,7 @@ SCAN_COLOUR = "nonrigid scan colour"
 DOUBT = "nonrigid doubt"
 MORPH = "morph "
 LANDMARKS = "nonrigid_landmarks"
+TOPOLOGY = "nonrigid_topology"
 MILLIMETRES = "nonrigid_millimetres"
 OF_RIG = "nonrigid_of_rig"
 
@@ -209,7 +210,7 @@ def make_result(context: bpy.types.Context, places: Places, wrapped: Wrapped, wo
     """A new object with the template's polygons, UVs and materials on the scan; with what was lost, where the template is not what it was."""
     template, lost = bpy.data.objects.get(places.template), None
     if template is not None and template.type == "MESH" and len(template.data.polygons) > 0:
-        same = base_surface(template, places.template_factor).same_polygons(places.surface)
+        same = base_surface(template, places.template_factor).topology() == places.surface.topology()
     else:
         same = False
     name = f"{places.scan} wrapped"
@@ -247,6 +248,7 @@ def make_result(context: bpy.types.Context, places: Places, wrapped: Wrapped, wo
     result["nonrigid_error_probability"] = wrapped.error_probability
     result["nonrigid_doubts"] = "\n".join(wrapped.doubts)
     result[LANDMARKS] = json.dumps(wrapped.landmarks)
+    result[TOPOLOGY] = places.surface.topology()
     result[MILLIMETRES] = places.unit
     mesh.update()
     return result, lost

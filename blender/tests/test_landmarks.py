@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from conftest import Data, Scene, everything, numbers, turned
+from conftest import Data, Scene, everything, numbers, put, turned
 
 
 def surface_distance(thing: bpy.types.Object, empty: bpy.types.Object) -> float:
@@ -87,4 +87,14 @@ def test_not_on_what_is_disabled(scene: Scene) -> None:
         with pytest.raises(RuntimeError, match="is disabled in viewports") as raised:
             add()
         assert "Traceback" not in str(raised.value)
+    assert everything() == before
+
+
+def test_of_a_rig_in_another_order(scene: Scene) -> None:
+    put(scene.template, numbers(scene.template.data.vertices)[::-1])
+    for empty in list(scene.template.children):
+        bpy.data.objects.remove(empty)
+    before = everything()
+    with pytest.raises(RuntimeError, match="in the rig's order"):
+        bpy.ops.nonrigid.landmarks_of_rig()
     assert everything() == before

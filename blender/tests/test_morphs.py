@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -88,6 +89,48 @@ def test_what_is_there_stays(scene: Scene) -> None:
     assert bpy.ops.nonrigid.morph_add(preset="ALL") == {"FINISHED"}
     key = template.data.shape_keys.key_blocks["morph chin-forward"]
     assert np.array_equal(numbers(key.data), edited) and key.value == 2.0
+
+
+def remove_vertices(thing: bpy.types.Object, count: int) -> None:
+    mesh = bmesh.new()
+    mesh.from_mesh(thing.data)
+    mesh.verts.ensure_lookup_table()
+    bmesh.ops.delete(mesh, geom=mesh.verts[:count], context="VERTS")
+    mesh.to_mesh(thing.data)
+    mesh.free()
+
+
+def greatest_motion(thing: bpy.types.Object, preset: str) -> np.ndarray:
+    """Where a morph moves most, in the object's coordinates."""
+    keys = thing.data.shape_keys.key_blocks
+    rest = numbers(keys[0].data)
+    return rest[np.linalg.norm(numbers(keys[f"morph {preset}"].data) - rest, axis=1).argmax()]
+
+
+def test_landmarks_are_those_of_the_vertices(scene: Scene, data: Data) -> None:
+    """A result whose vertices were removed has landmarks no more, until it is given some."""
+    result = wrap()
+    result.shape_key_clear()
+    tip = numbers(result.data.vertices)[data.face.rig.landmarks[30]]
+    edited = result.copy()
+    edited.data = result.data.copy()
+    bpy.context.collection.objects.link(edited)
+    assert bpy.ops.nonrigid.morph_add(preset="nose-tip") == {"FINISHED"}
+    assert np.array_equal(greatest_motion(result, "nose-tip"), tip)
+
+    remove_vertices(edited, 3)
+    bpy.context.view_layer.objects.active = edited
+    before = everything()
+    with pytest.raises(RuntimeError, match="has other vertices or polygons than when it was wrapped.*: add morphs before"):
+        bpy.ops.nonrigid.morph_add(preset="nose-tip")
+    assert everything() == before
+    for mark, vertex in enumerate(data.face.rig.landmarks):
+        empty = bpy.data.objects.new(str(mark), None)
+        empty.parent, empty.location = edited, numbers(result.data.vertices)[vertex]
+        bpy.context.collection.objects.link(empty)
+    bpy.context.view_layer.update()
+    assert bpy.ops.nonrigid.morph_add(preset="nose-tip") == {"FINISHED"}
+    assert np.array_equal(greatest_motion(edited, "nose-tip"), tip)
 
 
 def morphed(preset: str) -> list[tuple[str, str]]:
