@@ -319,6 +319,12 @@ def _step_count(schedule: dict[str, Any]) -> int:
     return sum(level["steps"] for stage in stages for level in stage.get("level", []))
 
 
+def _warn_of_idle_rig(nonrigid: Any, rig: Any, identity_modes: int, model: str) -> None:
+    if model == "hybrid" and identity_modes == 0 and all(family == "identity" for family in rig.families):
+        why = "nothing of the rig is used (Identity Modes takes modes of it): without blendshapes the hybrid is a graph that stays stiff"
+        warnings.warn(f"{why}; the model Graph of affine nodes comes nearer", nonrigid.NonrigidWarning, stacklevel=2)
+
+
 def wrap(given: Wrap, job: Job[Wrapped]) -> Wrapped:
     """Wraps; the work of a `Job`."""
     nonrigid = package()
@@ -346,6 +352,9 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
     levels = schedule.to_dict()
     total, done = max(_step_count(levels), 1), 0
     share = 0.7 if rig is not None else 0.9
+    modes = 0 if rig is None else min(given.identity_modes, rig.families.count("identity"))
+    if rig is not None:
+        _warn_of_idle_rig(nonrigid, rig, modes, model)
 
     def stepped(step: Any) -> bool:
         nonlocal done
@@ -359,7 +368,7 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
         template,
         scan,
         rig=rig,
-        identity_modes=0 if rig is None else min(given.identity_modes, rig.families.count("identity")),
+        identity_modes=modes,
         landmarks=given.scan_landmarks or None,
         template_landmarks=given.template_landmarks if given.scan_landmarks else None,
         model=model,

@@ -122,18 +122,22 @@ def seen_surface(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, factor
 
 
 def own_shape_keys(thing: bpy.types.Object, factor: float) -> dict[str, np.ndarray]:
-    """Displacements of an object's shape keys at 1, by name, times `factor`. Those of results and morphs are left out."""
+    """Displacements of an object's shape keys at 1, by name, times `factor`, as their vertex groups let them act. Morphs are left out."""
     keys = thing.data.shape_keys
     if keys is None or len(keys.key_blocks) < 2:
         raise Problem(f"{thing.name} has no shape keys: choose another source of the rig, or none")
     count = len(thing.data.vertices)
+    taken = [key for key in keys.key_blocks if key != keys.reference_key and not key.name.startswith(MORPH)]
+    # where a group is gone Blender lets the whole key act
+    weights = {group: group_weights(thing, group) for group in {key.vertex_group for key in taken} if group in thing.vertex_groups}
     shapes = {}
-    for key in keys.key_blocks:
-        if key == keys.reference_key or key.name.startswith(MORPH):
-            continue
+    for key in taken:
         delta = _numbers(key.data, "co", count) - _numbers(key.relative_key.data, "co", count)
-        if np.abs(delta).max() > 0.0:
-            shapes[key.name] = delta * factor
+        if not np.isfinite(delta).all():
+            raise Problem(f"{thing.name} has vertices that are not finite in the shape key {key.name!r}: delete it, or make it anew")
+        if key.vertex_group in weights:
+            delta *= weights[key.vertex_group][:, None]
+        shapes[key.name] = delta * factor
     return shapes
 
 

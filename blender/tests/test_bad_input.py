@@ -99,6 +99,12 @@ def sizes_of_two_units(scene: Scene) -> None:
     grow(scene.scan, 0.001)
 
 
+def shape_key_not_finite(scene: Scene) -> None:
+    scene.template.shape_key_add(name="Basis")
+    scene.template.shape_key_add(name="jawOpen").data[3].co.x = float("nan")
+    scene.chosen.rig_source = "KEYS"
+
+
 def no_schedule(scene: Scene) -> None:
     scene.chosen.schedule = "/nowhere/levels.toml"
 
@@ -188,6 +194,7 @@ def scan_like_a_line(scene: Scene) -> None:
         (size_of_no_face, "scan: 2.* across, which no face is in mm, cm, m or um: choose what a Blender unit is"),
         (size_of_two_faces, r"face: 1.* across, which a face may be in cm \(.* mm\) and in in \(.* mm\): choose what a Blender unit is"),
         (sizes_of_two_units, "By size a Blender unit is 1 mm for face and 1000 mm for scan: scale one of them, or choose Unit"),
+        (shape_key_not_finite, "face has vertices that are not finite in the shape key 'jawOpen'"),
         (landmark_on_scan_alone, "without a partner: left ear only on scan"),
         (landmark_on_template_alone, "without a partner: left ear only on face"),
         (two_of_a_name, "two landmarks '"),

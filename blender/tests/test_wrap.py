@@ -181,6 +181,33 @@ def test_a_hidden_scan(scene: Scene) -> None:
     assert np.array_equal(seen(wrap()), expected)
 
 
+def test_shape_keys_as_blender_shows_them(scene: Scene, data: Data) -> None:
+    """Within their vertex group; those that move nothing are named, and so is that none is left."""
+    template, rig = scene.template, data.face.rig
+    scene.chosen.rig_source = "KEYS"
+    for name in ("Basis", "still", "jawOpen"):
+        template.shape_key_add(name=name)
+    report = wrap()["nonrigid_report"].as_string()
+    for name in ("still", "jawOpen"):
+        assert f'Note: shape "{name}" moves nothing and was left out' in report
+    assert "Note: nothing of the rig is used" in report
+
+    rest = numbers(template.data.vertices)
+    key = template.data.shape_keys.key_blocks["jawOpen"]
+    key.data.foreach_set("co", (rest + rig.deltas[rig.names.index("jawOpen")]).astype(np.float32).ravel())
+    left = template.vertex_groups.new(name="left")
+    left.add(np.flatnonzero(rest[:, 0] > 10.0).tolist(), 1.0, "REPLACE")
+    left.add(np.flatnonzero(np.abs(rest[:, 0]) <= 10.0).tolist(), 0.5, "REPLACE")
+    for group in ("left", ""):
+        key.vertex_group, key.value = group, 1.0
+        shown = seen(template) - rest
+        key.value = 0.0
+        shapes = part("scene").own_shape_keys(template, 1.0)
+        assert np.abs(shapes["jawOpen"] - shown).max() < 1e-4
+    assert np.abs(shown[rest[:, 0] < -20.0]).max() > 5.0
+    assert "nothing of the rig" not in wrap()["nonrigid_report"].as_string()
+
+
 def test_template_from_gltf(scene: Scene, data: Data, tmp_path: Path) -> None:
     """Blender turns glTF: the rig's file turns with it. Its own shape keys do as well for a rig."""
     rig = data.face.rig
