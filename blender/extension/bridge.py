@@ -105,6 +105,13 @@ class Surface:
     def times(self, factor: float) -> Surface:
         return replace(self, positions=self.positions * factor)
 
+    def is_closed(self) -> bool:
+        """Whether it has no open edge."""
+        following = np.arange(1, len(self.corners) + 1)
+        following[self.starts[1:] - 1] = self.starts[:-1]
+        edges = np.sort(np.stack([self.corners, self.corners[following]], axis=1), axis=1)
+        return not (np.unique(edges, axis=0, return_counts=True)[1] == 1).any()
+
 
 class Job(Generic[Result]):
     """Work on a thread of its own. Who started it calls `poll` now and then."""
@@ -313,10 +320,14 @@ def similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.n
     return linear, to_middle - linear @ from_middle
 
 
-def _step_count(schedule: dict[str, Any]) -> int:
-    """Steps of all levels of a schedule and its stages, at most."""
-    stages = [schedule, *schedule.get("stage", [])]
-    return sum(level["steps"] for stage in stages for level in stage.get("level", []))
+def _step_count(schedule: dict[str, Any], closed: bool) -> int:
+    """Steps of all levels of a schedule and its further stages, at most; `closed` is whether its levels for closed subjects are the ones."""
+    stage, steps = schedule, 0
+    while stage is not None:
+        levels = schedule["closed"]["level"] if closed and stage is schedule else stage["level"]
+        steps += sum(level["steps"] for level in levels)
+        stage = stage.get("then")
+    return steps
 
 
 def _warn_of_idle_rig(nonrigid: Any, rig: Any, identity_modes: int, model: str) -> None:
@@ -350,7 +361,8 @@ def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
     model = given.model or ("sumner" if rig is None and given.schedule is None else "hybrid")
     schedule = nonrigid.Schedule.of(given.schedule, model)
     levels = schedule.to_dict()
-    total, done = max(_step_count(levels), 1), 0
+    identities = rig is None or all(family == "identity" for family in rig.families)
+    total, done = max(_step_count(levels, "closed" in levels and identities and given.template.is_closed()), 1), 0
     share = 0.7 if rig is not None else 0.9
     modes = 0 if rig is None else min(given.identity_modes, rig.families.count("identity"))
     if rig is not None:

@@ -35,8 +35,10 @@ def place(context: bpy.types.Context, thing: bpy.types.Object, name: str, point:
         raise Problem("The landmark has no name")
     if name in there:
         raise Problem(f"{thing.name} has a landmark {name!r} already, {there[name].name}: move that one, or delete it")
-    empty = bpy.data.objects.new(name, None)
-    if scene.landmark_name(empty) != name:
+    empty, partner = bpy.data.objects.new(name, None), bpy.data.objects.new(name, None)  # the name has to do for both of a pair
+    keeps = scene.landmark_name(empty) == name == scene.landmark_name(partner)
+    bpy.data.objects.remove(partner)
+    if not keeps:
         bpy.data.objects.remove(empty)
         raise Problem(f"{name!r} cannot be a landmark's name: it is too long, or ends like the numbers that Blender gives")
     empty.empty_display_type = "SPHERE"

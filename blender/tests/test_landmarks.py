@@ -69,7 +69,11 @@ def test_the_same_name_pairs_and_is_not_given_twice(scene: Scene) -> None:
     before = everything()
     with pytest.raises(RuntimeError, match="has a landmark 'chin' already"):
         bpy.ops.nonrigid.landmark_add(on="SCAN", name="chin")
-    for name, why in (("n" * 300, "too long"), ("chin.007", "numbers that Blender gives"), ("  ", "no name")):
+    longest = bpy.data.objects.new("n" * 300, None)
+    names = [("chin.007", "numbers that Blender gives"), ("P.1", "numbers that Blender gives"), ("  ", "no name")]
+    names += [(name, "too long") for name in ("n" * 300, longest.name)]  # the second fits, but not twice
+    bpy.data.objects.remove(longest)
+    for name, why in names:
         with pytest.raises(RuntimeError, match=why):
             bpy.ops.nonrigid.landmark_add(on="TEMPLATE", name=name)
     assert everything() == before

@@ -311,6 +311,37 @@ def test_progress_and_the_window(scene: Scene) -> None:
     assert "Level" in stages
 
 
+@pytest.mark.parametrize("model", ["hybrid", "sequential"])
+def test_steps_of_a_schedule(scene: Scene, model: str) -> None:
+    """Those that are done are no more, also with a stage that comes after."""
+    import nonrigid
+
+    bridge = part("bridge")
+    schedule = nonrigid.Schedule.of(None, model).to_dict()
+    sheet = scene_surface(scene.template)
+    assert not sheet.is_closed()
+    steps: list[Any] = []
+    rig = nonrigid.Rig.read(scene.chosen.rig_path)
+    nonrigid.register(rig.mesh, scene_surface(scene.scan).mesh(), rig=rig, model=model, callback=steps.append)
+    levels = [*schedule["level"], *schedule.get("then", {}).get("level", [])]
+    assert max(step.level for step in steps) == len(levels) - 1
+    assert len(steps) <= bridge._step_count(schedule, closed=False) == sum(level["steps"] for level in levels)
+
+
+def scene_surface(thing: bpy.types.Object) -> Any:
+    return part("scene").base_surface(thing, 1.0)
+
+
+def test_steps_for_a_closed_subject() -> None:
+    bridge = part("bridge")
+    corners = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3], dtype=np.int32)
+    tetrahedron = bridge.Surface(np.eye(4, 3), np.arange(0, 13, 3, dtype=np.int32), corners)
+    assert tetrahedron.is_closed()
+    assert not bridge.Surface(np.eye(4, 3), tetrahedron.starts[:-1], corners[:-3]).is_closed()
+    schedule = {"level": [{"steps": 2}], "closed": {"bend": [{"steps": 9}], "level": [{"steps": 5}]}, "then": {"level": [{"steps": 1}], "then": None}}
+    assert [bridge._step_count(schedule, closed) for closed in (False, True)] == [3, 6]
+
+
 class Manager:
     """Stands for a window manager, which Blender without a window lets no operator wait on."""
 
