@@ -257,7 +257,12 @@ impl Registration {
     #[getter]
     fn remarks(&self) -> Vec<String> {
         let of_landmarks = self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks);
-        let of_inputs = self.notes.iter().cloned().chain(self.result.scan_facing.remarks());
+        let of_inputs = self
+            .notes
+            .iter()
+            .cloned()
+            .chain(self.result.template_repair.remarks())
+            .chain(self.result.scan_facing.remarks());
         of_inputs.chain(of_landmarks).collect()
     }
 

@@ -1,5 +1,6 @@
 //! Reading what commands are given.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,7 +9,7 @@ use super::units::Units;
 use super::{Failure, Stage, file_name, has_extension, same_place, warn};
 use crate::io::{self, Inputs};
 use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate};
-use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal};
+use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 use crate::registration::ScanFlip;
 use crate::rig::{
     IDENTITY_MODES, Regions, Rig, RigReadOptions, RigWarning, ShapeBasis, ShapeKind, ShapeSelection,
@@ -31,7 +32,7 @@ pub fn read_landmarks(
     let Some(path) = scan_landmarks else { return Ok(Vec::new()) };
     let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, mesh, &mut set)?;
-    scan.map_or(Ok(()), |scan| check_span(path, &set, &scan.positions))?;
+    scan.map_or(Ok(()), |scan| check_span(path, &set, scan))?;
     let mut names = None;
     if let Some(path) = template_landmarks {
         let set = inputs.reading(TEMPLATE_LANDMARKS, || landmark::read_landmark_set(path));
@@ -46,9 +47,13 @@ pub fn read_landmarks(
 }
 
 /// Landmarks that span many times what their mesh does, or next to nothing of it, are in another unit.
-fn check_span(path: &Path, set: &LandmarkSet, mesh: &[Vec3]) -> Result<(), Failure> {
+fn check_span(path: &Path, set: &LandmarkSet, scan: &TriangleMesh) -> Result<(), Failure> {
     let points: Vec<Vec3> = set.positions().map(|(_, p)| p).collect();
-    let [span, whole] = [&points[..], mesh].map(bounding_box_diagonal);
+    let surface = match &scan.triangles[..] {
+        [] => Cow::Borrowed(&scan.positions[..]),
+        triangles => surface_points(&scan.positions, triangles.as_flattened().iter().copied()),
+    };
+    let [span, whole] = [&points[..], &surface].map(bounding_box_diagonal);
     if points.len() < 3 || (whole / 2000.0..=200.0 * whole).contains(&span) {
         return Ok(());
     }

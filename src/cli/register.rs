@@ -228,7 +228,12 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
     units.say();
-    let chosen = [("--shapes", a.rig.shapes.is_some()), ("--identity-modes", a.rig.identity_modes.is_some())];
+    let chosen = [
+        ("--shapes", a.rig.shapes.is_some()),
+        ("--identity-modes", a.rig.identity_modes.is_some()),
+        ("--expression-bounds", a.expression_bounds.is_some()),
+        ("--identity-bounds", a.identity_bounds.is_some()),
+    ];
     for (option, _) in chosen.iter().filter(|(_, given)| *given && !a.model().uses_shapes()) {
         warn(format_args!("{option} has no effect: --model {} has no blendshapes", a.model().name()));
     }
@@ -361,7 +366,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
 /// What was found wrong with scan and landmarks, and what was done about it.
 fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, colorless: bool) {
     let facing = result.scan_facing;
-    facing.remarks().iter().for_each(warn);
+    result.template_repair.remarks().iter().chain(&facing.remarks()).for_each(warn);
     if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
         warn(
             "scan and template face opposite ways, so that the normals of one of them face inwards: the scan was turned over; if a \

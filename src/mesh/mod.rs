@@ -34,6 +34,7 @@ pub use oriented_points::{ClosestDisc, OrientedPoints};
 pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
+pub(crate) use seam::first_at_place;
 pub use seam::sewn;
 pub use spikes::spikes;
 pub use subdivide::Subdivision;

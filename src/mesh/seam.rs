@@ -2,37 +2,51 @@
 
 use std::collections::HashMap;
 
-use super::TriangleMesh;
 use super::adjacency::EdgeGraph;
+use super::{TriangleMesh, Vec3, place};
 
 /// The first of the vertices with which each vertex is one point of the surface: itself, but along seams. A seam is a pair of edges of
-/// the open boundary that run in opposite directions between the same places, bit for bit; so lips that touch exactly are one, too.
+/// the open boundary that run in opposite directions between the same places, bit for bit, whose ends may each be `one`; so lips that
+/// touch exactly are one, too, unless that says otherwise.
 ///
 /// # Panics
 /// When a triangle indexes past the vertices.
 #[must_use]
-pub fn sewn(mesh: &TriangleMesh) -> Vec<u32> {
+pub fn sewn(mesh: &TriangleMesh, one: impl Fn(u32, u32) -> bool) -> Vec<u32> {
     let mut first: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    let place = first_at_place(&mesh.positions);
+    if place == first {
+        return first;
+    }
     let graph = EdgeGraph::of(mesh);
     let boundary = graph.boundary_edges();
     let on_boundary = |a: u32, b: u32| boundary.binary_search(&[a.min(b), a.max(b)]).is_ok();
     let sides = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
     let sides: Vec<[u32; 2]> = sides.filter(|[a, b]| on_boundary(*a, *b)).collect();
-    let place = |v: u32| super::place(&mesh.positions[v as usize]);
+    let between = |a: u32, b: u32| [place[a as usize], place[b as usize]];
     let mut at: HashMap<_, Vec<[u32; 2]>> = HashMap::new();
     for &[a, b] in &sides {
-        at.entry([place(a), place(b)]).or_default().push([a, b]);
+        at.entry(between(a, b)).or_default().push([a, b]);
     }
     for &[a, b] in &sides {
-        for &[c, d] in at.get(&[place(b), place(a)]).into_iter().flatten() {
-            join(&mut first, a, d);
-            join(&mut first, b, c);
+        for &[c, d] in at.get(&between(b, a)).into_iter().flatten() {
+            for (v, w) in [(a, d), (b, c)] {
+                if one(v, w) {
+                    join(&mut first, v, w);
+                }
+            }
         }
     }
     for v in 0..first.len() {
         first[v] = root(&first, v as u32); // lower ones are roots already
     }
     first
+}
+
+/// The first of the vertices at each one's place, bit for bit.
+pub(crate) fn first_at_place(positions: &[Vec3]) -> Vec<u32> {
+    let mut at = HashMap::with_capacity(positions.len());
+    (0..).zip(positions).map(|(v, p)| *at.entry(place(p)).or_insert(v)).collect()
 }
 
 /// The lowest vertex of those that are joined to one.
@@ -51,7 +65,6 @@ fn join(first: &mut [u32], a: u32, b: u32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Vec3;
 
     #[test]
     fn only_edges_that_run_in_opposite_directions_are_a_seam() {
@@ -62,9 +75,12 @@ mod tests {
             positions: [square(0.0), square(x)].concat(),
             triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
         };
-        assert_eq!(sewn(&two(1.0)), [0, 1, 2, 3, 1, 5, 6, 2]);
+        let all = |_, _| true;
+        assert_eq!(sewn(&two(1.0), all), [0, 1, 2, 3, 1, 5, 6, 2]);
         // apart, and on one another, where the edges run in the same direction
-        assert_eq!(sewn(&two(5.0)), [0, 1, 2, 3, 4, 5, 6, 7]);
-        assert_eq!(sewn(&two(0.0)), [0, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(sewn(&two(5.0), all), [0, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(sewn(&two(0.0), all), [0, 1, 2, 3, 4, 5, 6, 7]);
+        // and where one end of the edge is none
+        assert_eq!(sewn(&two(1.0), |v, w| v.min(w) != 2), [0, 1, 2, 3, 1, 5, 6, 7]);
     }
 }

@@ -72,7 +72,7 @@ pub fn add_detail(
     }
     let posed = template.with_positions(base.clone());
     let (scan, normals) = result.scan_facing.apply(input.scan, input.scan_normals);
-    let here = WarmStart { model: ModelKind::Free.to_string(), pose: Pose::identity(), parameters: Vec::new() };
+    let here = WarmStart::at_rest(ModelKind::Free.to_string(), Pose::identity());
     let finer = RegistrationInput {
         scan_normals: normals.as_deref(),
         mask: mask.as_deref(),

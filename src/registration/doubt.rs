@@ -248,7 +248,7 @@ impl std::fmt::Display for Doubt {
                 write!(f, "{count} landmarks leave the pose open; more of them, far apart, would settle it")
             }
             Self::NoShapes => f.write_str(
-                "without shapes nothing says where along smooth skin a vertex belongs: sliding is undetermined; a rig would tell",
+                "without shapes nothing says where along smooth skin a vertex belongs: sliding is undetermined; a model with shapes, and a rig, would tell",
             ),
             Self::BeyondShapes { rms } => write!(
                 f,

@@ -10,9 +10,11 @@ pub use setup::find_start;
 use setup::{Placed, build_terms, first_parameters, landmark_samples, model_input, warm_pose};
 
 use super::input::check_input;
+use super::one_surface::{OneSurface, TemplateRepair};
 use super::rest::Rest;
 use super::start::{self, Start};
 use super::untangle::untangle;
+use super::warm_start::fingerprint;
 use super::{
     KernelScale, Level, NamedWeight, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
     RegistrationStop, ScanFacing, Schedule, SolverOptions, StepAlgorithm, StepRecord, WarmStart,
@@ -52,8 +54,31 @@ pub fn register_with(
     schedule: &Schedule,
     observer: &mut dyn RegistrationObserver,
 ) -> Result<RegistrationResult, RegistrationError> {
-    let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     check_input(input, model)?;
+    let template = fingerprint(input.template);
+    if let Some(warm) = input.warm_start {
+        warm.check_template(&template)?;
+    }
+    let mut result = match OneSurface::of(input) {
+        None => register_surface(input, model, terms, schedule, observer)?,
+        Some(surface) => {
+            let mut observer = surface.observer(observer);
+            surface.result(register_surface(&surface.input(input), model, terms, schedule, &mut observer)?)
+        }
+    };
+    result.end.template = template;
+    Ok(result)
+}
+
+/// [`register_with`] for a template that is one surface.
+fn register_surface(
+    input: &RegistrationInput<'_>,
+    model: &dyn ModelFactory,
+    terms: &[&dyn TermFactory],
+    schedule: &Schedule,
+    observer: &mut dyn RegistrationObserver,
+) -> Result<RegistrationResult, RegistrationError> {
+    let schedule = schedule.of_subject(input.template, input.shapes).resolved(model, terms)?;
     let cancel = start::Cancel(observer.cancel());
     let mut run = Run::new(input, model, terms, &schedule, cancel)?;
     if input.warm_start.is_none() {
@@ -403,13 +428,14 @@ impl Run {
         RegistrationResult {
             positions,
             start: pose,
-            end: WarmStart { model, pose, parameters },
+            end: WarmStart { model, template: String::new(), pose, parameters },
             start_search: search,
             start_landmarks: by_landmarks,
             start_expression: self.start_expression,
             start_bent: self.start_bent,
             scan: self.scan,
             scan_facing: self.scan_facing,
+            template_repair: TemplateRepair::default(),
             untangled,
             weights,
             accepted: self.correspondences.weights.iter().map(|&w| w > 0.0).collect(),

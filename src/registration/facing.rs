@@ -2,7 +2,6 @@
 //! whose normals point inwards is turned over.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -10,7 +9,7 @@ use serde::Serialize;
 use crate::correspondence::ScanSurface;
 use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
 use crate::mesh::rows::Rows;
-use crate::mesh::{TriangleMesh, Vec3, place};
+use crate::mesh::{TriangleMesh, Vec3, first_at_place};
 
 /// What was done to a scan so that it is one surface that faces outwards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -110,13 +109,7 @@ pub(super) fn joined(scan: &TriangleMesh) -> (Cow<'_, TriangleMesh>, ScanFacing)
     (Cow::Owned(TriangleMesh { positions: scan.positions.clone(), triangles }), facing)
 }
 
-/// The first of the vertices at each one's place.
-fn first_at_place(positions: &[Vec3]) -> Vec<u32> {
-    let mut at = HashMap::with_capacity(positions.len());
-    (0..).zip(positions).map(|(v, p)| *at.entry(place(p)).or_insert(v)).collect()
-}
-
-fn is_collapsed([a, b, c]: &[u32; 3]) -> bool {
+pub(super) fn is_collapsed([a, b, c]: &[u32; 3]) -> bool {
     a == b || b == c || c == a
 }
 
@@ -139,6 +132,12 @@ fn leave_out<T>(items: &mut Vec<T>, indices: &[u32]) {
         k += 1;
         left_out.next_if_eq(&&(k - 1)).is_none()
     });
+}
+
+/// The scan, those of its triangles turned that face against their neighbours, and how many these are.
+pub(super) fn turned(scan: Cow<'_, TriangleMesh>) -> (Cow<'_, TriangleMesh>, usize) {
+    let shared = shared_edges(&scan).0;
+    turned_alike(scan, shared)
 }
 
 /// Turns triangles until neighbours agree, and says how many. Of two at an edge that only they share is known whether they run along it

@@ -8,6 +8,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
+use super::one_surface::facing_one_way;
 use super::{Doubt, Evidence, Quality, QualityError, RegistrationInput, RegistrationResult};
 use crate::mesh::{PolygonMesh, Vec3, spikes};
 
@@ -23,6 +24,9 @@ const OFF_THE_SCAN: f64 = 0.009;
 /// calibrated either: right results of the sets of `experiments silence` have 0.14 and 0.69 at most.
 const CONTRADICTED: f64 = 0.25;
 const UNSEEN: f64 = 0.75;
+
+/// 1st percentile of the edges' lengths after over before, below which parts have fallen together, as those do that nothing holds.
+const COLLAPSED: f64 = 0.1;
 
 /// How far a vertex stands out at least, as a share of the size (10 mm on a face), to be one of the [`spikes`], after which a result is as
 /// probably wrong as right at least: no median or percentile shows a few of them. Edges within an open or a pursed mouth grow by 4 mm.
@@ -56,8 +60,10 @@ pub fn assess(
     input: &RegistrationInput<'_>,
     result: &RegistrationResult,
 ) -> Result<(Quality, Reliability), QualityError> {
-    let quality = Quality::counted(input, &result.hidden, &result.scan, &result.positions, result.untangled)?;
-    let reliability = Reliability::of(input, result, &quality);
+    let turned = (result.template_repair.turned > 0).then(|| facing_one_way(input));
+    let input = RegistrationInput { template: turned.as_ref().unwrap_or(input.template), ..*input };
+    let quality = Quality::counted(&input, &result.hidden, &result.scan, &result.positions, result.untangled)?;
+    let reliability = Reliability::of(&input, result, &quality);
     Ok((quality, reliability))
 }
 
@@ -71,10 +77,12 @@ impl Reliability {
         let mirrored = evidence.handedness.against() > 0.0;
         let contradicted = evidence.coverage.contradicted > CONTRADICTED;
         let unseen = evidence.coverage.unseen > UNSEEN;
+        let collapsed = quality.mesh.stretch.p1 < COLLAPSED;
         let known = [
             (mirrored, Risk::Mirrored, MIRRORED),
             (contradicted, Risk::Contradicted, 0.5),
             (unseen, Risk::Unseen, 0.5),
+            (collapsed, Risk::Squeeze, 0.5),
             (off, Risk::Distance, 0.5),
             (rival, Risk::StartRival, RIVAL.1),
         ];

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::evidence::Seen;
 use super::{
     Coverage, DetailReport, LandmarkStart, NamedWeight, RegistrationInput, RegistrationResult, RegistrationStop,
-    Reliability, ScanFacing, Schedule, StartSearch, StepRecord, Untangled,
+    Reliability, ScanFacing, Schedule, StartSearch, StepRecord, TemplateRepair, Untangled,
 };
 use crate::correspondence::ScanSurface;
 use crate::evaluation::{DistanceSummary, EvaluationError, MeshQuality, flipped_triangles};
@@ -158,6 +158,8 @@ pub struct Report {
     pub start_bent: bool,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
+    /// What was done to the template, for the registration alone, so that it is one surface.
+    pub template_repair: TemplateRepair,
     /// What was taken apart after the last step, if the schedule says so.
     pub untangled: Option<Untangled>,
     /// Why it ended.
@@ -209,6 +211,7 @@ impl Report {
             start_expression: result.start_expression.clone(),
             start_bent: result.start_bent,
             scan_facing: result.scan_facing,
+            template_repair: result.template_repair,
             untangled: result.untangled,
             stop: result.stop,
             inliers: result.history.last().map_or(0.0, |h| h.inliers),

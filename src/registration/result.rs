@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;
 
-use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, Untangled, WarmStart};
+use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, TemplateRepair, Untangled, WarmStart};
 use crate::correspondence::ScanSurface;
 #[cfg(doc)]
 use crate::energy::Deformation;
@@ -129,6 +129,8 @@ pub struct RegistrationResult {
     pub scan: ScanSurface,
     /// What was done to the scan so that it faces outwards.
     pub scan_facing: ScanFacing,
+    /// What was done to the template, for the registration alone, so that it is one surface.
+    pub template_repair: TemplateRepair,
     /// What was taken apart after the last step, if the schedule says so; by it alone the positions differ from the model's.
     pub untangled: Option<Untangled>,
     /// Blendshape weights by name, with their standard deviations; those of the first stage, for later ones have none.

@@ -4,13 +4,17 @@
 use serde::{Deserialize, Serialize};
 
 use super::RegistrationError;
-use crate::mesh::{Pose, PoseKind, Vec3, weighted_closest_pose};
+use crate::io::sha256;
+use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, weighted_closest_pose};
 
 /// Where a registration has ended, and another one, of the same template with the same model and schedule, can go on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WarmStart {
     /// Name of the model.
     pub model: String,
+    /// What tells templates apart: see [`RegistrationResult::end`](super::RegistrationResult::end). Nothing is checked where it is empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub template: String,
     /// Pose of the model's frame in the scan's.
     pub pose: Pose,
     /// The parameters of the model, none where it starts at rest; of the first one, for schedules of several stages.
@@ -18,6 +22,21 @@ pub struct WarmStart {
 }
 
 impl WarmStart {
+    /// A model at rest in a pose, of any template.
+    #[must_use]
+    pub fn at_rest(model: String, pose: Pose) -> Self {
+        Self { model, template: String::new(), pose, parameters: Vec::new() }
+    }
+
+    /// Whether it is of a template with this [`fingerprint`].
+    pub(super) fn check_template(&self, template: &str) -> Result<(), RegistrationError> {
+        if self.template.is_empty() || self.template == template {
+            return Ok(());
+        }
+        let other = "it is of a template with other polygons, or vertices in another order".to_owned();
+        Err(RegistrationError::WarmStart(other))
+    }
+
     /// Whether these can be the parameters of a model.
     pub(super) fn check(&self, model: &str, parameters: usize) -> Result<(), RegistrationError> {
         let wrong = |what: String| Err(RegistrationError::WarmStart(what));
@@ -48,4 +67,12 @@ impl WarmStart {
             Err(_) => self.pose,
         }
     }
+}
+
+/// What tells templates apart whose vertices are not the same: a hash of their number and of the polygons.
+pub(super) fn fingerprint(template: &PolygonMesh) -> String {
+    let numbers = std::iter::once(template.positions.len() as u32)
+        .chain([&template.starts, &template.corners].into_iter().flatten().copied());
+    let bytes: Vec<u8> = numbers.flat_map(u32::to_le_bytes).collect();
+    sha256(&bytes)[..16].to_owned()
 }

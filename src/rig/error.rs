@@ -115,6 +115,17 @@ pub enum RigError {
         /// What was seen.
         why: Unlike,
     },
+    /// A file of a folder of meshes holds no shape of the neutral.
+    #[error(
+        "shape {name:?} is none of this rig: {why}; whether the folder's files are whole shapes or differences to the neutral, its \
+         rig.json says: {{\"kind\": \"full\"}}, {{\"kind\": \"delta\"}}"
+    )]
+    ShapeUnlike {
+        /// The shape.
+        name: String,
+        /// What was seen.
+        why: Unlike,
+    },
     /// Fewer identity modes than asked for.
     #[error("{asked} identity modes asked for, the rig has {found}")]
     IdentityModes {
@@ -140,6 +151,13 @@ pub enum RigWarning {
         /// What was seen.
         why: Unlike,
     },
+    /// A shape looks as if it were none of the neutral's.
+    ShapeUnlike {
+        /// The shape.
+        name: String,
+        /// What was seen.
+        why: Unlike,
+    },
     /// The neutral array and the polygon mesh disagree about where the vertices are; the array is used.
     NeutralDiffers {
         /// The largest distance, millimetres.
@@ -151,6 +169,7 @@ impl fmt::Display for RigWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unlike { what, why } => write!(f, "{what} is an odd mesh for this rig: {why}"),
+            Self::ShapeUnlike { name, why } => write!(f, "shape {name:?} is an odd one of this rig: {why}"),
             Self::Motionless { name } => write!(f, "shape {name:?} moves nothing and was left out"),
             Self::NeutralDiffers { distance } => {
                 write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape, first_not_finite};
+use super::{Family, MOTIONLESS_SHARE, Regions, Rig, RigError, RigWarning, Shape, Unlike, first_not_finite, likeness};
 use crate::io::{
     Noting, NpyArray, Place, ReadError, check_side_file, extension, read_file, read_npy_points, read_polygon_mesh,
     refuse_unfinished, unpacked_name, without_mark,
@@ -251,14 +251,23 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
         }
     };
     let noting = Noting::here();
-    let read: Vec<Result<Vec<f32>, RigError>> =
-        files.par_iter().map(|(_, path)| Noting::along(noting.as_ref(), || read_shape(path, kind, &neutral))).collect();
+    let triangles = mesh.triangulate().triangles;
+    let read = |(name, path): &(String, PathBuf)| {
+        let shape = Noting::along(noting.as_ref(), || read_shape(path, kind, &neutral))?;
+        Ok((odd_shape(name, &neutral, &triangles, &shape)?, shape))
+    };
+    let read: Vec<Result<(Vec<RigWarning>, Vec<f32>), RigError>> = files.par_iter().map(read).collect();
     let mut deltas = Vec::with_capacity(3 * neutral.len() * files.len());
+    let mut odd = Vec::new();
     for shape in read {
-        deltas.extend(shape?);
+        let (odd_shape, shape) = shape?;
+        odd.extend(odd_shape);
+        deltas.extend(shape);
     }
     let shapes = files.into_iter().map(|(name, _)| Shape { name, family: Family::Other }).collect();
-    Rig::new(neutral, Some(mesh), shapes, deltas)
+    let (rig, warnings) = Rig::new(neutral, Some(mesh), shapes, deltas)?;
+    odd.extend(warnings);
+    Ok((rig, odd))
 }
 
 /// The OBJ and PLY files of a folder, packed or not, or where there are none its GLB files: each with its name without extensions, by
@@ -288,6 +297,32 @@ fn files_of(folder: &Path, formats: &[&str]) -> Result<Vec<(String, PathBuf)>, R
         return Err(ReadError::malformed(second, Place::File, expected, format!("{} as well", first.display())));
     }
     Ok(files)
+}
+
+/// What is odd about a shape as one of the neutral's, whose displacements are given.
+///
+/// # Errors
+/// When it can be none: its vertices are in another order or in another unit, or fall together.
+fn odd_shape(
+    name: &str,
+    neutral: &[Vec3],
+    triangles: &[[u32; 3]],
+    displacements: &[f32],
+) -> Result<Vec<RigWarning>, RigError> {
+    let (each, _) = displacements.as_chunks::<3>();
+    let moved = |(n, d): (&Vec3, &[f32; 3])| n + Vec3::from(d.map(f64::from));
+    let shape: Vec<Vec3> = neutral.iter().zip(each).map(moved).collect();
+    let of_shape = |why| RigError::ShapeUnlike { name: name.to_owned(), why };
+    let doubts = match likeness::compare(neutral, triangles, &shape) {
+        Ok(likeness) => likeness.doubts,
+        // what turns by more than a right angle faces backwards
+        Err(why @ Unlike::Folded { .. }) => vec![why],
+        Err(why) => return Err(of_shape(why)),
+    };
+    match doubts.iter().find(|why| matches!(why, Unlike::Size { .. })) {
+        Some(why) => Err(of_shape(*why)),
+        None => Ok(doubts.into_iter().map(|why| RigWarning::ShapeUnlike { name: name.to_owned(), why }).collect()),
+    }
 }
 
 fn read_shape(path: &Path, kind: ShapeKind, neutral: &[Vec3]) -> Result<Vec<f32>, RigError> {

@@ -135,6 +135,17 @@ impl Regions {
         self.polygons.get(at).map(Vec::as_slice)
     }
 
+    /// The same regions on a mesh of so many vertices, where `vertex` says which each one is there.
+    pub(crate) fn on(&self, vertex_count: usize, vertex: impl Fn(u32) -> u32) -> Self {
+        let moved = |(name, vertices): &(String, Vec<u32>)| {
+            let mut vertices: Vec<u32> = vertices.iter().map(|&v| vertex(v)).collect();
+            vertices.sort_unstable();
+            vertices.dedup();
+            (name.clone(), vertices)
+        };
+        Self { vertex_count, regions: self.regions.iter().map(moved).collect(), polygons: Vec::new() }
+    }
+
     /// A mask, one number per vertex: 1 in the regions of these names, 0 elsewhere.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use nonrigid::io::{
 use nonrigid::landmark::read_landmarks;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
-use nonrigid::mesh::{ObjStatement, PolygonMesh, TriangleMesh, Vec3};
+use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{ModelKind, WITHIN_MM};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -78,8 +78,48 @@ fn materials_that_stay_behind_are_said() {
     assert_eq!(bench.read("d.mtl"), b"mine");
     // what a glTF notes of an OBJ's libraries is not beside the result
     assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
-    let said = bench.run(&format!("{FIT} {INPUTS} --shapes jawOpen --model arap --out arap.obj")).stderr;
-    assert!(said.contains("--shapes has no effect: --model arap"), "{said}");
+}
+
+#[test]
+fn options_of_shapes_are_said_where_the_model_has_none() {
+    let said = |model: &str| {
+        let bench = Bench::new();
+        let options = "--shapes jawOpen --expression-bounds 0,1 --identity-bounds=-3,3";
+        bench.run(&format!("{FIT} {INPUTS} {options} --model {model} --out a.obj")).stderr
+    };
+    let arap = said("arap");
+    for option in ["shapes", "expression-bounds", "identity-bounds"] {
+        assert!(arap.contains(&format!("--{option} has no effect: --model arap")), "{arap}");
+    }
+    assert!(!said("hybrid").contains("no effect"));
+}
+
+#[test]
+fn a_template_whose_corners_are_all_its_own_stays_together() {
+    let bench = Bench::new();
+    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let corners: Vec<u32> = template.corners.clone();
+    let soup = PolygonMesh {
+        positions: corners.iter().map(|&v| template.positions[v as usize]).collect(),
+        corners: (0..corners.len() as u32).collect(),
+        metadata: ObjMetadata::default(),
+        ..template
+    };
+    write_obj(&bench.path("soup.obj"), &soup).unwrap();
+    let run = bench.run("register --template soup.obj --target case/scan.ply --out s.obj --report s.json");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let twice = corners.len() - template.positions.len();
+    assert!(
+        run.stderr.contains(&format!("{twice} vertices of the template stand where another does")),
+        "{}",
+        run.stderr
+    );
+    assert_eq!(json(bench.read("s.json"))["template_repair"]["sewn"], twice);
+    let result = read_obj(&bench.path("s.obj")).unwrap().positions;
+    let mut at = vec![None; template.positions.len()];
+    for (&v, p) in corners.iter().zip(&result) {
+        assert_eq!(*at[v as usize].get_or_insert(p), p, "vertex {v}");
+    }
 }
 
 #[test]

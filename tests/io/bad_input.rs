@@ -3,7 +3,8 @@
 
 use std::path::Path;
 
-use nonrigid::io::{NpyArray, Npz, read_npy_points, read_obj, read_ply, read_polygon_mesh, read_scan};
+use data_gen::{FaceOptions, FaceRig};
+use nonrigid::io::{NpyArray, Npz, read_npy_points, read_obj, read_ply, read_polygon_mesh, read_scan, write_obj};
 use nonrigid::landmark::read_landmarks;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::rig::{Rig, RigReadOptions};
@@ -298,7 +299,42 @@ fn a_folder_of_meshes_is_a_rig_of_whole_shapes_or_of_differences() {
     assert!(warnings[0].to_string().contains("\"a\""));
     assert_eq!(rig.deltas(0), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]);
     write(folder.path(), "rig.json", "{\"kind\": \"delta\"}");
+    write(folder.path(), "a.obj", format!("v 0 0 0\nv 0.5 0 0\nv 0 0.5 0\n{face}"));
+    write(folder.path(), "b.obj", format!("v 0 0 0\nv 0 0 0\nv 0 0 0.5\n{face}"));
     let (rig, warnings) = Rig::read(folder.path(), &RigReadOptions::default()).unwrap();
     assert_eq!((rig.shapes().len(), warnings.len()), (2, 0));
-    assert_eq!(rig.deltas(1), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.5]);
+    assert_eq!(rig.deltas(1), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]);
+}
+
+#[test]
+fn a_mesh_of_a_folder_that_is_no_shape_of_its_neutral_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let face = FaceRig::generate(&FaceOptions { vertices: 600, ..FaceOptions::default() });
+    let rig = face.to_rig().unwrap();
+    let neutral = &face.mesh.positions;
+    let opened = rig.shapes().iter().position(|shape| shape.name == "jawOpen").unwrap();
+    let (displacements, _) = rig.deltas(opened).as_chunks::<3>();
+    let displacements: Vec<Vec3> = displacements.iter().map(|d| Vec3::from(d.map(f64::from))).collect();
+    let shape: Vec<Vec3> = neutral.iter().zip(&displacements).map(|(n, d)| n + d).collect();
+    let mesh = |positions: &[Vec3]| face.mesh.with_positions(positions.to_vec());
+    write_obj(&folder.path().join("neutral.obj"), &face.mesh).unwrap();
+    let read = |positions: &[Vec3]| {
+        write_obj(&folder.path().join("jawOpen.obj"), &mesh(positions)).unwrap();
+        Rig::read(folder.path(), &RigReadOptions::default()).map(|(_, odd)| odd).map_err(|e| e.to_string())
+    };
+    assert_eq!(read(&shape).unwrap(), []);
+    let in_metres: Vec<Vec3> = shape.iter().map(|p| p / 1000.0).collect();
+    let mut reversed = shape.clone();
+    reversed.reverse();
+    for (what, positions, hint) in [
+        ("in metres", in_metres, "0.00 times as large"),
+        ("in another order", reversed, "the rig's vertices in the rig's order"),
+        ("differences", displacements, "{\"kind\": \"delta\"}"),
+    ] {
+        let message = read(&positions).unwrap_err();
+        assert!(message.contains("\"jawOpen\"") && message.contains(hint), "{what}: {message}");
+    }
+    let mut spike = shape;
+    spike[7] += Vec3::new(0.0, 0.0, 60.0);
+    assert!(read(&spike).unwrap()[0].to_string().contains("stand out"));
 }

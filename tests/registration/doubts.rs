@@ -63,3 +63,41 @@ fn what_is_hardly_shown_or_mostly_contradicted_is_doubted() {
     assert!(doubts(&case.scan, Some(&nearly_all_masked)).contains(&"little_seen"));
     assert!(doubts(&half_turned, None).contains(&"contradicted"));
 }
+
+/// Teeth and eyeballs that a Laplacian draws into a point, since nothing says how large they are.
+#[test]
+fn parts_that_fall_together_are_doubted() {
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 8 });
+    let case = simulate_scan(&rig, &ScanOptions { triangles: 8000, ..ScanOptions::default() }, 70).unwrap();
+    let landmarks = case.landmark_pairs();
+    let mut template = rig.mesh.triangulate();
+    let doubts = |template: TriangleMesh, model: ModelKind| -> Vec<&'static str> {
+        let template = template.into();
+        let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&template, &case.scan) };
+        let result = register(&input, &model, &model.schedule().unwrap(), &mut Silent).unwrap();
+        assess(&input, &result).unwrap().1.doubts.iter().map(|doubt| doubt.name()).collect()
+    };
+    assert!(!doubts(template.clone(), ModelKind::Laplacian).contains(&"stretched"));
+    // a ball of 22 mm behind each eye, of which the scan shows nothing but what lies before it
+    for eye in [36..42_usize, 42..48] {
+        let lids: Vec<Vec3> = eye.map(|k| template.positions[rig.landmarks[k].vertex as usize]).collect();
+        let centre = lids.iter().sum::<Vec3>() / lids.len() as f64 - Vec3::new(0.0, 0.0, 12.0);
+        let first = template.positions.len() as u32;
+        let (rings, around) = (8, 12);
+        for ring in 0..=rings {
+            let polar = std::f64::consts::PI * (f64::from(ring) + 0.01) / (f64::from(rings) + 0.02);
+            for k in 0..around {
+                let angle = std::f64::consts::TAU * f64::from(k) / f64::from(around);
+                let out = Vec3::new(polar.sin() * angle.cos(), polar.cos(), polar.sin() * angle.sin());
+                template.positions.push(centre + 11.0 * out);
+            }
+        }
+        for (ring, k) in (0..rings).flat_map(|ring| (0..around).map(move |k| (ring, k))) {
+            let at = |ring: u32, k: u32| first + ring * around + k % around;
+            let [a, b, c, d] = [at(ring, k), at(ring, k + 1), at(ring + 1, k + 1), at(ring + 1, k)];
+            template.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    let said = doubts(template, ModelKind::Laplacian);
+    assert!(said.contains(&"stretched"), "{said:?}");
+}

@@ -83,12 +83,12 @@ fn small() -> (FaceRig, ScanCase) {
     (rig, case)
 }
 
-fn small_task() -> Task {
+pub fn small_task() -> Task {
     let (rig, case) = small();
     Task::new(&rig, &case, 5)
 }
 
-fn bits(positions: &[Vec3]) -> Vec<[u64; 3]> {
+pub fn bits(positions: &[Vec3]) -> Vec<[u64; 3]> {
     positions.iter().map(|p| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()]).collect()
 }
 

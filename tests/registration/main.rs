@@ -17,6 +17,7 @@ mod sheets;
 
 mod doubts;
 mod laws;
+mod one_surface;
 mod random;
 mod self_test;
 mod start;

@@ -26,7 +26,7 @@ const OUTSIDE: u32 = u32::MAX;
 impl Patch {
     /// The patch round the vertices that are marked in `moves`. Triangles must have vertices that exist.
     pub fn around(mesh: &TriangleMesh, moves: &[bool]) -> Self {
-        let first = sewn(mesh);
+        let first = sewn(mesh, |_, _| true);
         let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|v| first[v as usize])).collect();
         let mut sewn_moves = vec![false; moves.len()];
         first.iter().zip(moves).for_each(|(&v, moves)| sewn_moves[v as usize] |= moves);

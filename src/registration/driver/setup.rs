@@ -11,6 +11,7 @@ use crate::model::ModelInput;
 use crate::nlls::Problem as _;
 use crate::registration::facing::{self, Faced};
 use crate::registration::input::check_geometry;
+use crate::registration::one_surface::OneSurface;
 use crate::registration::rest::Rest;
 use crate::registration::start::{self, Start, StartInput};
 use crate::registration::{RegistrationError, RegistrationInput, ScanFacing, Schedule, StartSearch, WarmStart};
@@ -27,21 +28,21 @@ pub fn find_start(
 ) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
     schedule.validate()?;
     check_geometry(input)?;
+    let surface = OneSurface::of(input);
+    let input = &surface.as_ref().map_or(*input, |surface| surface.input(input));
     let template = Rest::new(input, schedule)?;
     let start = start_of(input, &agreeing(input).0, &template, schedule, start::Cancel(None))?;
     Ok((start.pose, start.search))
 }
 
-/// The scan, each vertex and triangle once and facing as its neighbours do, unless it has normals of its own, or the template's do not
-/// either; and what was done to it.
+/// The scan, each vertex and triangle once and facing as its neighbours do, unless it has normals of its own; and what was done to it.
 fn agreeing<'a>(input: &RegistrationInput<'a>) -> (Faced<'a>, ScanFacing) {
     let own = |normals: &&[Vec3]| normals.len() != input.scan.positions.len() || facing::belong(input.scan, normals);
-    let template_agrees = || facing::agreeing(Cow::Owned(input.template.triangulate())).1.turned == 0;
-    let ((scan, joined), template_agrees) = rayon::join(|| facing::joined(input.scan), template_agrees);
+    let (scan, joined) = facing::joined(input.scan);
     match input.scan_normals.filter(|_| joined.joined == 0).filter(own) {
         Some(normals) => ((scan, Some(Cow::Borrowed(normals))), joined),
         None => {
-            let (scan, agreed) = if template_agrees { facing::agreeing(scan) } else { (scan, ScanFacing::default()) };
+            let (scan, agreed) = facing::agreeing(scan);
             let normals_ignored = input.scan_normals.is_some() && joined.joined == 0;
             ((scan, None), ScanFacing { repeated: agreed.repeated, turned: agreed.turned, normals_ignored, ..joined })
         }
