@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::adjacency::EdgeGraph;
-use super::{TriangleMesh, Vec3, place};
+use super::{TriangleMesh, Vec3, place, rms_size, surface_points};
 
 /// The first of the vertices with which each vertex is one point of the surface: itself, but along seams. A seam is a pair of edges of
 /// the open boundary that run in opposite directions between the same places, bit for bit, whose ends may each be `one`; so lips that
@@ -41,6 +41,12 @@ pub fn sewn(mesh: &TriangleMesh, one: impl Fn(u32, u32) -> bool) -> Vec<u32> {
         first[v] = root(&first, v as u32); // lower ones are roots already
     }
     first
+}
+
+/// How far a shape at weight one may move two vertices at one place apart before they are two points of the surface: a ten-thousandth of
+/// its size, 0.01 mm on a face, which is rounding.
+pub(crate) fn least_opening(mesh: &TriangleMesh) -> f64 {
+    1e-4 * rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()))
 }
 
 /// The first of the vertices at each one's place, bit for bit.

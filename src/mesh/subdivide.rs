@@ -22,7 +22,8 @@ use super::{ObjMetadata, PolygonMesh};
 /// The mesh's vertices come first and keep their order, then one for each edge, then one for each polygon.
 #[derive(Debug, Clone)]
 pub struct Subdivision {
-    vertices: usize,
+    /// For each vertex of the mesh the first of those that are one point with it.
+    first: Vec<u32>,
     starts: Vec<u32>,
     corners: Vec<u32>,
     edges: Vec<[u32; 2]>,
@@ -43,20 +44,23 @@ enum VertexRule {
 }
 
 impl Subdivision {
-    /// How a mesh is divided; `None` when the result has more vertices than an index can count.
+    /// How a mesh is divided, of whose vertices some are one point, as those on both sides of a seam are: `first` has the first of them for
+    /// each, as [`sewn`](super::sewn) finds it. They stay one, and the edges between them are divided once. `None` when the result has more
+    /// vertices than an index can count.
     ///
     /// # Panics
-    /// When a polygon indexes past the vertices.
+    /// When a polygon indexes past the vertices, or `first` has not one for each.
     #[must_use]
-    pub fn new(mesh: &PolygonMesh) -> Option<Self> {
+    pub fn new(mesh: &PolygonMesh, first: &[u32]) -> Option<Self> {
         let vertices = mesh.positions.len();
+        assert_eq!(first.len(), vertices, "one for each vertex");
         let mut index = HashMap::with_capacity(mesh.corners.len());
         let (mut edges, mut edge_of_corner, mut polygons) = (Vec::new(), Vec::new(), Vec::<Vec<u32>>::new());
         let (mut edges_at, mut polygons_at) = (vec![Vec::new(); vertices], vec![Vec::new(); vertices]);
         for f in 0..mesh.polygon_count() {
             let polygon = mesh.polygon(f);
-            for (i, &a) in polygon.iter().enumerate() {
-                let b = polygon[(i + 1) % polygon.len()];
+            for i in 0..polygon.len() {
+                let [a, b] = [i, (i + 1) % polygon.len()].map(|i| first[polygon[i] as usize]);
                 let e = *index.entry([a.min(b), a.max(b)]).or_insert_with(|| {
                     let e = edges.len() as u32;
                     edges.push([a, b]);
@@ -84,7 +88,14 @@ impl Subdivision {
         let rules = edges_at.into_iter().zip(polygons_at).enumerate().map(rule).collect();
         let (starts, corners) = (mesh.starts.clone(), mesh.corners.clone());
         let metadata = divided_metadata(mesh)?;
-        Some(Self { vertices, starts, corners, edges, edge_of_corner, rules, sides, metadata })
+        Some(Self { first: first.to_vec(), starts, corners, edges, edge_of_corner, rules, sides, metadata })
+    }
+
+    /// What [`new`](Self::new) takes to divide the finer mesh.
+    #[must_use]
+    pub fn first(&self) -> Vec<u32> {
+        let count = self.first.len() + self.edges.len() + self.starts.len() - 1;
+        self.first.iter().copied().chain(self.first.len() as u32..count as u32).collect()
     }
 
     /// Values at the finer mesh's vertices, from those at the mesh's.
@@ -93,7 +104,7 @@ impl Subdivision {
     /// When there is not one value per vertex.
     #[must_use]
     pub fn apply<T: Copy + Add<Output = T> + Mul<f64, Output = T>>(&self, values: &[T]) -> Vec<T> {
-        assert_eq!(values.len(), self.vertices, "one value per vertex");
+        assert_eq!(values.len(), self.first.len(), "one value per vertex");
         let at = |v: u32| values[v as usize];
         let faces: Vec<T> = self
             .starts
@@ -105,17 +116,17 @@ impl Subdivision {
             Some([f, g]) => (middle(e as u32) + (faces[f as usize] + faces[g as usize]) * 0.5) * 0.5,
             None => middle(e as u32),
         };
-        let vertex = |(v, rule): (usize, &VertexRule)| match rule {
-            VertexRule::Kept => values[v],
-            VertexRule::Boundary([a, b]) => (at(*a) + at(*b)) * 0.125 + values[v] * 0.75,
+        let vertex = |v: u32| match &self.rules[v as usize] {
+            VertexRule::Kept => at(v),
+            VertexRule::Boundary([a, b]) => (at(*a) + at(*b)) * 0.125 + at(v) * 0.75,
             VertexRule::Within(edges, polygons) => {
                 let n = edges.len() as f64;
                 let round =
                     mean(polygons.iter().map(|&f| faces[f as usize])) + mean(edges.iter().map(|&e| middle(e))) * 2.0;
-                (round + values[v] * (n - 3.0)) * (1.0 / n)
+                (round + at(v) * (n - 3.0)) * (1.0 / n)
             }
         };
-        let vertices = self.rules.iter().enumerate().map(vertex);
+        let vertices = self.first.iter().map(|&v| vertex(v));
         vertices.chain((0..self.edges.len()).map(edge)).chain(faces.iter().copied()).collect()
     }
 
@@ -125,7 +136,8 @@ impl Subdivision {
     /// When there is not one position per vertex of the mesh.
     #[must_use]
     pub fn mesh(&self, positions: &[super::Vec3]) -> PolygonMesh {
-        let (first_edge, first_face) = (self.vertices as u32, (self.vertices + self.edges.len()) as u32);
+        let first_edge = self.first.len() as u32;
+        let first_face = first_edge + self.edges.len() as u32;
         let mut corners = Vec::with_capacity(4 * self.corners.len());
         for (f, w) in self.starts.windows(2).enumerate() {
             for (c, before) in ring(w[0], w[1]) {
@@ -222,11 +234,40 @@ mod tests {
         }
     }
 
+    /// Each vertex a point of its own.
+    fn own(mesh: &PolygonMesh) -> Vec<u32> {
+        (0..mesh.positions.len() as u32).collect()
+    }
+
+    fn divided(mesh: &PolygonMesh) -> PolygonMesh {
+        Subdivision::new(mesh, &own(mesh)).unwrap().mesh(&mesh.positions)
+    }
+
+    #[test]
+    fn a_cube_that_was_cut_is_divided_as_the_whole_one() {
+        let whole = cube();
+        let corners = (0..whole.corners.len() as u32).collect();
+        let positions = whole.corners.iter().map(|&v| whole.positions[v as usize]).collect();
+        let mut cut = PolygonMesh { positions, corners, ..whole.clone() };
+        let first_of = |v: u32| whole.corners.iter().position(|w| *w == v).unwrap() as u32;
+        let mut first: Vec<u32> = whole.corners.iter().map(|&v| first_of(v)).collect();
+        let mut fine = whole;
+        for _ in 0..2 {
+            let division = Subdivision::new(&cut, &first).unwrap();
+            (cut, first) = (division.mesh(&cut.positions), division.first());
+            fine = divided(&fine);
+            let at = |mesh: &PolygonMesh| mesh.corners.iter().map(|&v| mesh.positions[v as usize]).collect::<Vec<_>>();
+            let farthest = at(&cut).iter().zip(at(&fine)).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            assert!(farthest < 1e-14, "{farthest}");
+            assert!(first.iter().enumerate().all(|(v, &f)| cut.positions[v] == cut.positions[f as usize]));
+        }
+    }
+
     #[test]
     fn a_cube_has_the_points_of_catmull_and_clark() {
         let fine = {
             let cube = cube();
-            Subdivision::new(&cube).unwrap().mesh(&cube.positions)
+            divided(&cube)
         };
         assert_eq!((fine.positions.len(), fine.polygon_count()), (8 + 12 + 6, 24));
         // F = 1/2 off, E = (0 + 0 + 1/4 + 1/4)..., by hand: v' = (F + 2 R + 0 v) / 3 with F = 1/3, R = 1/6 each coordinate.
@@ -247,7 +288,7 @@ mod tests {
     #[test]
     fn a_plane_stays_one_and_what_is_linear_on_it_stays_linear() {
         let plane = sheet(4);
-        let division = Subdivision::new(&plane).unwrap();
+        let division = Subdivision::new(&plane, &own(&plane)).unwrap();
         let fine = division.mesh(&plane.positions);
         assert_eq!(fine.positions.len(), 81);
         let height = |p: &Vec3| 1.0 + 2.0 * p.x - 3.0 * p.y;
@@ -264,7 +305,7 @@ mod tests {
     fn a_sphere_gets_round() {
         let mut mesh = cube();
         for _ in 0..4 {
-            mesh = Subdivision::new(&mesh).unwrap().mesh(&mesh.positions);
+            mesh = divided(&mesh);
         }
         let centre = Vec3::repeat(0.5);
         let radii: Vec<f64> = mesh.positions.iter().map(|p| (p - centre).norm()).collect();
@@ -281,7 +322,7 @@ mod tests {
         mesh.metadata.corner_uvs[4] = 9; // a seam between the first and the second quad
         mesh.metadata.corner_uvs[12..].fill(u32::MAX);
         mesh.metadata.statements = vec![(1, super::super::ObjStatement::Group("right".into()))];
-        let fine = Subdivision::new(&mesh).unwrap().mesh(&mesh.positions);
+        let fine = divided(&mesh);
         assert_eq!(fine.metadata.statements[0].0, 4);
         assert_eq!(fine.metadata.corner_uvs.len(), fine.corners.len());
         let uv = |c: usize| fine.metadata.uvs[fine.metadata.corner_uvs[c] as usize];
@@ -299,16 +340,10 @@ mod tests {
             corners: vec![0, 1, 2, 1, 0, 3, 0, 1, 4, 2, 2, 4],
             ..PolygonMesh::default()
         };
-        let fine = Subdivision::new(&fin).unwrap().mesh(&fin.positions);
+        let fine = divided(&fin);
         assert!(fine.positions.iter().all(|p| p.iter().all(|x| x.is_finite())));
         assert_eq!(fine.positions[5..7], fin.positions[5..7]);
         assert!(fine.corners.iter().all(|&v| (v as usize) < fine.positions.len()));
-        assert_eq!(
-            Subdivision::new(&PolygonMesh { starts: vec![0], ..PolygonMesh::default() })
-                .unwrap()
-                .mesh(&[])
-                .polygon_count(),
-            0
-        );
+        assert_eq!(divided(&PolygonMesh { starts: vec![0], ..PolygonMesh::default() }).polygon_count(), 0);
     }
 }

@@ -3,6 +3,7 @@
 
 use serde::Serialize;
 
+use super::one_surface::seams;
 use super::{
     ModelKind, Quality, QualityError, RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult,
     Schedule, WITHIN_MM, WarmStart, register,
@@ -57,9 +58,11 @@ pub fn add_detail(
     let mut template = input.template.with_positions(input.rest_positions().to_vec());
     let mut base = result.positions.clone();
     let [mut mask, mut free_mask] = [input.mask, input.free_mask].map(|mask| mask.map(<[f64]>::to_vec));
+    let mut first = seams(input);
     for _ in 0..rounds {
         let too_many = || RegistrationError::TooFine { rounds, most: MOST_VERTICES };
-        let division = Subdivision::new(&template).ok_or_else(too_many)?;
+        let division = Subdivision::new(&template, &first).ok_or_else(too_many)?;
+        first = division.first();
         template = division.mesh(&template.positions);
         if template.positions.len() > MOST_VERTICES {
             return Err(too_many());

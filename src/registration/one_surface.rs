@@ -10,13 +10,9 @@ use serde::Serialize;
 use super::facing::{is_collapsed, turned};
 use super::{RegistrationInput, RegistrationObserver, RegistrationResult, StepRecord};
 use crate::landmark::{Landmark, TemplatePoint};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, rms_size, sewn, surface_points};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, least_opening, sewn};
 use crate::nlls::NormalEquations;
 use crate::rig::{Regions, ShapeBasis};
-
-/// How far a shape at weight one may move two vertices at one place apart, as a share of the template's size, before they are two points
-/// of its surface: 0.01 mm on a face, which is rounding.
-const PARTED: f64 = 1e-4;
 
 /// What was done to the template's surface, for the registration alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -152,18 +148,25 @@ pub(super) fn facing_one_way(input: &RegistrationInput<'_>) -> PolygonMesh {
 fn repaired(input: &RegistrationInput<'_>) -> (Vec<u32>, Vec<[u32; 3]>, usize) {
     let mut rest = input.template.triangulate();
     rest.positions.copy_from_slice(input.rest_positions());
-    let (shapes, least) = (
-        input.shapes,
-        PARTED * rms_size(&surface_points(&rest.positions, rest.triangles.as_flattened().iter().copied())),
-    );
-    let parts = |v: usize, w: usize, k: usize| (shapes.displacement(v, k) - shapes.displacement(w, k)).norm() > least;
-    let first = sewn(&rest, |v, w| !(0..shapes.len()).any(|k| parts(v as usize, w as usize, k)));
+    let first = seams_of(&rest, input.shapes);
     let own = rest.triangles.clone();
     rest.triangles.iter_mut().for_each(|t| *t = t.map(|v| first[v as usize]));
     let (facing, count) = turned(Cow::Borrowed(&rest));
     let own = own.into_iter().zip(facing.triangles.iter().zip(&rest.triangles));
     let own = own.map(|([a, b, c], (now, before))| if now == before { [a, b, c] } else { [a, c, b] });
     (first, own.collect(), count)
+}
+
+/// The first of the vertices with which each of the template's is one point.
+pub(super) fn seams(input: &RegistrationInput<'_>) -> Vec<u32> {
+    let rest = TriangleMesh { positions: input.rest_positions().to_vec(), ..input.template.triangulate() };
+    seams_of(&rest, input.shapes)
+}
+
+fn seams_of(rest: &TriangleMesh, shapes: &ShapeBasis) -> Vec<u32> {
+    let least = least_opening(rest);
+    let apart = |v: u32, w: u32, k: usize| shapes.displacement(v as usize, k) - shapes.displacement(w as usize, k);
+    sewn(rest, |v, w| (0..shapes.len()).all(|k| apart(v, w, k).norm() <= least))
 }
 
 struct OfVertices<'a> {

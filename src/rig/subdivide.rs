@@ -40,8 +40,10 @@ impl Rig {
             r.names().map(|name| (name.to_owned(), share(r.vertices(name).unwrap_or_default()))).collect::<Vec<_>>()
         };
         let mut regions: Vec<(String, Vec<f64>)> = self.regions().into_iter().flat_map(of_region).collect();
+        let mut first = self.seams(self.neutral());
         for _ in 0..rounds {
-            let division = Subdivision::new(&mesh).ok_or(SubdivideError::TooFine)?;
+            let division = Subdivision::new(&mesh, &first).ok_or(SubdivideError::TooFine)?;
+            first = division.first();
             mesh = division.mesh(&mesh.positions);
             shapes.iter_mut().for_each(|s| *s = division.apply(s));
             regions.iter_mut().for_each(|(_, r)| *r = division.apply(r));
@@ -94,7 +96,8 @@ mod tests {
             };
             let mut mesh = coarse.mesh().unwrap().with_positions(moved(&coarse));
             for _ in 0..2 {
-                mesh = Subdivision::new(&mesh).unwrap().mesh(&mesh.positions);
+                let own: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+                mesh = Subdivision::new(&mesh, &own).unwrap().mesh(&mesh.positions);
             }
             for (a, b) in moved(&fine).iter().zip(&mesh.positions) {
                 assert!((a - b).norm() < 1e-6, "{a} {b}");

@@ -107,8 +107,9 @@ impl Rig {
             .doubts;
         let source: Vec<Vec3> = self.neutral.iter().map(|&p| pose.apply(p)).collect();
         let diagonal = bounding_box_diagonal(subject);
-        let elements =
-            elements(&mesh.triangulate().triangles, &source, subject, DEGENERATE_SHARE * diagonal * diagonal);
+        let first = self.seams(subject);
+        let triangles: Vec<_> = mesh.triangulate().triangles.iter().map(|t| t.map(|v| first[v as usize])).collect();
+        let elements = elements(&triangles, &source, subject, DEGENERATE_SHARE * diagonal * diagonal);
 
         let mut anchors = vec![0.0; subject.len()];
         for Element { corners, area, .. } in &elements {
@@ -137,7 +138,7 @@ impl Rig {
                 for axis in 0..3 {
                     equations.gradient.iter_mut().zip(&side).for_each(|(g, b)| *g = -b[axis]);
                     solver.solve(&equations, &[], &mut step)?;
-                    moved.chunks_exact_mut(3).zip(&step).for_each(|(d, u)| d[axis] = *u as f32);
+                    moved.chunks_exact_mut(3).zip(&first).for_each(|(d, &v)| d[axis] = step[v as usize] as f32);
                 }
                 deltas.extend(moved);
             }
@@ -241,6 +242,36 @@ mod tests {
         };
         let deltas = (0..2).flat_map(|k| (0..n).flat_map(move |i| bend(k, i))).collect();
         Rig::new(mesh.positions.clone(), Some(mesh.clone()), shapes.to_vec(), deltas).unwrap().0
+    }
+
+    #[test]
+    fn a_rig_that_was_cut_gives_the_shapes_of_the_whole_one() {
+        let whole = rig();
+        let corners = whole.mesh().unwrap().triangulate().triangles.concat();
+        let of = |positions: &[Vec3]| corners.iter().map(|&v| positions[v as usize]).collect::<Vec<_>>();
+        let mesh = PolygonMesh {
+            positions: of(whole.neutral()),
+            starts: (0..=corners.len() as u32 / 3).map(|t| 3 * t).collect(),
+            corners: (0..corners.len() as u32).collect(),
+            ..PolygonMesh::default()
+        };
+        let deltas =
+            (0..2).flat_map(|k| corners.iter().flat_map(move |&v| (0..3).map(move |a| (k, 3 * v as usize + a))));
+        let deltas = deltas.map(|(k, at)| whole.deltas(k)[at]).collect();
+        let (cut, _) = Rig::new(mesh.positions.clone(), Some(mesh), whole.shapes().to_vec(), deltas).unwrap();
+        let subject: Vec<Vec3> =
+            whole.neutral().iter().map(|p| Vec3::new(1.2 * p.x, p.y, p.z + 0.02 * p.x * p.y)).collect();
+        let [whole, cut] = [(&whole, &subject), (&cut, &of(&subject))]
+            .map(|(rig, subject)| rig.transfer(subject, &TransferOptions::default()).unwrap().0);
+        for k in 0..2 {
+            let mut at = vec![None; whole.neutral().len()];
+            for (c, &v) in corners.iter().enumerate() {
+                let (here, expected) = (displacement(&cut, k, c), displacement(&whole, k, v as usize));
+                // corners that meet weigh vertices otherwise when the neutral is posed
+                assert!((here - expected).norm() < 0.02 * (1.0 + expected.norm()), "{k}, {c}: {here} {expected}");
+                assert_eq!(*at[v as usize].get_or_insert(here), here, "{k}: corners of vertex {v} stay together");
+            }
+        }
     }
 
     fn displacement(rig: &Rig, k: usize, i: usize) -> Vec3 {

@@ -4,7 +4,9 @@ use crate::laws::{bits, small_task};
 use crate::task::Task;
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh};
-use nonrigid::registration::{ModelKind, RegistrationInput, RegistrationResult, Silent, TemplateRepair, register};
+use nonrigid::registration::{
+    ModelKind, RegistrationInput, RegistrationResult, Silent, TemplateRepair, add_detail, register,
+};
 use nonrigid::rig::{Family, Shape, ShapeBasis};
 
 fn fit(task: &Task, model: ModelKind) -> RegistrationResult {
@@ -155,4 +157,19 @@ fn a_warm_start_of_another_order_of_vertices_is_refused() {
     // those of earlier versions say nothing of their template
     let earlier = nonrigid::registration::WarmStart { template: String::new(), ..end.clone() };
     fit_input(&RegistrationInput { template: &other, warm_start: Some(&earlier), ..warm }, ModelKind::Arap).unwrap();
+}
+
+#[test]
+fn a_template_that_is_cut_is_divided_as_if_it_were_whole() {
+    let whole = of_triangles();
+    let (own, torn) = cut(&whole);
+    let [one, other] = [&whole, &torn].map(|task| {
+        let detail = add_detail(&task.input(), &fit(task, ModelKind::Sumner), 1, &mut Silent).unwrap();
+        assert_eq!(detail.result.positions.len(), detail.template.positions.len());
+        detail.result.positions
+    });
+    let farthest = own.iter().zip(&other).map(|(&v, p)| (one[v as usize] - p).norm()).fold(0.0, f64::max);
+    assert!(farthest < 0.01, "{farthest}");
+    let count = whole.template.positions.len();
+    assert!(own.iter().zip(&other).skip(count).all(|(&v, p)| other[v as usize] == *p), "copies stay together");
 }
