@@ -1,12 +1,15 @@
 //! The command line `data-gen`: a synthetic face rig and scans of it with exact truth, as folders. Other programs call it with arguments
 //! of their own: [`write()`] for folders, [`scan_options`] for a scan in memory.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::files::LIBRARY;
+use crate::record::{self, Series};
 use crate::scan::arguments::{camera_at, in_range};
 use crate::{
     Camera, FaceOptions, FaceRig, Motion, PRESETS, STANDARD_CASES, ScanCase, ScanError, ScanOptions, Scanner, Subject,
@@ -44,7 +47,7 @@ pub fn command() -> clap::Command {
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES, allow_negative_numbers = true)]
 struct Arguments {
-    /// Folder for everything; made if it is not there.
+    /// Folder for everything; made if it is not there. What no earlier run has made stays as it is: data-gen.json lists what has.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Everything random comes from this number. Case k is drawn from it plus k, so neighbouring seeds share people.
@@ -59,7 +62,7 @@ struct Arguments {
 
     /// Scans people of this rig instead of the generated one: any that `nonrigid register --rig` reads, in millimetres. It is not
     /// written again. Needs --scanner frame or fused.
-    #[arg(long, value_name = "RIG", conflicts_with_all = ["vertices", "identity_modes"], help_heading = "Rig")]
+    #[arg(long, value_name = "RIG", conflicts_with_all = ["vertices", "identity_modes", "eyeballs"], help_heading = "Rig")]
     rig: Option<PathBuf>,
     /// Vertices of the template, approximately: 1,000 to 500,000.
     #[arg(long, default_value_t = 5000, value_parser = in_range(1000, 500_000), help_heading = "Rig")]
@@ -82,7 +85,7 @@ struct Arguments {
     #[arg(long, value_name = "N", value_parser = in_range(1, 100_000), help_heading = "Cases")]
     population: Option<usize>,
     /// Frames per second of a sequence.
-    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases", requires = "frames")]
+    #[arg(long, default_value_t = 30.0, value_name = "HZ", help_heading = "Cases", requires = "frames", conflicts_with_all = ["names", "cases"])]
     fps: f64,
     /// A named expression for every case or as the peak of a sequence.
     #[arg(long, value_parser = PossibleValuesParser::new(PRESETS.iter().map(|p| p.0)), conflicts_with = "expressions", help_heading = "Cases")]
@@ -95,7 +98,7 @@ struct Arguments {
     #[arg(long = "camera-at", value_name = "X,Y,Z", value_parser = camera_at, allow_hyphen_values = true, help_heading = "Scanner")]
     cameras_at: Vec<Camera>,
     /// No cameras: everything is seen, inside the lips too.
-    #[arg(long, conflicts_with_all = ["cameras", "cameras_at"], help_heading = "Scanner")]
+    #[arg(long, conflicts_with_all = ["cameras", "cameras_at", "grazing", "grazing_noise"], help_heading = "Scanner")]
     see_all: bool,
 }
 
@@ -127,32 +130,94 @@ type Said<'a> = &'a dyn Fn(std::fmt::Arguments<'_>) -> Result<(), Failure>;
 /// Runs the command line of this process.
 #[must_use]
 pub fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    let given = match Given::parse(std::env::args_os()) {
+        Ok(given) => given,
         Err(error) => return answer(&error),
     };
     let threads = || -> Result<(), Failure> {
-        if let Some(threads) = arguments.threads {
+        if let Some(threads) = given.arguments.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(bounded("--threads", threads.into())).build_global();
             pool.map_err(|e| Failure::computation(format!("threads: {e}")))?;
         }
         Ok(())
     };
-    match threads().and_then(|()| run(&arguments, &|line| say(line))) {
+    match threads().and_then(|()| run(&given, &|line| say(line))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
     }
 }
 
-fn parsed(arguments: impl IntoIterator<Item = OsString>) -> Result<(Arguments, ArgMatches), Failure> {
-    let line = std::iter::once(OsString::from("data-gen")).chain(arguments);
-    let matches = command().try_get_matches_from(line);
-    let parsed = matches.and_then(|matches| Ok((Arguments::from_arg_matches(&matches)?, matches)));
-    parsed.map_err(|e| {
-        let text = e.to_string();
-        let lines: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
-        Failure::new(Stage::Arguments, lines.join(" ").trim_start_matches("error: "))
-    })
+/// A command line: its arguments, and which of them it names.
+struct Given {
+    arguments: Arguments,
+    matches: ArgMatches,
+}
+
+/// Options that say how something is that another one, where it is 0, leaves out.
+const DETAILS: [(&str, &str); 4] =
+    [("hole_radius", "holes"), ("spike_height", "spikes"), ("grazing_noise", "noise"), ("wrinkles", "detail")];
+
+impl Given {
+    fn parse(line: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        let matches = command().try_get_matches_from(line)?;
+        Ok(Self { arguments: Arguments::from_arg_matches(&matches)?, matches })
+    }
+
+    /// As another program gives them.
+    fn of(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, Failure> {
+        let line = std::iter::once(OsString::from("data-gen")).chain(arguments);
+        Self::parse(line).map_err(|e| {
+            let text = e.to_string();
+            let lines: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+            Failure::new(Stage::Arguments, lines.join(" ").trim_start_matches("error: "))
+        })
+    }
+
+    fn names(&self, id: &str) -> bool {
+        self.matches.value_source(id) == Some(ValueSource::CommandLine)
+    }
+
+    /// Refuses an option whose effect another one has taken away.
+    fn check(&self) -> Result<(), Failure> {
+        let fail = |message: String| Err(Failure::new(Stage::Arguments, message));
+        let scan = &self.arguments.scan;
+        if self.arguments.see_all && scan.scanner != Scanner::Net {
+            return fail("--see-all: a depth camera does not see everything; leave it out".to_owned());
+        }
+        let none = |switch: &str| match switch {
+            "holes" => scan.holes == 0,
+            "spikes" => scan.spikes == 0.0,
+            "noise" => scan.noise == 0.0,
+            _ => scan.detail == 0.0,
+        };
+        if let Some((detail, switch)) = DETAILS.iter().find(|(detail, switch)| self.names(detail) && none(switch)) {
+            return fail(format!("--{}: has no effect with --{switch} 0; leave one of them out", option(detail)));
+        }
+        let [forehead, crows_feet, folds] = [scan.wrinkles.forehead, scan.wrinkles.crows_feet, scan.wrinkles.folds];
+        if self.arguments.rig.is_some() && [forehead, crows_feet, folds].iter().any(|strength| *strength != 1.0) {
+            return fail(
+                "--wrinkles: of a --rig only the last number, the skin's structure, has an effect; give 1,1,1,S".into(),
+            );
+        }
+        Ok(())
+    }
+
+    /// Refuses `--manner` where nobody makes an expression.
+    fn check_manner(&self, rig: &FaceRig, plans: &[Plan]) -> Result<(), Failure> {
+        let none =
+            |plan: &Plan| plan.options.expressions.as_ref().is_some_and(|all| all.iter().all(|(_, w)| *w == 0.0));
+        if self.names("manner") && (rig.expressions.is_empty() || plans.iter().all(none)) {
+            let message =
+                "--manner: has no effect without expressions; leave it out, or give --expression or another --preset";
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+        Ok(())
+    }
+}
+
+/// An option as it is written, without its dashes.
+fn option(id: &str) -> String {
+    if id == "names" { "case".to_owned() } else { id.replace('_', "-") }
 }
 
 /// Does what the command line does with these arguments, without a word, on the threads of the caller. Between two folders it looks whether
@@ -161,7 +226,7 @@ fn parsed(arguments: impl IntoIterator<Item = OsString>) -> Result<(Arguments, A
 /// # Errors
 /// As the command line, at its stages; and where it is stopped.
 pub fn write(arguments: impl IntoIterator<Item = OsString>, stop: &AtomicBool) -> Result<(), Failure> {
-    run(&parsed(arguments)?.0, &|_| {
+    run(&Given::of(arguments)?, &|_| {
         if stop.load(Ordering::Relaxed) { Err(Failure::computation("stopped")) } else { Ok(()) }
     })
 }
@@ -172,7 +237,8 @@ pub fn write(arguments: impl IntoIterator<Item = OsString>, stop: &AtomicBool) -
 /// When one of them makes no sense, or is of files, of which a scan alone has none.
 pub fn scan_options(arguments: impl IntoIterator<Item = OsString>) -> Result<ScanOptions, Failure> {
     let out = [OsString::from("--out"), OsString::from("nowhere")];
-    let (parsed, matches) = parsed(out.into_iter().chain(arguments))?;
+    let given = Given::of(out.into_iter().chain(arguments))?;
+    given.check()?;
     let of_files = [
         "threads",
         "contact_sheet",
@@ -185,25 +251,23 @@ pub fn scan_options(arguments: impl IntoIterator<Item = OsString>) -> Result<Sca
         "population",
         "fps",
     ];
-    let given = |id: &&str| matches.value_source(id) == Some(ValueSource::CommandLine);
-    match of_files.iter().find(|id| given(id)) {
-        None => Ok(parsed.scan_options()),
+    match of_files.iter().find(|id| given.names(id)) {
+        None => Ok(given.arguments.scan_options()),
         Some(id) => {
-            let option = if *id == "names" { "case".to_owned() } else { id.replace('_', "-") };
-            let message = format!("--{option}: has no effect on a scan alone, of a face that is there; leave it out");
+            let message =
+                format!("--{}: has no effect on a scan alone, of a face that is there; leave it out", option(id));
             Err(Failure::new(Stage::Arguments, message))
         }
     }
 }
 
-fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
+fn run(given: &Given, say: Said<'_>) -> Result<(), Failure> {
+    let arguments = &given.arguments;
     if !(1e-3..=1e4).contains(&arguments.fps) {
         return Err(Failure::new(Stage::Arguments, format!("--fps: 0.001 to 10,000, not {}", arguments.fps)));
     }
     let Arguments { seed, vertices, identity_modes, .. } = *arguments;
-    if arguments.see_all && arguments.scan.scanner != Scanner::Net {
-        return Err(Failure::new(Stage::Arguments, "--see-all: a depth camera does not see everything; leave it out"));
-    }
+    given.check()?;
     say(format_args!("seed {seed}"))?;
     let start = Instant::now();
     let rig = match &arguments.rig {
@@ -216,12 +280,14 @@ fn run(arguments: &Arguments, say: Said<'_>) -> Result<(), Failure> {
     for plan in &plans {
         plan.options.validate(&rig).map_err(unsimulated)?;
     }
+    given.check_manner(&rig, &plans)?;
     let count = plans.len();
     let mut scans = plans.iter().map(|plan| simulate(&rig, plan)).peekable();
     if let Some(Err(failure)) = scans.next_if(Result::is_err) {
         return Err(failure);
     }
     check_plan(&files(arguments, &plans))?;
+    claim(arguments, &rig, &plans)?;
     let folder = arguments.rig.clone().unwrap_or_else(|| arguments.out.join("rig"));
     if arguments.rig.is_none() {
         write_rig(&folder, &rig).map_err(Failure::writing)?;
@@ -271,6 +337,33 @@ fn files(arguments: &Arguments, plans: &[Plan]) -> FilePlan {
         plan = plan.writes("--contact-sheet", arguments.out.join("contact_sheet.png"));
     }
     plan
+}
+
+/// Records what is going to be made.
+fn claim(arguments: &Arguments, rig: &FaceRig, plans: &[Plan]) -> Result<(), Failure> {
+    let mut made: BTreeSet<String> = plans.iter().map(|plan| plan.name.clone()).collect();
+    let mut series: Vec<&Series> = Vec::new();
+    if arguments.rig.is_none() {
+        made.insert("rig".to_owned());
+    }
+    if arguments.cases.is_some_and(|cases| cases > 0) {
+        series.push(&record::CASES);
+    }
+    if arguments.frames.is_some() {
+        series.push(&record::SEQUENCE);
+        made.insert("sequence/weights.csv".to_owned());
+    }
+    if let Some(people) = arguments.population {
+        series.push(&record::POPULATION);
+        made.extend((0..people).map(|k| format!("population/person_{k:04}.obj")));
+        made.extend(
+            rig.mesh.metadata.material_libraries.iter().filter(|l| *l == LIBRARY).map(|l| format!("population/{l}")),
+        );
+    }
+    if arguments.contact_sheet {
+        made.insert("contact_sheet.png".to_owned());
+    }
+    record::claim(&arguments.out, made, &series)
 }
 
 /// One scan to make.

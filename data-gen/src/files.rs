@@ -24,7 +24,7 @@ use serde_json::{Map, Value, json};
 use crate::{FaceRig, ScanCase};
 
 /// The template's materials.
-const LIBRARY: &str = "face.mtl";
+pub(crate) const LIBRARY: &str = "face.mtl";
 const MATERIALS: &str = "newmtl skin\nKd 0.86 0.68 0.58\nKs 0.04 0.04 0.04\nNs 12\n
 newmtl lips\nKd 0.76 0.42 0.40\nKs 0.10 0.10 0.10\nNs 30\n";
 

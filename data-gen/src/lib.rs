@@ -13,6 +13,7 @@ mod expressions;
 mod face;
 mod files;
 mod identity;
+mod record;
 mod rig;
 mod scan;
 mod sequence;

@@ -58,7 +58,7 @@ impl Motion {
             let mut draw = || -> f64 { StandardNormal.sample(&mut identity_rng) };
             options.identity = Some((0..rig.identities.len()).map(|_| options.identity_sigma * draw()).collect());
         }
-        options.detail_seed = options.detail_seed.or(Some(seed));
+        options.shared_seed = options.shared_seed.or(Some(seed));
         let mut sway = |share: f64, slow: f64| {
             let reach = [options.rotation, options.rotation, options.rotation]
                 .into_iter()
@@ -97,7 +97,7 @@ impl Motion {
         Pose::rigid(turn, Vec3::new(sum[3], sum[4], sum[5]))
     }
 
-    /// What is scanned after `seconds`: the same person, the same cameras and faults.
+    /// What is scanned after `seconds`: the same person, seen by the same cameras and cut at the same end.
     #[must_use]
     pub fn options(&self, seconds: f64) -> ScanOptions {
         let expressions = self.names.iter().cloned().zip(self.weights(seconds)).collect();
@@ -152,7 +152,7 @@ mod tests {
         assert!(motion.weights(0.6).iter().filter(|w| **w > 0.0).count() == 3);
         let other = motion.options(2.0);
         assert_eq!(other.identity, motion.options(0.0).identity);
-        assert_eq!(other.detail_seed, Some(5));
+        assert_eq!(other.shared_seed, Some(5));
     }
 
     #[test]

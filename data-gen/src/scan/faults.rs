@@ -21,7 +21,7 @@ impl Hole {
     /// Holes at some of `points`, and what is cut off.
     pub fn all(points: &[Vec3], options: &ScanOptions, seed: u64) -> Vec<Self> {
         let mut holes = Self::draw(points, options, &mut Stream::Holes.of(seed));
-        holes.extend(Self::cut(points, options.keep, &mut Stream::Cut.of(seed)));
+        holes.extend(Self::cut(points, options.keep, &mut Stream::Cut.of(options.shared_seed.unwrap_or(seed))));
         holes
     }
 

@@ -141,9 +141,9 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
     };
     let identity_weights = person::identity_weights(rig, options, &mut Stream::Identity.of(seed));
     let pose = options.pose.unwrap_or_else(|| person::random_pose(options, &mut Stream::Pose.of(seed)));
-    let detail_seed = options.detail_seed.unwrap_or(seed);
+    let shared_seed = options.shared_seed.unwrap_or(seed);
     let Some(model) = &rig.model else {
-        let solid = curved::person(rig, options, [&expression_weights, &identity_weights], pose, detail_seed)?;
+        let solid = curved::person(rig, options, [&expression_weights, &identity_weights], pose, shared_seed)?;
         let (mesh, observed) = measured(&solid, options, seed)?;
         return Ok(finished(
             rig,
@@ -155,8 +155,8 @@ pub fn simulate_scan(rig: &FaceRig, options: &ScanOptions, seed: u64) -> Result<
             seed,
         ));
     };
-    let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(detail_seed));
-    let manner = Manner::new(options.manner, &mut Stream::Manner.of(detail_seed));
+    let detail = Detail::new(options.detail, options.wrinkles, &mut Stream::Detail.of(shared_seed));
+    let manner = Manner::new(options.manner, &mut Stream::Manner.of(shared_seed));
     let weights = FaceWeights { expressions: expression_weights.clone(), identity: identity_weights.clone() };
     let contains = |place: Flat| model.contains(place);
     let surface = Surface::new(model, &contains, weights, pose, manner, detail, options.eyeballs);
@@ -195,7 +195,8 @@ fn measured(solid: &Solid, options: &ScanOptions, seed: u64) -> Result<(Triangle
     let occluder = Occluder { positions, triangles, skin_points: *skin_points };
     let centre = positions.iter().sum::<Vec3>() / positions.len().max(1) as f64;
     let scale = (curved::extent(positions) / curved::FACE).max(1e-6);
-    let cameras = options.scanner.cameras(&options.cameras, scale, &mut Stream::Camera.of(seed));
+    let cameras =
+        options.scanner.cameras(&options.cameras, scale, &mut Stream::Camera.of(options.shared_seed.unwrap_or(seed)));
     let eyes: Vec<Vec3> = cameras.iter().map(|c| c.position(centre)).collect();
     let fused = options.scanner == Scanner::Fused;
     let images = |fineness: f64| -> Vec<DepthImage> {

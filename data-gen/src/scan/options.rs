@@ -64,7 +64,7 @@ pub struct ScanOptions {
     )]
     pub identity: Option<Vec<f64>>,
     /// Standard deviation of drawn identity weights.
-    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, help_heading = "Cases")]
+    #[arg(long, default_value_t = ScanOptions::default().identity_sigma, conflicts_with = "identity", help_heading = "Cases")]
     pub identity_sigma: f64,
     /// Largest angle of the random rotation, degrees.
     #[arg(long, default_value_t = ScanOptions::default().rotation, help_heading = "Cases")]
@@ -78,9 +78,10 @@ pub struct ScanOptions {
     /// How differently a person makes an expression from how the rig does: largest relative change.
     #[arg(long, default_value_t = ScanOptions::default().manner, help_heading = "Cases")]
     pub manner: f64,
-    /// Where the manner and the wrinkles of a person come from; `None`: from the scan's seed. Frames of a sequence share it.
+    /// Where comes from what frames of a sequence share: a person's manner and wrinkles, a camera drawn at random, the end that is cut
+    /// off. `None`: from the scan's seed.
     #[arg(skip)]
-    pub detail_seed: Option<u64>,
+    pub shared_seed: Option<u64>,
     /// A smooth displacement that no shape says, of this root mean square length, mm. Of a --rig only.
     #[arg(long, value_name = "MM", default_value_t = ScanOptions::default().field, help_heading = "Cases")]
     pub field: f64,
@@ -211,7 +212,7 @@ impl Default for ScanOptions {
             bends: Vec::new(),
             detail: 0.8,
             wrinkles: WrinkleMix::default(),
-            detail_seed: None,
+            shared_seed: None,
             rotation: 12.0,
             translation: 20.0,
             pose: None,

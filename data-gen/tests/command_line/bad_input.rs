@@ -23,6 +23,9 @@ const ROWS: &[Row] = &[
     ("--rig file --scanner frame", LOADING, &["file"]),
     ("--rig points --scanner frame", LOADING, &["points", "no triangles"]),
     ("--rig rig --scanner frame --vertices 1000", ARGUMENTS, &["cannot be used with"]),
+    ("--rig rig --scanner frame --no-eyeballs", ARGUMENTS, &["cannot be used with"]),
+    ("--rig rig --scanner frame --wrinkles 2,1,1,1", ARGUMENTS, &["--wrinkles", "1,1,1,S"]),
+    ("--rig rig --scanner frame --cases 1 --manner 0.5", ARGUMENTS, &["--manner", "no effect"]),
     ("--rig rig --cases 1", ARGUMENTS, &["net", "frame and fused"]),
     ("--rig rig --scanner frame", ARGUMENTS, &["mouthStretch", "there are none"]),
     // cases
@@ -36,6 +39,8 @@ const ROWS: &[Row] = &[
     ("--frames 2 --cases 2", ARGUMENTS, &["cannot be used with"]),
     ("--population 0", ARGUMENTS, &["--population", "1 to 100000"]),
     ("--fps 20", ARGUMENTS, &["--frames"]),
+    ("--fps 20 --cases 2", ARGUMENTS, &["cannot be used with"]),
+    ("--fps 20 --case a", ARGUMENTS, &["cannot be used with"]),
     ("--fps 0 --frames 2", ARGUMENTS, &["--fps", "0.001"]),
     ("--fps NaN --frames 2", ARGUMENTS, &["--fps", "NaN"]),
     ("--expression jawOpen", ARGUMENTS, &["--expression", "NAME=WEIGHT"]),
@@ -52,6 +57,9 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --rotation 181", ARGUMENTS, &["rotation", "181"]),
     ("--vertices 1000 --translation inf", ARGUMENTS, &["translation", "inf"]),
     ("--vertices 1000 --manner 2", ARGUMENTS, &["manner", "0 to 1"]),
+    ("--vertices 1000 --cases 2 --preset neutral --manner 0.5", ARGUMENTS, &["--manner", "no effect", "--expression"]),
+    ("--vertices 1000 --cases 2 --expression jawOpen=0 --manner 0.5", ARGUMENTS, &["--manner", "no effect"]),
+    ("--identity 1,2 --identity-sigma 0.5", ARGUMENTS, &["cannot be used with"]),
     ("--rig rig --cases 1 --scanner frame --bend a,b=30", ARGUMENTS, &["bend", "\"a\"", "there are none"]),
     ("--bend a=30", ARGUMENTS, &["--bend", "TIP,JOINT=DEGREES"]),
     ("--bend a,b=wide", ARGUMENTS, &["--bend", "TIP,JOINT=DEGREES"]),
@@ -73,6 +81,9 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --scanner frame --camera 0,0 --camera 30,0", ARGUMENTS, &["frame has one camera", "fused"]),
     ("--vertices 1000 --triangles 5000 --case same_open --scanner fused --camera 180,0", COMPUTATION, &["camera"]),
     ("--see-all --camera 0,0", ARGUMENTS, &["cannot be used with"]),
+    ("--see-all --grazing 60", ARGUMENTS, &["cannot be used with"]),
+    ("--see-all --grazing-noise 1", ARGUMENTS, &["cannot be used with"]),
+    ("--detail 0 --wrinkles 1,2,1,1", ARGUMENTS, &["--wrinkles", "--detail 0"]),
     ("--vertices 1000 --grazing 91", ARGUMENTS, &["grazing angle", "91"]),
     ("--vertices 1000 --detail 6", ARGUMENTS, &["detail", "0 to 5"]),
     ("--wrinkles 1,1,1", ARGUMENTS, &["--wrinkles", "4 numbers"]),
@@ -86,6 +97,9 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --holes 1001", ARGUMENTS, &["holes", "1001"]),
     ("--hole-radius 4", ARGUMENTS, &["--hole-radius", "2 numbers"]),
     ("--vertices 1000 --hole-radius 9,4", ARGUMENTS, &["hole radius", "9"]),
+    ("--holes 0 --hole-radius 4,5", ARGUMENTS, &["--hole-radius", "--holes 0"]),
+    ("--spikes 0 --spike-height 4,5", ARGUMENTS, &["--spike-height", "--spikes 0"]),
+    ("--noise 0 --grazing-noise 1", ARGUMENTS, &["--grazing-noise", "--noise 0"]),
     ("--vertices 1000 --keep 0", ARGUMENTS, &["share to keep", "0.05 to 1"]),
     ("--vertices 1000 --keep NaN", ARGUMENTS, &["share to keep", "NaN"]),
     ("--vertices 1000 --spikes 1.5", ARGUMENTS, &["spikes", "1.5"]),
@@ -94,6 +108,16 @@ const ROWS: &[Row] = &[
     // the folder
     ("--out file", WRITING, &["file"]),
     ("--out file/below", WRITING, &["file/below"]),
+    ("--vertices 1000 --cases 0 --out yours/1", WRITING, &["yours/1/rig", "no data-gen.json lists it", "move it away"]),
+    ("--vertices 1000 --triangles 5000 --cases 1 --out yours/2", WRITING, &["yours/2/cases/same_0000", "move it away"]),
+    ("--vertices 1000 --cases 0 --population 1 --out yours/3", WRITING, &["yours/3/population/person_0000.obj", "move it away"]),
+    ("--vertices 1000 --cases 0 --population 1 --out yours/4", WRITING, &["yours/4/population/face.mtl", "move it away"]),
+    ("--vertices 1000 --cases 0 --contact-sheet --out yours/5", WRITING, &["yours/5/contact_sheet.png", "move it away"]),
+    ("--vertices 1000 --triangles 5000 --frames 1 --out yours/6", WRITING, &["yours/6/sequence/weights.csv", "move it away"]),
+    ("--vertices 1000 --cases 0 --out yours/7", WRITING, &["yours/7/data-gen.json", "no record"]),
+    ("--vertices 1000 --triangles 5000 --frames 2 --out left", WRITING, &["left/sequence/frame_0002", "of another run"]),
+    ("--vertices 1000 --cases 0 --population 2 --out left", WRITING, &["left/population/person_0002.obj", "of another run"]),
+    ("--vertices 1000 --triangles 5000 --cases 1 --out left", WRITING, &["left/cases/new_0001", "of another run"]),
     ("--nosuch", ARGUMENTS, &["--nosuch"]),
     ("stray", ARGUMENTS, &["stray"]),
 ];
@@ -102,6 +126,22 @@ const ROWS: &[Row] = &[
 fn every_row_is_one_clear_error_and_leaves_no_trace() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("file"), "").unwrap();
+    for yours in [
+        "yours/1/rig/template.obj",
+        "yours/2/cases/same_0000/scan.ply",
+        "yours/3/population/person_0000.obj",
+        "yours/4/population/face.mtl",
+        "yours/5/contact_sheet.png",
+        "yours/6/sequence/weights.csv",
+        "yours/7/data-gen.json",
+        "left/sequence/frame_0002/scan.ply",
+        "left/population/person_0002.obj",
+        "left/cases/new_0001/scan.ply",
+    ] {
+        let path = folder.path().join(yours);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, "mine").unwrap();
+    }
     // A rig of one quad without shapes, and one that is points alone.
     for rig in ["rig", "points"] {
         std::fs::create_dir(folder.path().join(rig)).unwrap();

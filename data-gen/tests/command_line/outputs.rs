@@ -82,6 +82,21 @@ fn sequences_are_cases_with_weights() {
     assert_eq!(json(&sequence.join("frame_0002/case.json"))["expression"]["mouthSmile_L"], weights[2]);
 }
 
+#[test]
+fn frames_of_a_sequence_are_seen_by_one_camera_and_cut_at_one_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let still = "--scanner frame --keep 0.6 --rotation 0 --translation 0 --fps 1000 --holes 0";
+    done(folder.path(), &format!("{SMALL} --frames 4 {still}"));
+    let observed = |frame: usize| {
+        read_npy_mask(&folder.path().join(format!("data/sequence/frame_{frame:04}/observed.npy")), None).unwrap()
+    };
+    let first = observed(0);
+    for frame in 1..4 {
+        let same = first.iter().zip(observed(frame)).filter(|(a, b)| **a == *b).count();
+        assert!(same as f64 > 0.9 * first.len() as f64, "frame {frame}: {same} of {}", first.len());
+    }
+}
+
 /// Of the observed vertices of a case, the mean and the largest distance of their true places to the scan; and how many they are.
 fn distances(case: &Path) -> (f64, f64, usize) {
     let scan = ClosestPoint::new(&read_scan(&case.join("scan.ply")).unwrap().mesh).unwrap();
@@ -122,6 +137,36 @@ fn depth_cameras_scan_the_generated_face_and_any_rig() {
 }
 
 #[test]
+fn a_run_replaces_what_an_earlier_one_made_and_mixes_no_two_sets() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let small = format!("{SMALL} --frames 2 --population 2 --contact-sheet");
+    done(folder.path(), &small);
+    // What is beside the results is the user's, and stays; what an earlier run made is replaced.
+    let notes = data.join("rig/notes.txt");
+    std::fs::write(&notes, "mine").unwrap();
+    let person = || std::fs::read(data.join("population/person_0001.obj")).unwrap();
+    let before = person();
+    done(folder.path(), &small.replace("--seed 7", "--seed 50"));
+    assert!(person() != before && std::fs::read_to_string(&notes).unwrap() == "mine");
+    // A smaller set would leave some of the larger one.
+    for (fewer, left) in
+        [("--frames 1", "sequence/frame_0001"), ("--cases 0 --population 1", "population/person_0001.obj")]
+    {
+        let output = run(folder.path(), &format!("{SMALL} {fewer}"));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(3) && said.contains(left), "{said}");
+    }
+    // What is gone since is not on record any more: what comes to stand there is the user's.
+    let picture = data.join("contact_sheet.png");
+    std::fs::remove_file(&picture).unwrap();
+    done(folder.path(), &format!("{SMALL} --cases 0"));
+    std::fs::write(&picture, "mine").unwrap();
+    let output = run(folder.path(), &format!("{SMALL} --cases 0 --contact-sheet"));
+    assert!(output.status.code() == Some(3) && std::fs::read_to_string(&picture).unwrap() == "mine");
+}
+
+#[test]
 fn help_has_examples_and_exit_codes() {
     let folder = tempfile::tempdir().unwrap();
     let help = done(folder.path(), "--help");
@@ -143,9 +188,9 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let program = env!("CARGO_BIN_EXE_data-gen");
     let small = "--seed 7 --out OUT --vertices 1000 --identity-modes 6 --triangles 5000 --threads THREADS";
     for (options, files) in [
-        ("--population 3 --contact-sheet --case same_open --case new_asym", 28),
-        ("--frames 2 --preset smile", 25),
-        ("--case new_open --scanner fused", 17),
+        ("--population 3 --contact-sheet --case same_open --case new_asym", 29),
+        ("--frames 2 --preset smile", 26),
+        ("--case new_open --scanner fused", 18),
     ] {
         assert_eq!(leaves_equal_files(program, folder.path(), &format!("{small} {options}"), false), files);
     }
