@@ -27,7 +27,7 @@ use crate::check_millimetres;
 use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::{BenchRig, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
-use crate::unread;
+use crate::{identity_modes, unread};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -135,12 +135,7 @@ pub fn run(a: &Arguments) -> Result<()> {
 }
 
 fn shapes_of(rig: &BenchRig, asked: Option<usize>) -> Result<ShapeBasis> {
-    let has = rig.rig().identity_modes();
-    if let Some(asked) = asked.filter(|asked| *asked > has) {
-        let message = format!("--identity-modes: {asked} asked for, the rig has {has}");
-        return Err(Failure::new(Stage::Arguments, message).into());
-    }
-    let identity_modes = asked.unwrap_or_else(|| rig.rig().usual_identity_modes(None, false));
+    let identity_modes = identity_modes(rig.rig(), asked)?;
     Ok(rig.rig().select(ShapeSelection { identity_modes, ..ShapeSelection::default() })?)
 }
 

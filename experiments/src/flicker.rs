@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use comfy_table::Table;
-use nonrigid::console::{Failure, say};
+use nonrigid::console::{Failure, Stage, say};
 use nonrigid::mesh::Vec3;
 use nonrigid::motion::{Track, flicker};
 use nonrigid::registration::{ModelKind, RegistrationInput, StepRecord, WarmStart, register};
@@ -36,7 +36,7 @@ pub struct Arguments {
     /// Length of each sequence
     #[arg(long, default_value_t = 1.0, value_parser = seconds)]
     seconds: f64,
-    /// Cutoffs of the smoothing, Hz
+    /// Cutoffs of the smoothing, Hz, at most half of each rate
     #[arg(long, value_delimiter = ',', default_values_t = [2.0, 3.0, 4.0, 6.0], value_parser = seconds)]
     cutoffs: Vec<f64>,
     /// Model
@@ -88,12 +88,13 @@ pub fn run(a: &Arguments) -> Result<()> {
     each_once("--seeds", &a.seeds)?;
     each_once("--rates", &a.rates)?;
     each_once("--cutoffs", &a.cutoffs)?;
+    check_times(a)?;
     make_output_folder(&a.out, [])?;
     let studio = Studio::new(a.vertices as usize)?;
     let mut rows = Vec::new();
     for &seed in &a.seeds {
         for &fps in &a.rates {
-            let frames = (a.seconds * f64::from(fps)).ceil() as usize;
+            let frames = frames(a, fps);
             let cases = studio.sequence(frames, fps.into(), a.triangles as usize, seed)?;
             let tracked = track(&cases, a.model)?;
             let of_sequence = rows_of(a, seed, fps, &cases, &tracked)?;
@@ -105,6 +106,32 @@ pub fn run(a: &Arguments) -> Result<()> {
         say(format_args!("means over the seeds\n{}", shown(&means(&rows))))?;
     }
     write_json(&a.out.join("flicker.json"), &json!(rows))
+}
+
+/// Frames of a sequence at this rate.
+fn frames(a: &Arguments, fps: u16) -> usize {
+    (a.seconds * f64::from(fps)).ceil() as usize
+}
+
+/// Refuses sequences that are too short for a second difference, and cutoffs that frames at their rate do not have.
+fn check_times(a: &Arguments) -> Result<(), Failure> {
+    for &fps in &a.rates {
+        if frames(a, fps) < 3 {
+            let message = format!(
+                "--seconds {}: {} frames at --rates {fps}, flicker takes 3; give more of either",
+                a.seconds,
+                frames(a, fps)
+            );
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+        if let Some(hz) = a.cutoffs.iter().find(|hz| **hz > f64::from(fps) / 2.0) {
+            let message = format!(
+                "--cutoffs {hz}: above half of --rates {fps}, where nothing is left to smooth; give lower --cutoffs"
+            );
+            return Err(Failure::new(Stage::Arguments, message));
+        }
+    }
+    Ok(())
 }
 
 /// Every frame from where the one before ended.

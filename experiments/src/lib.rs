@@ -43,9 +43,34 @@ pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]
     }
 }
 
-/// What could not be read, with its causes.
+/// An error with its causes, but for those that it tells itself.
+#[must_use]
+pub fn told(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
+        "" => cause,
+        _ if said.ends_with(&cause) => said,
+        _ => format!("{said}: {cause}"),
+    })
+}
+
+/// What could not be read.
 fn unread(error: anyhow::Error) -> nonrigid::console::Failure {
-    nonrigid::console::Failure::loading(format!("{error:#}"))
+    nonrigid::console::Failure::loading(told(&error))
+}
+
+/// How many identity modes of a rig take part: those that are asked for, or as many as usual.
+///
+/// # Errors
+/// A [`Failure`](nonrigid::console::Failure) of the arguments when the rig has fewer.
+fn identity_modes(rig: &nonrigid::rig::Rig, asked: Option<usize>) -> Result<usize, nonrigid::console::Failure> {
+    let has = rig.identity_modes();
+    match asked {
+        Some(asked) if asked > has => {
+            let message = format!("--identity-modes: {asked} asked for, the rig has {has}");
+            Err(nonrigid::console::Failure::new(nonrigid::console::Stage::Arguments, message))
+        }
+        _ => Ok(asked.unwrap_or_else(|| rig.usual_identity_modes(None, false))),
+    }
 }
 
 /// The file of this program, whose processes measure what needs one of its own.

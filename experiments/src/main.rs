@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
     ceres, compare_rigs, consistency, flicker, more_garbow_hillstrom, nist, peers, real_scans, report, scaling,
-    scan_bench, schedule_search, silence, solver_case, start_bench, this_program, unseen,
+    scan_bench, schedule_search, silence, solver_case, start_bench, this_program, told, unseen,
 };
 use nonrigid::console::{Failure, Stage, answer, bounded, tell};
 use nonrigid::registration::RegistrationError;
@@ -102,7 +102,7 @@ fn main() -> ExitCode {
         Some(Command::Dev(Dev::MoreGarbowHillstrom(a))) => more_garbow_hillstrom::run(a),
     };
     let Err(e) = outcome else { return ExitCode::SUCCESS };
-    tell(format_args!("error: {e:#}"));
+    tell(format_args!("error: {}", told(&e)));
     exit_code(&e)
 }
 

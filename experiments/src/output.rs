@@ -27,13 +27,18 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
     Ok(write_atomically(path, |file| file.write_all(content.as_ref())).map_err(Failure::writing)?)
 }
 
-/// Makes the folder of results, unless a file or folder that is read is in it.
+/// Says in a folder of results that this program may replace what is in it.
+const MARK: &str = "experiments.json";
+const MARKED: &str = "{ \"version\": 1, \"made_by\": \"experiments\" }\n";
+
+/// Makes the folder of results, once [`check_output_folder`] has nothing against it.
 ///
 /// # Errors
-/// A [`Failure`] of the arguments that names the clash, or of writing.
+/// As [`check_output_folder`]; a [`Failure`] of writing.
 pub fn make_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a str, &'a PathBuf)>) -> Result<()> {
     check_output_folder(out, reads)?;
-    make_folder(out)
+    make_folder(out)?;
+    write_file(&out.join(MARK), MARKED)
 }
 
 /// Makes a folder, if it is not there.
@@ -44,33 +49,23 @@ pub fn make_folder(path: &Path) -> Result<()> {
     Ok(fs::create_dir_all(path).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?)
 }
 
-/// Refuses a folder of results that has a file or folder in it that is read.
+/// Refuses a folder of results that has a file or folder in it that is read, or anything and no mark of an earlier run.
 ///
 /// # Errors
-/// A [`Failure`] of the arguments that names the clash.
+/// A [`Failure`] of the arguments that names the clash, or of writing that names what is there.
 pub fn check_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a str, &'a PathBuf)>) -> Result<()> {
-    Ok(check_plan(&FilePlan::new().reads_all(reads).writes_in("--out", out))?)
-}
-
-/// Refuses a folder where one of these files stands that no earlier run of the same has written: one that did left `mark` there, JSON
-/// with this key.
-///
-/// # Errors
-/// A [`Failure`] of writing that names the file.
-pub fn refuse_strangers(out: &Path, (mark, key): (&str, &str), names: &[String]) -> Result<()> {
-    let marked = fs::read(out.join(mark)).ok();
-    let marked: Option<serde_json::Value> = marked.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-    if marked.is_some_and(|value| value.get(key).is_some()) {
+    check_plan(&FilePlan::new().reads_all(reads).writes_in("--out", out))?;
+    if fs::read_to_string(out.join(MARK)).is_ok_and(|text| text == MARKED) {
         return Ok(());
     }
-    match names.iter().map(|name| out.join(name)).find(|path| path.exists()) {
+    let entries = fs::read_dir(out).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    let strangers = entries.filter(|name| !name.to_string_lossy().starts_with('.'));
+    match strangers.min() {
         None => Ok(()),
-        Some(path) => {
-            let message = format!(
-                "{}: is there, and {mark} does not say that an earlier run wrote it; move it away, or give another --out",
-                path.display()
-            );
-            Err(Failure::new(Stage::Writing, message).into())
-        }
+        Some(name) => Err(Failure::writing(format!(
+            "{}: is there, and no {MARK} beside it says that an earlier run made the folder; move it away, or give another --out",
+            out.join(name).display()
+        ))
+        .into()),
     }
 }

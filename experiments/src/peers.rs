@@ -23,7 +23,7 @@ use crate::process::Process;
 use crate::scan_bench::{
     BenchCase, BenchRow, CaseSource, Variant, measure, summarize, summary_table, table_of, write_rows,
 };
-use crate::this_program;
+use crate::{this_program, told};
 
 /// What runs the other programs.
 const SCRIPT: &str = include_str!("../peers/peers.py");
@@ -99,7 +99,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     each_once("--models", &a.models)?;
     let source = CaseSource::new(&a.cases, &a.rig);
     let cases = source.read()?;
-    check_python(&a.python)?;
+    check_python("--python", &a.python)?;
     make_output_folder(&a.out, [("DIR", &a.cases), ("--rig", &a.rig)])?;
     let threads = rayon::current_num_threads();
     let total = (a.methods.len() + a.models.len()) * cases.len();
@@ -130,10 +130,13 @@ pub fn run(a: &Arguments) -> Result<()> {
 }
 
 /// Refuses a Python that cannot be started, before anything runs.
-fn check_python(python: &Path) -> Result<()> {
+///
+/// # Errors
+/// A [`Failure`] of the arguments that names the option.
+pub fn check_python(option: &str, python: &Path) -> Result<()> {
     let started = Command::new(python).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
     let unstarted =
-        |e| Failure::new(Stage::Arguments, format!("--python {}: cannot be started: {e}", python.display()));
+        |e| Failure::new(Stage::Arguments, format!("{option} {}: cannot be started: {e}", python.display()));
     Ok(started.map(drop).map_err(unstarted)?)
 }
 
@@ -167,7 +170,7 @@ pub fn run_others(
             }
             let (said, scored) = match run_one(&mut command, Duration::from_secs(timeout.into()))? {
                 Err(reason) => (None, Err(reason)),
-                Ok(said) => (Some(said), score(case, &result).map_err(|e| format!("{e:#}"))),
+                Ok(said) => (Some(said), score(case, &result).map_err(|e| told(&e))),
             };
             let mut row = BenchRow::new("peer", method, &case.name, scored);
             (row.seconds, row.peak_bytes) = said.map_or((None, None), |s| (Some(s.seconds), Some(s.peak_bytes)));

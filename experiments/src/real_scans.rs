@@ -20,12 +20,12 @@ use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, 
 use nonrigid::render::{
     Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_height, text_size,
 };
-use nonrigid::rig::{Family, IDENTITY_MODES, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
+use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
-use crate::output::{make_folder, make_output_folder};
+use crate::output::{each_once, make_folder, make_output_folder};
 use crate::tables::{csv_text, table, write_csv, write_json};
-use crate::unread;
+use crate::{identity_modes, told, unread};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -44,9 +44,9 @@ pub struct Arguments {
     /// Rig folder; its polygons are the template
     #[arg(long, value_name = "DIR")]
     pub rig: PathBuf,
-    /// Identity modes to use, from the first
-    #[arg(long, value_name = "K", default_value_t = IDENTITY_MODES)]
-    pub identity_modes: usize,
+    /// How many of the rig's identity modes take part [default: 60, or as many as it has]
+    #[arg(long, value_name = "K")]
+    pub identity_modes: Option<usize>,
     /// Models to run
     #[arg(long, value_delimiter = ',', default_values_t = ModelKind::ALL, value_parser = str::parse::<ModelKind>)]
     pub models: Vec<ModelKind>,
@@ -155,8 +155,14 @@ struct Template {
 
 impl Template {
     /// A rig folder's polygons, its expressions but `mouthClose` (a correction of others) and pupils, its first identity modes.
-    fn read(folder: &Path, identity_modes: usize) -> Result<Self> {
-        let (rig, _) = Rig::read(folder, &RigReadOptions { identity_modes, ..RigReadOptions::default() })?;
+    fn read(folder: &Path, asked: Option<usize>) -> Result<Self> {
+        let unread = |e: anyhow::Error| unread(e.context("--rig"));
+        let (rig, _) = Rig::read(folder, &RigReadOptions::default()).map_err(|e| unread(e.into()))?;
+        let identity_modes = identity_modes(&rig, asked)?;
+        Ok(Self::of(&rig, folder, identity_modes).map_err(unread)?)
+    }
+
+    fn of(rig: &Rig, folder: &Path, identity_modes: usize) -> Result<Self> {
         crate::check_millimetres(folder, rig.neutral())?;
         let mesh = rig.mesh().with_context(|| format!("{}: the rig has no template mesh", folder.display()))?.clone();
         let wanted = |name: &str| name != "mouthClose" && !name.starts_with("PupilDilate_");
@@ -189,6 +195,7 @@ impl Target {
 /// A [`Failure`] when the rig or every scan cannot be read, when something cannot be written, and when every single
 /// registration failed.
 pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
+    each_once("--models", &a.models)?;
     let scans = scans_in(&a.scans, &a.rig)
         .map_err(|e| Failure::loading(format!("--scans {}: cannot be read: {e}", a.scans.display())))?;
     if scans.is_empty() {
@@ -211,10 +218,10 @@ pub fn run(a: &Arguments) -> Result<Vec<RealScanRow>> {
 /// # Errors
 /// A [`Failure`] when the rig or every scan cannot be read, or a result cannot be written.
 pub fn register_all(a: &Arguments, scans: &[ScanFile]) -> Result<(Vec<RealScanRow>, RgbImage)> {
-    let template = Template::read(&a.rig, a.identity_modes).map_err(|e| unread(e.context("--rig")))?;
+    let template = Template::read(&a.rig, a.identity_modes)?;
     let targets: Vec<_> = scans.iter().map(|file| Target::read(file, &template.mesh)).collect();
     if let (true, Some(Err(first))) = (targets.iter().all(Result::is_err), targets.first()) {
-        let message = format!("--scans {}: none of the scans can be read; {first:#}", a.scans.display());
+        let message = format!("--scans {}: none of the scans can be read; {}", a.scans.display(), told(first));
         return Err(Failure::loading(message).into());
     }
     make_output_folder(&a.out, [("--rig", &a.rig), ("--scans", &a.scans)])?;
@@ -225,7 +232,7 @@ pub fn register_all(a: &Arguments, scans: &[ScanFile]) -> Result<(Vec<RealScanRo
     for (ScanFile { name, .. }, target) in scans.iter().zip(targets) {
         let (found, panels) = match target {
             Ok(target) => every_model(a, &template, name, &target)?,
-            Err(e) => unreadable(a, name, &format!("{e:#}")),
+            Err(e) => unreadable(a, name, &told(&e)),
         };
         rows.extend(found);
         for (i, panels) in panels.chunks(ACROSS).enumerate() {
@@ -261,7 +268,7 @@ fn every_model(
                 rows.push(row(Some(fit), None));
             }
             Err(e) => {
-                let message = format!("{e:#}");
+                let message = told(&e);
                 tell(format_args!("{name:10} {model:16} failed: {message}"));
                 results.push(None);
                 rows.push(row(None, Some(message)));

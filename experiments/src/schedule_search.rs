@@ -20,7 +20,7 @@ use nonrigid::registration::{ModelKind, Schedule, TERMS};
 use rayon::prelude::*;
 
 use crate::generated::standard_cases;
-use crate::output::{make_output_folder, write_file};
+use crate::output::{each_once, make_output_folder, write_file};
 use crate::scan_bench::{BenchCase, LandmarkUse, run_case};
 
 /// What all models share, level by level.
@@ -309,6 +309,9 @@ fn searched_model(name: &str) -> Result<ModelKind, String> {
 /// A [`Failure`](nonrigid::console::Failure) when something cannot be written; anything else is a failed computation.
 pub fn run(options: &Options) -> Result<()> {
     let Options { models, seeds, vertices, budget, out, .. } = options;
+    each_once("--models", models)?;
+    each_once("--seeds", seeds)?;
+    make_output_folder(out, [])?;
     say(format_args!(
         "{} models, six cases of each of seeds {seeds:?}, {vertices} vertices, {budget} evaluations each",
         models.len()
@@ -317,7 +320,6 @@ pub fn run(options: &Options) -> Result<()> {
     for &seed in seeds {
         cases.extend(standard_cases(*vertices as usize, TRIANGLES, seed)?);
     }
-    make_output_folder(out, [])?;
     let mut rows = "model,evaluation,axes,mean_rmse_plus_off\n".to_owned();
     for &model in models {
         let mut count = 0;

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::ValueEnum as _;
-use nonrigid::console::say;
+use nonrigid::console::{Failure, Stage, say};
 use nonrigid::io;
 use nonrigid::landmark;
 use nonrigid::mesh::{Pose, Vec3};
@@ -16,11 +16,12 @@ use nonrigid::registration::{ModelKind, RegistrationInput, Schedule, StartSearch
 use nonrigid::rig::Regions;
 use rayon::prelude::*;
 
+use crate::output::each_once;
 use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig};
 use crate::start_cases::{StartKind, face_pose};
 use crate::tables::table;
-use crate::unread;
+use crate::{told, unread};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -36,7 +37,7 @@ pub struct Arguments {
     rig: PathBuf,
     /// Make the cases' scans worse instead, each way of these in random poses, and count right and wrong starts and refusals;
     /// 'all' for every way
-    #[arg(long, value_delimiter = ',', value_name = "KIND", value_parser = kinds)]
+    #[arg(long, value_delimiter = ',', value_name = "KIND", value_parser = kinds, conflicts_with_all = ["turns", "vertical", "shift"])]
     kinds: Vec<Vec<StartKind>>,
     /// Random poses of each kind and case
     #[arg(long, default_value_t = 1, requires = "kinds", value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -44,8 +45,8 @@ pub struct Arguments {
     /// Turns about random axes, degrees
     #[arg(long, value_delimiter = ',', default_value = "0,30,90,180", value_parser = finite, allow_negative_numbers = true)]
     turns: Vec<f64>,
-    /// Turn about the vertical axis instead
-    #[arg(long)]
+    /// Turn about the vertical axis instead, without a shift
+    #[arg(long, conflicts_with_all = ["shift", "seed"])]
     vertical: bool,
     /// Shift with every turn but 0, millimetres
     #[arg(long, default_value_t = 500.0, value_parser = finite, allow_negative_numbers = true)]
@@ -173,8 +174,13 @@ fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<Sta
 pub fn run(a: &Arguments) -> Result<()> {
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     if !a.kinds.is_empty() {
+        each_once("--kinds", &a.kinds.concat().into_iter().map(StartKind::name).collect::<Vec<_>>())?;
         let mut cases = Vec::new();
         for path in &a.scans {
+            if path.is_file() {
+                let message = format!("{}: --kinds needs the truth of cases, give their folder", path.display());
+                return Err(Failure::new(Stage::Arguments, message).into());
+            }
             cases.extend(BenchCase::read_all(path, &rig).map_err(unread)?);
         }
         return run_kinds(a, &cases);
@@ -223,7 +229,7 @@ pub fn run(a: &Arguments) -> Result<()> {
                 }
                 Err(e) => {
                     of += 1;
-                    vec![format!("{e:#}")]
+                    vec![told(&e)]
                 }
             };
             rows.push([head, cells].concat());

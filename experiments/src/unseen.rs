@@ -18,10 +18,10 @@ use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose, rms_size};
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TERMS, TermFactory};
 use serde::Serialize;
 
-use crate::output::make_folder;
-use crate::scan_bench::{BenchCase, BenchRig, LandmarkUse, fit_case, read_schedule};
+use crate::output::{each_once, make_output_folder};
+use crate::scan_bench::{BenchCase, CaseSource, LandmarkUse, fit_case, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
-use crate::unread;
+use crate::told;
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -104,9 +104,9 @@ pub struct UnseenRow {
     /// Vertices that are seen.
     pub seen: usize,
     /// Root mean square error over them, millimetres.
-    pub rmse: f64,
-    /// Root mean square error over the others.
-    pub unseen_rmse: f64,
+    pub rmse: Option<f64>,
+    /// Root mean square error over the others, where there are any.
+    pub unseen_rmse: Option<f64>,
     /// Triangles whose normal turned by more than 90 degrees against the truth.
     pub folds: usize,
     /// The same for the subject's rest shape, laid on the truth rigidly: what is no fold but the expression.
@@ -125,21 +125,29 @@ pub struct UnseenRow {
 /// Runs the command.
 ///
 /// # Errors
-/// A [`Failure`] when something cannot be read or written.
+/// A [`Failure`] of the arguments; when something cannot be read or written; of the computation when every run failed.
 pub fn run(a: &Arguments) -> Result<()> {
-    let rig = BenchRig::read(&a.rig).map_err(unread)?;
-    let cases = BenchCase::read_all(&a.cases, &rig).map_err(unread)?;
-    make_folder(&a.out)?;
+    each_once("--models", &a.models)?;
+    each_once("--views", &a.views)?;
+    let cases = CaseSource::new(&a.cases, &a.rig).read()?;
     let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
+    let reads = [("DIR", &a.cases), ("--rig", &a.rig)].into_iter();
+    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))))?;
     let mut rows = Vec::new();
     for case in &cases {
         for (name, view) in VIEWS.iter().filter(|v| a.views.is_empty() || a.views.iter().any(|n| n == v.0)) {
-            let case = seen_as(case, *view)?;
-            let own = own_faults(&case)?;
+            let seen = seen_as(case, *view).and_then(|seen| own_faults(&seen).map(|own| (seen, own)));
             for model in &a.models {
-                let schedule = config.clone().map_or_else(|| model.schedule(), Ok)?;
-                let row = row_of(&case, name, *model, &TERMS, &schedule, own, a)?;
-                tell(format_args!("{} {} {}: {:.3} / {:.3}", row.case, row.view, row.model, row.rmse, row.unseen_rmse));
+                let row = match &seen {
+                    Ok((seen, own)) => {
+                        let schedule = config.clone().map_or_else(|| model.schedule(), Ok)?;
+                        row_of(seen, name, *model, &TERMS, &schedule, *own, a)?
+                    }
+                    Err(e) => UnseenRow { error: Some(told(e)), ..UnseenRow::new(&case.name, name, *model) },
+                };
+                let [rmse, unseen] = [row.rmse, row.unseen_rmse].map(|x| shown(x, 3));
+                let outcome = row.error.as_ref().map_or(format!("{rmse} / {unseen}"), |e| format!("failed: {e}"));
+                tell(format_args!("{} {} {}: {outcome}", row.case, row.view, row.model));
                 rows.push(row);
             }
         }
@@ -149,14 +157,14 @@ pub fn run(a: &Arguments) -> Result<()> {
         "case,view,model,error,seen,rmse,unseen_rmse,folds,folds_at_rest,self_intersections,own_self_intersections",
         rows.iter().map(|r| {
             format!(
-                "{},{},{},{},{},{:.6},{:.6},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{},{},{}",
                 csv_text(&r.case),
                 csv_text(&r.view),
                 r.model,
                 csv_text(r.error.as_deref().unwrap_or("")),
                 r.seen,
-                r.rmse,
-                r.unseen_rmse,
+                shown(r.rmse, 6),
+                shown(r.unseen_rmse, 6),
                 r.folds,
                 r.folds_at_rest,
                 r.self_intersections,
@@ -166,7 +174,41 @@ pub fn run(a: &Arguments) -> Result<()> {
     )?;
     write_json(&a.out.join("unseen.json"), &serde_json::json!({ "rows": rows }))?;
     say(rows_table(&rows))?;
-    Ok(say(summary(&rows))?)
+    say(summary(&rows))?;
+    match rows.first().filter(|_| rows.iter().all(|row| row.error.is_some())) {
+        None => Ok(()),
+        Some(UnseenRow { case, view, model, error, .. }) => {
+            let reason = error.as_deref().unwrap_or_default();
+            Err(Failure::computation(format!("every run failed; the first, {model} on {case}, {view}: {reason}"))
+                .into())
+        }
+    }
+}
+
+/// A number where there is one.
+fn shown(x: Option<f64>, decimals: usize) -> String {
+    x.map_or(String::new(), |x| format!("{x:.decimals$}"))
+}
+
+impl UnseenRow {
+    /// Without a result.
+    fn new(case: &str, view: &str, model: ModelKind) -> Self {
+        Self {
+            case: case.to_owned(),
+            view: view.to_owned(),
+            model: model.name().to_owned(),
+            error: None,
+            seen: 0,
+            rmse: None,
+            unseen_rmse: None,
+            folds: 0,
+            folds_at_rest: 0,
+            self_intersections: 0,
+            own_self_intersections: 0,
+            stretch: [1.0; 3],
+            seconds: 0.0,
+        }
+    }
 }
 
 /// Folds and self-intersections that the subject has without any registration.
@@ -191,26 +233,18 @@ fn row_of(
     a: &Arguments,
 ) -> Result<UnseenRow> {
     let mut row = UnseenRow {
-        case: case.name.clone(),
-        view: view.to_owned(),
-        model: model.name().to_owned(),
-        error: None,
         seen: case.observed.iter().filter(|o| **o).count(),
-        rmse: f64::NAN,
-        unseen_rmse: f64::NAN,
-        folds: 0,
         folds_at_rest: own[0],
-        self_intersections: 0,
         own_self_intersections: own[1],
-        stretch: [1.0; 3],
-        seconds: 0.0,
+        ..UnseenRow::new(&case.name, view, model)
     };
     let (result, seconds) = match fit_case(&model, terms, schedule, case, LandmarkUse::All) {
         Ok(fitted) => fitted,
         Err(e) => return Ok(UnseenRow { error: Some(e.to_string()), ..row }),
     };
     let (errors, MeshQuality { self_intersections, stretch, .. }) = case.score(&result.positions)?;
-    (row.rmse, row.unseen_rmse, row.folds, row.seconds) = (errors.rmse, errors.unobserved, errors.flipped, seconds);
+    (row.rmse, row.folds, row.seconds) = (Some(errors.rmse), errors.flipped, seconds);
+    row.unseen_rmse = (row.seen < case.observed.len()).then_some(errors.unobserved);
     (row.self_intersections, row.stretch) = (self_intersections, [stretch.p1, stretch.p99, stretch.max]);
     if a.meshes {
         let name = format!("{}-{}-{}.obj", row.case, row.view.replace(' ', "_"), row.model);
@@ -374,8 +408,8 @@ fn rows_table(rows: &[UnseenRow]) -> comfy_table::Table {
                 r.view.clone(),
                 r.model.clone(),
                 r.seen.to_string(),
-                r.error.as_ref().map_or_else(|| format!("{:.3}", r.rmse), |_| "none".to_owned()),
-                format!("{:.3}", r.unseen_rmse),
+                r.error.as_ref().map_or_else(|| shown(r.rmse, 3), |_| "none".to_owned()),
+                shown(r.unseen_rmse, 3),
                 r.folds.to_string(),
                 r.folds_at_rest.to_string(),
                 r.self_intersections.to_string(),
@@ -405,7 +439,10 @@ fn summary(rows: &[UnseenRow]) -> comfy_table::Table {
         keys.into_iter().map(|(view, model)| {
             let of: Vec<_> = rows.iter().filter(|r| r.model == model && (view == "all" || r.view == view)).collect();
             let done: Vec<_> = of.iter().filter(|r| r.error.is_none()).collect();
-            let mean = |f: fn(&UnseenRow) -> f64| done.iter().map(|r| f(r)).sum::<f64>() / done.len().max(1) as f64;
+            let mean = |f: fn(&UnseenRow) -> Option<f64>| {
+                let known: Vec<f64> = done.iter().filter_map(|r| f(r)).collect();
+                (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+            };
             let sum = |f: fn(&UnseenRow) -> usize| done.iter().map(|r| f(r)).sum::<usize>();
             let crossing = |r: &UnseenRow| r.self_intersections.saturating_sub(r.own_self_intersections);
             let worst = done.iter().map(|r| crossing(r)).max().unwrap_or(0);
@@ -413,14 +450,14 @@ fn summary(rows: &[UnseenRow]) -> comfy_table::Table {
                 view.to_owned(),
                 model.to_owned(),
                 (of.len() - done.len()).to_string(),
-                format!("{:.4}", mean(|r| r.rmse)),
-                format!("{:.4}", mean(|r| r.unseen_rmse)),
+                shown(mean(|r| r.rmse), 4),
+                shown(mean(|r| r.unseen_rmse), 4),
                 sum(|r| r.folds).to_string(),
                 sum(|r| r.folds.saturating_sub(r.folds_at_rest)).to_string(),
                 sum(|r| r.self_intersections).to_string(),
                 sum(|r| r.self_intersections.saturating_sub(r.own_self_intersections)).to_string(),
                 worst.to_string(),
-                format!("{:.2}", mean(|r| r.seconds)),
+                shown(mean(|r| Some(r.seconds)), 2),
             ]
         }),
     )

@@ -65,15 +65,18 @@ impl Data {
         Ok(Self { rig_folder, cases_folder, generated: false, rig, cases, real: None })
     }
 
-    /// The user's own: cases with truth, folders with a `case.json`, anywhere below `scans`; and [`RealScans::find`]. Without cases
-    /// these are generated, as by [`generate`](Self::generate).
+    /// The user's own: cases with truth, folders with a `case.json`, anywhere below `scans`; and [`RealScans::find`]. With real scans
+    /// alone the cases are those that `generate` makes.
     ///
     /// # Errors
-    /// When something cannot be read, or there is neither.
-    pub fn of_user(rig: &Path, scans: &Path, folder: &Path, effort: &Effort, seed: u64) -> Result<Self> {
+    /// When something cannot be read, or there is neither; as `generate`.
+    pub fn of_user(rig: &Path, scans: &Path, generate: impl FnOnce() -> Result<Self>) -> Result<Self> {
         let real = RealScans::find(rig, scans);
         let mut data = match (case_folders(scans), &real) {
-            (Err(_), Some(_)) => Self::generate(folder, effort, seed)?,
+            (Err(_), Some(_)) => {
+                BenchRig::read(rig).map_err(unread)?;
+                generate()?
+            }
             _ => Self::read(rig, scans)?,
         };
         data.real = real;

@@ -31,9 +31,12 @@ use page::{Page, State};
 use studies::STUDIES;
 use study::{Setting, Study};
 
-use crate::output::{check_output_folder, make_output_folder, refuse_strangers};
+use crate::output::{check_output_folder, make_output_folder};
+use crate::peers::check_python;
+use crate::scan_bench::case_folders;
 
 use crate::tables::write_json;
+use crate::told;
 
 /// What to run.
 #[derive(Debug, Clone, clap::Args)]
@@ -50,11 +53,11 @@ pub struct Options {
     /// Only these studies
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     pub only: Vec<String>,
-    /// A rig of your own instead of the generated one, for studies of cases
+    /// A rig of your own instead of the generated one, for studies of cases and of real scans
     #[arg(long, value_name = "DIR", requires = "scans")]
     pub rig: Option<PathBuf>,
     /// Its scans: cases with truth as data-gen writes them, anywhere below DIR, and real ones as real-scans finds them, in
-    /// DIR/scans or else in DIR
+    /// DIR/scans or else in DIR. Without cases among them all studies but real and presets are of generated ones
     #[arg(long, value_name = "DIR", requires = "rig")]
     pub scans: Option<PathBuf>,
     /// Other programs beside ours, run by this Python; `experiments peers --help` says how to install them [default: python3]
@@ -113,6 +116,9 @@ pub fn run(
         list(effort, log)?;
         return Ok(Vec::new());
     }
+    if let Some(python) = &options.peers {
+        check_python("--peers", python)?;
+    }
     let out = &options.out;
     let clock = Instant::now();
     let threads = rayon::current_num_threads();
@@ -121,16 +127,20 @@ pub fn run(
         chosen.iter().map(|s| format!("{} {}", s.name, spoken((s.seconds)(effort)))).collect::<Vec<_>>().join(", ");
     let say = |log: &mut dyn Write, text: String| say_to(log, format_args!("{text}"));
     say(log, format!("Klimov 2020, measured ({}); seed {}, threads {threads}\n", effort.name, options.seed))?;
-    let of = if options.rig.is_some() { ", were the cases the generated ones" } else { "" };
+    let of = if own_cases(options) { ", were the cases the generated ones" } else { "" };
     say(log, format!("plan, about {} on two cores{of}: {plan}\n", spoken(seconds)))?;
+    if options.rig.is_some() && !own_cases(options) {
+        let of_scans = studies::OF_SCANS.join(" and ");
+        say(
+            log,
+            format!("no case.json below --scans: {of_scans} are of your rig and scans, the rest of a generated rig\n"),
+        )?;
+    }
     say(log, format!("page: {}, grows as results arrive\n\n", out.join("index.html").display()))?;
 
     let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
     let reads = options.rig.iter().map(|path| ("--rig", path));
     check_output_folder(out, reads.chain(options.scans.iter().map(|path| ("--scans", path))))?;
-    let named = ["index.html", MANIFEST, "machine.json"].map(str::to_owned).into_iter();
-    let of_tables = tables.iter().chain(&["claims"]).flat_map(|table| ["csv", "json"].map(|e| format!("{table}.{e}")));
-    refuse_strangers(out, (MANIFEST, "studies"), &named.chain(of_tables).collect::<Vec<_>>())?;
     let data = read_data(options, effort, log)?;
     make_output_folder(out, [])?;
     forget_results(out, &tables)?;
@@ -185,7 +195,7 @@ fn outcome(study: &Study, setting: &Setting<'_>) -> Result<State> {
     match (study.run)(setting) {
         Ok(section) => Ok(State::Done(section)),
         Err(e) if e.downcast_ref::<Failure>().is_some_and(|f| f.stage() == Stage::Writing) => Err(e),
-        Err(e) => Ok(State::Failed(format!("{e:#}"))),
+        Err(e) => Ok(State::Failed(told(&e))),
     }
 }
 
@@ -193,27 +203,47 @@ fn outcome(study: &Study, setting: &Setting<'_>) -> Result<State> {
 /// are some, and other programs only where they are asked for.
 fn choose(options: &Options) -> Result<Vec<&'static Study>> {
     let names = &options.only;
+    let refused = |message: String| Err(Failure::new(Stage::Arguments, message).into());
     if let Some(unknown) = names.iter().find(|n| !STUDIES.iter().any(|s| s.name == n.as_str())) {
         let known = STUDIES.iter().map(|s| s.name).collect::<Vec<_>>().join(", ");
-        let message = format!("--only {unknown}: no study of that name; there are {known}");
-        return Err(Failure::new(Stage::Arguments, message).into());
+        return refused(format!("--only {unknown}: no study of that name; there are {known}"));
     }
-    let own = options.rig.as_deref().zip(options.scans.as_deref());
-    let real = own.is_some_and(|(rig, scans)| RealScans::find(rig, scans).is_some());
-    if names.iter().any(|n| n == studies::REAL) && !real {
-        let message =
-            format!("--only {}: needs --rig, and --scans with a scan that no case.json is beside", studies::REAL);
-        return Err(Failure::new(Stage::Arguments, message).into());
+    let (real, peers) = (studies::REAL, studies::PEERS);
+    let has_real = real_scans(options).is_some();
+    let left_out = |study: &str| !names.is_empty() && !names.iter().any(|n| n == study);
+    let named = |study: &str| !names.is_empty() && !left_out(study);
+    if named(real) && !has_real {
+        return refused(format!("--only {real}: needs --rig, and --scans with a scan that no case.json is beside"));
     }
-    if names.iter().any(|n| n == studies::PEERS) && options.peers.is_none() {
-        let message = format!("--only {}: needs --peers", studies::PEERS);
-        return Err(Failure::new(Stage::Arguments, message).into());
+    if has_real && !own_cases(options) && studies::OF_SCANS.iter().all(|study| left_out(study)) {
+        let of_scans = studies::OF_SCANS.join(" and ");
+        return refused(format!(
+            "--rig, --scans: without a case.json below --scans only {of_scans} are of them; add one to --only, or leave them out"
+        ));
+    }
+    if named(peers) && options.peers.is_none() {
+        return refused(format!("--only {peers}: needs --peers"));
+    }
+    if options.peers.is_some() && left_out(peers) {
+        return refused(format!(
+            "--peers: only the study {peers} runs other programs; add it to --only, or leave --peers out"
+        ));
     }
     let wanted = |s: &&Study| match &names[..] {
-        [] => (s.name != studies::REAL || real) && (s.name != studies::PEERS || options.peers.is_some()),
+        [] => (s.name != real || has_real) && (s.name != peers || options.peers.is_some()),
         names => names.iter().any(|n| n == s.name),
     };
     Ok(STUDIES.iter().filter(wanted).collect())
+}
+
+/// The user's scans without truth, where there are any.
+fn real_scans(options: &Options) -> Option<RealScans> {
+    RealScans::find(options.rig.as_deref()?, options.scans.as_deref()?)
+}
+
+/// Whether cases are the user's own, as they are unless there are scans without truth alone.
+fn own_cases(options: &Options) -> bool {
+    options.scans.as_deref().is_some_and(|scans| case_folders(scans).is_ok() || real_scans(options).is_none())
 }
 
 fn list(effort: &Effort, log: &mut dyn Write) -> Result<()> {
@@ -225,16 +255,20 @@ fn list(effort: &Effort, log: &mut dyn Write) -> Result<()> {
 
 /// Seconds to make the data, on two cores.
 fn generating(options: &Options, effort: &Effort) -> f64 {
-    if options.rig.is_some() { 1.0 } else { 0.5 + 0.6 * effort.cases.len() as f64 }
+    if own_cases(options) { 1.0 } else { 0.5 + 0.6 * effort.cases.len() as f64 }
 }
 
 fn read_data(options: &Options, effort: &Effort, log: &mut dyn Write) -> Result<Data> {
     let begin = Instant::now();
     say_to(log, format_args!("{:12}", "data"))?;
     let folder = options.out.join("data").join(effort.name);
+    let generate = || {
+        make_output_folder(&options.out, [])?;
+        Data::generate(&folder, effort, options.seed)
+    };
     let data = match (&options.rig, &options.scans) {
-        (Some(rig), Some(scans)) => Data::of_user(rig, scans, &folder, effort, options.seed)?,
-        _ => Data::generate(&folder, effort, options.seed)?,
+        (Some(rig), Some(scans)) => Data::of_user(rig, scans, generate)?,
+        _ => generate()?,
     };
     say_to(log, format_args!("{:7.1} s\n", begin.elapsed().as_secs_f64()))?;
     Ok(data)
@@ -253,7 +287,8 @@ fn forget_results(out: &Path, tables: &[&str]) -> Result<()> {
 fn about(options: &Options, effort: &Effort, data: &Data) -> String {
     let template = data.rig.template();
     let of = if data.generated {
-        format!("generated from seed {}", options.seed)
+        let real = if data.real.is_some() { "; real scans on your own rig" } else { "" };
+        format!("generated from seed {}{real}", options.seed)
     } else {
         "your own rig and scans; sweeps, resolution and the solver's growth with vertices on generated faces".to_owned()
     };
@@ -339,7 +374,7 @@ fn next_commands(data: &Data, out: &Path) -> String {
     };
     let (rig, template) = (quoted(data.rig_folder.clone()), quoted(data.rig_folder.join("template.obj")));
     let below = [data.cases_folder.clone(), data.cases_folder.join("cases")].map(|at| at.join(&data.extreme().name));
-    let case = below.iter().find(|at| at.is_dir()).unwrap_or(&below[0]).clone();
+    let case = below.iter().find(|at| at.is_dir()).unwrap_or(&data.cases_folder).clone();
     format!(
         "look closer:\n  \
          cargo run --release -p experiments -- scan-bench {} --rig {rig} --out {}\n\n\

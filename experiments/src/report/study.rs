@@ -19,6 +19,7 @@ use crate::output::write_file;
 use crate::plots::{Point, Series};
 pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
+use crate::told;
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]
@@ -234,14 +235,14 @@ pub fn error_cells(score: Option<&Score>) -> Vec<String> {
     let Some(score) = score else { return vec![String::new(); ERROR_COLUMNS.len()] };
     let e = &score.errors;
     let counts = [e.flipped, score.mesh.self_intersections, score.iterations.unwrap_or(0)];
-    let numbers = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.unobserved];
+    let numbers = [e.rmse, e.normal, e.tangential, e.median, e.p95, score.unobserved().unwrap_or(f64::NAN)];
     numbers.into_iter().chain(counts.map(|n| n as f64)).map(number).collect()
 }
 
 /// What a failed job says; nothing for a success.
 #[must_use]
 pub fn error_text<T>(result: &Result<T>) -> String {
-    result.as_ref().err().map_or_else(String::new, |e| format!("{e:#}"))
+    result.as_ref().err().map_or_else(String::new, told)
 }
 
 /// The names in a column by the mean of their numbers in another, least first; without those that have none, as a failure has.

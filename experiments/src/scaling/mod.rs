@@ -17,7 +17,7 @@ use nonrigid::nlls::LinearSolverKind;
 use serde_json::Value;
 
 use crate::generated::shapes_at_most;
-use crate::output::{make_output_folder, write_file};
+use crate::output::{each_once, make_output_folder, write_file};
 use crate::plots::{Axis, Plot, Point, PowerLaw, Series};
 use crate::tables::{csv_text, table, write_csv};
 use crate::this_program;
@@ -62,6 +62,12 @@ impl FromStr for Nodes {
 enum Derivatives {
     Structured,
     Reference,
+}
+
+impl std::fmt::Display for Derivatives {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if *self == Self::Structured { "structured" } else { "reference" })
+    }
 }
 
 /// What to run.
@@ -120,6 +126,11 @@ pub fn run(a: &Arguments) -> Result<()> {
     if let Some(configuration) = &a.run {
         return run_here(configuration);
     }
+    each_once("--sizes", &a.sizes.0)?;
+    each_once("--threads", &a.threads.0)?;
+    each_once("--scan-triangles", &a.scan_triangles.0)?;
+    each_once("--linear-solver", &a.linear_solver)?;
+    each_once("--linearisation", &a.linearisation)?;
     let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
     make_output_folder(&a.out, [])?;
     let program = this_program()?;

@@ -42,7 +42,7 @@ impl std::str::FromStr for Models {
     experiments scan-bench out/data/cases --rig out/data/rig --kernels --terms --external other=DIR"
 )]
 pub struct Arguments {
-    /// Folder of cases
+    /// Folder of cases, or of one
     #[arg(value_name = "DIR", required_unless_present = "run")]
     cases: Option<PathBuf>,
     /// Rig folder; its polygons are the template
@@ -113,6 +113,10 @@ impl Arguments {
             let message = "--models none without --kernels, --terms or --external leaves nothing to run";
             return Err(Failure::new(Stage::Arguments, message));
         }
+        if models.is_empty() && self.config.is_some() {
+            let message = "--config: has no effect with --models none; leave one of them out";
+            return Err(Failure::new(Stage::Arguments, message));
+        }
         Ok(())
     }
 }
@@ -142,6 +146,12 @@ pub fn run(a: &Arguments) -> Result<()> {
     a.check()?;
     let source = CaseSource { turn: a.turn, shift: a.shift, seed: a.seed, ..CaseSource::new(folder, rig) };
     let cases = source.read()?;
+    if let LandmarkUse::Some(asked) = a.landmarks
+        && let Some(case) = cases.iter().find(|case| case.landmarks.len() < asked)
+    {
+        let message = format!("--landmarks {asked}: {} has {}; give fewer, or all", case.name, case.landmarks.len());
+        return Err(Failure::new(Stage::Arguments, message).into());
+    }
     let variants = a.variants()?;
     let external = a.external.iter().map(|e| e.rows(&cases)).collect::<Result<Vec<_>>>()?.concat();
     let reads = [("DIR", folder), ("--rig", rig)].into_iter().chain(a.config.iter().map(|path| ("--config", path)));

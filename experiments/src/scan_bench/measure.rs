@@ -16,7 +16,7 @@ use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_cas
 use crate::process::Process;
 use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
-use crate::unread;
+use crate::{told, unread};
 
 /// Cases in a folder, and what is done to their scans.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -128,7 +128,8 @@ struct Line {
 /// # Errors
 /// When the configuration, the rig or a case cannot be read, or nobody reads the lines. A registration that fails is a line.
 pub(super) fn run_here(configuration: &str) -> Result<()> {
-    let run: Run = read_line(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {e:#}")))?;
+    let run: Run =
+        read_line(configuration).map_err(|e| Failure::new(Stage::Arguments, format!("--run: {}", told(&e))))?;
     let mut out = io::stdout().lock();
     for case in run.source.from(run.first)? {
         let line = run.variant.run(&case?, run.results.as_deref());
@@ -153,7 +154,7 @@ impl Variant {
             }
             Ok(score)
         };
-        let row = BenchRow::new(&self.group, &self.name, &case.name, fit().map_err(|e| format!("{e:#}")));
+        let row = BenchRow::new(&self.group, &self.name, &case.name, fit().map_err(|e| told(&e)));
         Line { row, seconds, peak_bytes: peak }
     }
 }
@@ -188,7 +189,7 @@ fn run_apart(
                 continue;
             }
             Some(Ok(line)) => format!("another case came, {:?}: have the cases changed meanwhile?", line.row.case),
-            Some(Err(e)) => format!("{e:#}"),
+            Some(Err(e)) => told(&e),
             None => {
                 let status = process.0.wait().context("the process' end")?;
                 let said = said.join().map_or_else(|_| Vec::new(), Result::unwrap_or_default);

@@ -128,6 +128,7 @@ impl BenchCase {
         let points = |file: &str| -> Result<Vec<Vec3>> {
             let path = folder.join(file);
             let points = io::read_npy_points(&path)?;
+            crate::check_millimetres(&path, &points)?;
             if points.len() != vertices {
                 bail!("{}: {} points, but the template has {vertices} vertices", path.display(), points.len());
             }
@@ -150,7 +151,7 @@ impl BenchCase {
         })
     }
 
-    /// Reads every case folder (one with a `case.json`) below `folder`, by name.
+    /// Reads every case that [`case_folders`] finds.
     pub fn read_all(folder: &Path, rig: &BenchRig) -> Result<Vec<Self>> {
         case_folders(folder)?.iter().map(|f| Self::read(f, rig)).collect()
     }
@@ -173,7 +174,8 @@ impl BenchCase {
     pub fn scored(&self, positions: &[Vec3], iterations: Option<usize>) -> Result<Score, EvaluationError> {
         let (errors, mesh) = self.score(positions)?;
         let apertures = ApertureErrors::new(positions, &self.truth, &self.rig_landmarks);
-        Ok(Score { errors, mesh, apertures, iterations })
+        let unobserved_vertices = self.observed.len() - errors.observed_vertices;
+        Ok(Score { errors, mesh, unobserved_vertices, apertures, iterations })
     }
 
     /// The same case with scan, truth and landmarks moved by `pose`: what a fit has to undo.
@@ -188,12 +190,17 @@ impl BenchCase {
     }
 }
 
-/// Every case folder (one with a `case.json`) below `folder`, sorted; at least one.
+/// Every case folder (one with a `case.json`) below `folder`, sorted, or `folder` itself; at least one.
 pub fn case_folders(folder: &Path) -> Result<Vec<PathBuf>> {
+    if folder.join("case.json").exists() {
+        // A case is called as its folder, which `.` does not say.
+        let named = if folder.file_name().is_some() { folder.to_owned() } else { folder.canonicalize()? };
+        return Ok(vec![named]);
+    }
     let mut folders = cases_below(folder)?;
     folders.sort();
     if folders.is_empty() {
-        bail!("{}: no folder with a case.json in it", folder.display());
+        bail!("{}: no case.json in it or in a folder below; give a folder of cases", folder.display());
     }
     Ok(folders)
 }

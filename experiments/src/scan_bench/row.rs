@@ -53,11 +53,21 @@ pub struct Score {
     /// Self-intersections and edge stretch against the rest shape: the subject's neutral, or else the template.
     #[serde(flatten)]
     pub mesh: MeshQuality,
+    /// Vertices that the scan does not show; without any there is no error of them.
+    pub unobserved_vertices: usize,
     /// Lids and lips against the truth.
     #[serde(flatten)]
     pub apertures: ApertureErrors,
     /// Steps taken; another program's are unknown.
     pub iterations: Option<usize>,
+}
+
+impl Score {
+    /// The error over the vertices that the scan does not show.
+    #[must_use]
+    pub fn unobserved(&self) -> Option<f64> {
+        (self.unobserved_vertices > 0).then_some(self.errors.unobserved)
+    }
 }
 
 /// One variant over its cases. Means and worst are over the cases with a result, zero without any: look at `failed` first.
@@ -205,11 +215,11 @@ const COLUMNS: [&str; 15] = [
 
 /// A result as text, numbers with so many decimals; without one nothing.
 fn cells(score: Option<&Score>, decimals: usize) -> Vec<String> {
-    let Some(Score { errors: e, mesh: m, apertures, iterations }) = score else {
-        return vec![String::new(); COLUMNS.len()];
-    };
+    let Some(score) = score else { return vec![String::new(); COLUMNS.len()] };
+    let Score { errors: e, mesh: m, apertures, iterations, .. } = score;
     let number = |x: f64| format!("{x:.decimals$}");
-    let mut cells = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.max, e.unobserved].map(number).to_vec();
+    let mut cells = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.max].map(number).to_vec();
+    cells.push(score.unobserved().map_or(String::new(), number));
     cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
     cells.extend([m.stretch.p1, m.stretch.p99].map(number));
     cells.extend([apertures.eye_aperture, apertures.lip_aperture].map(|x| x.map_or(String::new(), number)));

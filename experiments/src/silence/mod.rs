@@ -24,7 +24,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generated::{ScanOptions, Shot, Studio};
-use crate::output::make_folder;
+use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
 use crate::unread;
@@ -46,10 +46,10 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", requires = "rig")]
     cases: Option<PathBuf>,
     /// Their rig
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", requires = "cases")]
     rig: Option<PathBuf>,
     /// Runs of each kind on these cases
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, default_value_t = 8, requires = "cases", value_parser = clap::value_parser!(u32).range(1..=1000))]
     case_runs: u32,
     /// Kinds to run, by name [default: all of the set]
     #[arg(long, value_delimiter = ';', value_name = "A;B")]
@@ -340,7 +340,9 @@ pub fn run(a: &Arguments) -> Result<()> {
             return Err(Failure::new(nonrigid::console::Stage::Arguments, message).into());
         }
     }
-    make_folder(&a.out)?;
+    each_once("--kinds", &a.kinds)?;
+    let reads = a.cases.iter().map(|path| ("--cases", path)).chain(a.rig.iter().map(|path| ("--rig", path)));
+    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))))?;
     let mut jobs = jobs(a.set, u64::from(a.runs), cases.len(), u64::from(a.case_runs));
     jobs.retain(|job| a.kinds.is_empty() || a.kinds.iter().any(|name| name == job.kind.name));
     let mut sources = Sources::new(a.vertices as usize, cases)?;

@@ -23,7 +23,11 @@ const ROWS: &[Row] = &[
     ("--seed 1 scan-bench cases --rig rig", ARGUMENTS, &["--seed"]),
     ("--quick --only inputs --out file/below", WRITING, &["file/below"]),
     ("--only inputs --rig nowhere --scans nowhere", LOADING, &["nowhere"]),
-    ("--only inputs --rig rig --scans empty --out old", WRITING, &["old/index.html", "move it away"]),
+    ("--only inputs --rig rig --scans empty --out old", WRITING, &["old/claims.json", "move it away"]),
+    ("--only inputs --out old", WRITING, &["old/claims.json", "no experiments.json", "move it away"]),
+    ("--only inputs --rig rig --scans plain", ARGUMENTS, &["--scans", "case.json", "real"]),
+    ("--only inputs --peers cargo", ARGUMENTS, &["--peers", "--only"]),
+    ("--only peers --peers nowhere/python", ARGUMENTS, &["--peers nowhere/python", "cannot be started"]),
     ("--only inputs --rig empty --scans cases --out fresh", LOADING, &["empty", "neutral"]),
     ("regsiter", ARGUMENTS, &["regsiter"]),
     // scan-bench
@@ -39,6 +43,7 @@ const ROWS: &[Row] = &[
     ("scan-bench odd_shape --rig rig", LOADING, &["odd_shape/one/case.json", "jawOpne"]),
     ("scan-bench cases --rig rig --models magic", ARGUMENTS, &["magic", "hybrid"]),
     ("scan-bench cases --rig rig --landmarks 2", ARGUMENTS, &["--landmarks", "at least 3"]),
+    ("scan-bench cases --rig rig --landmarks 1000", ARGUMENTS, &["--landmarks 1000", "same_smile has"]),
     ("scan-bench cases --rig rig --landmarks some", ARGUMENTS, &["--landmarks", "some", "align"]),
     ("scan-bench cases --rig rig --turn NaN", ARGUMENTS, &["--turn", "finite"]),
     ("scan-bench cases --rig rig --turn far", ARGUMENTS, &["--turn", "finite"]),
@@ -49,6 +54,9 @@ const ROWS: &[Row] = &[
     ("scan-bench cases --rig rig --threads 0", ARGUMENTS, &["--threads", "0"]),
     ("scan-bench cases --rig in_metres", LOADING, &["in_metres", "millimetres", "a face in m"]),
     ("scan-bench twins --rig rig --models rigid", LOADING, &["two cases are called \"one\""]),
+    ("scan-bench cases --rig rig --models none --kernels --config bad.toml", ARGUMENTS, &["--config", "no effect"]),
+    ("scan-bench cases --rig rig --models rigid --out old", WRITING, &["old/claims.json", "move it away"]),
+    ("scan-bench truth_in_metres --rig rig", LOADING, &["truth_in_metres/one/truth.npy", "a face in m"]),
     ("scan-bench cases --rig rig --models none", ARGUMENTS, &["leaves nothing to run"]),
     ("scan-bench cases --rig rig --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
     ("scan-bench cases --rig rig --external empty", ARGUMENTS, &["\"empty\" is not NAME=DIR"]),
@@ -95,6 +103,10 @@ const ROWS: &[Row] = &[
     ("dev start-bench cases --rig rig --turns 0;90", ARGUMENTS, &["--turns", "0;90"]),
     ("dev start-bench cases --rig rig --shift inf", ARGUMENTS, &["--shift", "inf"]),
     ("dev start-bench scan_in_metres/one/scan.ply --rig rig", LOADING, &["scan.ply", "a face in m"]),
+    ("dev start-bench scan_in_metres/one/scan.ply --rig rig --kinds all", ARGUMENTS, &["scan.ply", "--kinds", "folder"]),
+    ("dev start-bench cases --rig rig --kinds turned,turned", ARGUMENTS, &["--kinds names turned twice"]),
+    ("dev start-bench cases --rig rig --kinds all --turns 90", ARGUMENTS, &["cannot be used with"]),
+    ("dev start-bench cases --rig rig --vertical --shift 10", ARGUMENTS, &["cannot be used with"]),
     // real-scans
     ("real-scans --rig rig", ARGUMENTS, &["--scans"]),
     ("real-scans --scans cases", ARGUMENTS, &["--rig"]),
@@ -104,13 +116,39 @@ const ROWS: &[Row] = &[
     ("real-scans --rig nowhere --scans cases", LOADING, &["--rig", "nowhere"]),
     ("real-scans --rig rig --scans cases --models magic", ARGUMENTS, &["magic", "hybrid"]),
     ("real-scans --rig rig --scans cases --identity-modes many", ARGUMENTS, &["--identity-modes", "many"]),
+    ("real-scans --rig rig --scans cases --identity-modes 1000", ARGUMENTS, &["--identity-modes: 1000", "the rig has"]),
+    ("real-scans --rig rig --scans cases --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
+    ("real-scans --rig rig --scans cases --models rigid --out old", WRITING, &["old/claims.json", "move it away"]),
+    // unseen
+    ("unseen cases", ARGUMENTS, &["--rig"]),
+    ("unseen nowhere --rig rig", LOADING, &["nowhere"]),
+    ("unseen cases --rig nowhere", LOADING, &["nowhere"]),
+    ("unseen twins --rig rig", LOADING, &["two cases are called \"one\""]),
+    ("unseen cases --rig rig --views top", ARGUMENTS, &["top", "half"]),
+    ("unseen cases --rig rig --views half,half", ARGUMENTS, &["--views names half twice"]),
+    ("unseen cases --rig rig --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
+    ("unseen cases --rig rig --out rig", ARGUMENTS, &["--out rig", "is read (--rig)"]),
+    ("unseen cases --rig rig --out cases", ARGUMENTS, &["--out cases", "is read (DIR)"]),
+    ("unseen cases --rig rig --out old", WRITING, &["old/claims.json", "move it away"]),
+    // flicker
+    ("flicker --seeds 7,7", ARGUMENTS, &["--seeds names 7 twice"]),
+    ("flicker --rates 10 --seconds 0.2", ARGUMENTS, &["--seconds 0.2", "2 frames", "--rates 10"]),
+    ("flicker --rates 60,15 --cutoffs 5,50", ARGUMENTS, &["--cutoffs 50", "half of --rates 60"]),
+    ("flicker --rates 60,10 --cutoffs 5,6", ARGUMENTS, &["--cutoffs 6", "half of --rates 10"]),
+    ("flicker --seconds 0", ARGUMENTS, &["--seconds", "above 0"]),
     // silence
+    ("silence --rig rig", ARGUMENTS, &["--cases"]),
+    ("silence --case-runs 3", ARGUMENTS, &["--cases"]),
+    ("silence --kinds noise;noise", ARGUMENTS, &["--kinds names noise twice"]),
+    ("silence --cases cases --rig rig --out cases", ARGUMENTS, &["--out cases", "is read (--cases)"]),
     ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
     ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),
     ("silence --vertices 999", ARGUMENTS, &["--vertices", "999"]),
     ("silence --out file/below", WRITING, &["file/below"]),
     // search-schedules
     ("dev search-schedules --models magic", ARGUMENTS, &["magic", "hybrid"]),
+    ("dev search-schedules --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
+    ("dev search-schedules --seeds 1,1", ARGUMENTS, &["--seeds names 1 twice"]),
     ("dev search-schedules --vertices 999", ARGUMENTS, &["--vertices", "999"]),
     ("dev search-schedules --budget 0", ARGUMENTS, &["--budget", "0"]),
     ("dev search-schedules --seeds one", ARGUMENTS, &["--seeds", "one"]),
@@ -126,6 +164,11 @@ const ROWS: &[Row] = &[
     ("dev solver-case garbage.npz --json --report", ARGUMENTS, &["--report"]),
     // scaling
     ("scaling --sizes 5000,999", ARGUMENTS, &["--sizes: 999, expected 1000 to 500000"]),
+    ("scaling --sizes 1000,1000", ARGUMENTS, &["--sizes names 1000 twice"]),
+    ("scaling --sizes 1000 --threads 1,1", ARGUMENTS, &["--threads names 1 twice"]),
+    ("scaling --sizes 1000 --linear-solver auto,auto", ARGUMENTS, &["--linear-solver names auto twice"]),
+    ("scaling --sizes 1000 --linearisation reference,reference", ARGUMENTS, &["--linearisation names reference twice"]),
+    ("scaling --sizes 1000 --threads 1 --out old", WRITING, &["old/claims.json", "move it away"]),
     ("scaling --sizes none", ARGUMENTS, &["leave nothing to run"]),
     ("scaling --sizes ten", ARGUMENTS, &["--sizes", "ten"]),
     ("scaling --sizes 1000,2000 --nodes 50", ARGUMENTS, &["--nodes: 1 numbers for 2 --sizes"]),
@@ -172,6 +215,10 @@ fn data(folder: &Path) {
     fs::remove_file(copy("no_truth/one").join("truth.npy")).unwrap();
     let points = [nonrigid::mesh::Vec3::zeros(); 2];
     nonrigid::io::write_npy_points(&copy("short_truth/one").join("truth.npy"), &points).unwrap();
+    let path = copy("truth_in_metres/one").join("truth.npy");
+    let truth: Vec<_> = nonrigid::io::read_npy_points(&path).unwrap().iter().map(|p| p * 1e-3).collect();
+    nonrigid::io::write_npy_points(&path, &truth).unwrap();
+    fs::remove_file(copy("plain").join("case.json")).unwrap();
     let path = copy("scan_in_metres/one").join("scan.ply");
     let mut scan = nonrigid::io::read_scan(&path).unwrap().mesh;
     scan.positions.iter_mut().for_each(|p| *p *= 1e-3);

@@ -21,3 +21,4 @@ mod report;
 mod scaling;
 mod scan_bench;
 mod solver_case;
+mod unseen;

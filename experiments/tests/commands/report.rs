@@ -4,11 +4,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan, write_rig};
 use experiments::report::claims::{self, Bound, Claim, Judged, Measured, PAPERS, Pick, Verdict};
 use experiments::report::effort::Effort;
 use experiments::report::table::{Table, number};
 use experiments::report::{Options, run};
 use nonrigid::energy::OptionsError;
+use nonrigid::io::{PlyOptions, write_ply};
 use nonrigid::model::ModelError;
 use nonrigid::registration::{ModelFactory, ModelInput, ModelKind, RegistrationModel};
 
@@ -241,6 +243,9 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
     let differing: Vec<_> = runs[0].iter().filter(|(name, bytes)| runs[1][*name] != **bytes).map(|f| f.0).collect();
     assert!(differing.is_empty(), "{differing:?}");
 
+    // A run in the folder of another replaces its files.
+    report(&folder.path().join("two"), 2, &["inputs"]);
+
     // The same rig and cases as a user's own.
     let data = folder.path().join("one/data/tiny");
     let out = folder.path().join("own");
@@ -249,6 +254,26 @@ fn equal_runs_leave_equal_files_at_any_number_of_threads() {
         assert!(fs::read(out.join(table)).unwrap() == runs[0][Path::new(table)], "{table}");
     }
     assert!(!out.join("data").exists());
+}
+
+#[test]
+fn of_scans_without_truth_alone_is_said_what_is_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // A rig of fewer identity modes than are usual.
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 20 });
+    write_rig(&at("rig"), &rig).unwrap();
+    let case = simulate_scan(&rig, &ScanOptions { triangles: 6000, ..ScanOptions::default() }, 7).unwrap();
+    fs::create_dir(at("scans")).unwrap();
+    write_ply(&at("scans/anna.ply"), &case.scan, PlyOptions::default()).unwrap();
+    let (_, log) = report_of(Some([at("rig"), at("scans")]), &at("out"), 2, &["real"]);
+    assert!(log.contains("no case.json below --scans: real and presets are of your rig and scans"), "{log}");
+    let page = fs::read_to_string(at("out/index.html")).unwrap();
+    assert!(page.contains("real scans on your own rig"));
+    let table = Table::read(&at("out/real.csv")).unwrap();
+    assert!(
+        table.rows.len() == tiny().models.len() && table.numbers(&[("model", "hybrid")], "median").unwrap()[0] < 1.0
+    );
 }
 
 fn experiments(arguments: &[&str], folder: &Path) -> Output {

@@ -207,6 +207,31 @@ fn another_programs_results_score_as_they_should() {
 }
 
 #[test]
+fn one_case_is_enough_and_no_unseen_vertex_has_no_error() {
+    let data = Data::new();
+    let count = data.cases()[0].truth.len();
+    write_npy(&data.path("cases/new/observed.npy"), &[count], &vec![true; count]).unwrap();
+    for (folder, case) in [(data.path("."), "cases/new"), (data.path("cases/new"), ".")] {
+        let mut command = Command::new(PROGRAM);
+        command.args(["scan-bench", case, "--models", "rigid", "--rig"]).arg(data.path("rig"));
+        let run = command.arg("--out").arg(data.path("one")).current_dir(folder).output().unwrap();
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        let table = fs::read_to_string(data.path("one/scan-bench.csv")).unwrap();
+        let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
+        let at = rows[0].iter().position(|column| *column == "unobserved").unwrap();
+        assert!(rows.len() == 2 && rows[1][0] == "new" && rows[1][at].is_empty(), "{table}");
+        assert!(rows[1][at - 1].parse::<f64>().unwrap() > 0.0, "{table}");
+        assert!(data.path("one/new/rigid.obj").exists());
+    }
+}
+
+#[test]
+fn a_cause_is_told_once() {
+    let error = CaseSource::new(Path::new("nowhere"), Path::new("no_rig")).read().map(drop).unwrap_err().to_string();
+    assert!(error.starts_with("no_rig: cannot be read") && error.matches("(os error").count() == 1, "{error}");
+}
+
+#[test]
 fn a_variant_that_fails_leaves_the_others() {
     let data = Data::new();
     let rigid = Variant::of_model(ModelKind::Rigid).unwrap();

@@ -13,7 +13,7 @@ use nonrigid::registration::ModelKind;
 
 /// A rig; a scan with landmarks, one that is no mesh, one that is out of reach.
 fn data(folder: &Path) {
-    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, ..FaceOptions::default() });
+    let rig = FaceRig::generate(&FaceOptions { vertices: 1000, identity_modes: 20 });
     write_rig(&folder.join("rig"), &rig).unwrap();
     let options = ScanOptions { triangles: 20_000, ..ScanOptions::default() };
     let case = simulate_scan(&rig, &options, 7).unwrap();
@@ -38,7 +38,7 @@ fn arguments(folder: &Path, models: &[ModelKind], out: &str) -> Arguments {
     Arguments {
         scans: folder.join("scans"),
         rig: folder.join("rig"),
-        identity_modes: 5,
+        identity_modes: Some(5),
         models: models.to_vec(),
         out: folder.join(out),
         threads: None,
@@ -102,7 +102,21 @@ fn the_same_files_at_any_number_of_threads_and_any_number_of_columns() {
         assert!(fs::read(folder.join("one").join(name)).unwrap() == fs::read(folder.join("two").join(name)).unwrap());
     }
     // Seven panels a scan: six across and one below.
-    run(&arguments(folder, &[ModelKind::Rigid; 6], "many")).unwrap();
+    let quick = [
+        ModelKind::Rigid,
+        ModelKind::Similarity,
+        ModelKind::Blendshape,
+        ModelKind::Flame,
+        ModelKind::Gpmm,
+        ModelKind::GpmmRig,
+    ];
+    run(&arguments(folder, &quick, "many")).unwrap();
+    // As many modes as a rig has, where nobody asks for a number.
+    let few = Arguments { identity_modes: None, ..arguments(folder, &[ModelKind::Rigid], "few") };
+    assert!(run(&few).is_ok());
+    let more = Arguments { identity_modes: Some(21), ..few };
+    let error = run(&more).unwrap_err().to_string();
+    assert_eq!(error, "--identity-modes: 21 asked for, the rig has 20");
     let size = |out: &str| {
         let png = fs::read(folder.join(out).join("real-scans.png")).unwrap();
         [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap())) // width and height in IHDR

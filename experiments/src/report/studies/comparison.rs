@@ -7,6 +7,7 @@ use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, spread, write_runs};
 use crate::report::table::{Table, counted, number};
 use crate::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, summarize};
+use crate::told;
 
 pub const STUDY: Study = Study {
     name: "comparison",
@@ -42,7 +43,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         let of_case = |case: &BenchCase| {
             let outcome = entrant.register(case, LandmarkUse::All);
             let seconds = outcome.as_ref().ok().map(|o| o.2);
-            let score = outcome.map(|o| o.0).map_err(|e| format!("{e:#}"));
+            let score = outcome.map(|o| o.0).map_err(|e| told(&e));
             BenchRow { seconds, ..BenchRow::new("model", entrant.name(), &case.name, score) }
         };
         data.cases.iter().map(of_case).collect::<Vec<_>>()

@@ -39,5 +39,7 @@ pub const STUDIES: &[Study] = &[
 
 /// The study that needs scans of the user's.
 pub const REAL: &str = real::STUDY.name;
+/// The studies of scans of the user's without truth, where there are any.
+pub const OF_SCANS: [&str; 2] = [REAL, presets::STUDY.name];
 /// The study that needs other programs.
 pub const PEERS: &str = peers::STUDY.name;

@@ -113,7 +113,7 @@ fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
     let arguments = Arguments {
         scans: real.folder.clone(),
         rig: real.rig.clone(),
-        identity_modes: IDENTITY_MODES,
+        identity_modes: None,
         models: vec![ModelKind::Hybrid],
         out: out.clone(),
         threads: None,
