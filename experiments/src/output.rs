@@ -31,6 +31,9 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
 const MARK: &str = "experiments.json";
 const MARKED: &str = "{ \"version\": 1, \"made_by\": \"experiments\" }\n";
 
+/// What files are called that this program writes.
+const WRITTEN: [&str; 8] = ["csv", "html", "json", "npy", "obj", "png", "svg", "toml"];
+
 /// Makes the folder of results, once [`check_output_folder`] has nothing against it.
 ///
 /// # Errors
@@ -49,7 +52,8 @@ pub fn make_folder(path: &Path) -> Result<()> {
     Ok(fs::create_dir_all(path).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?)
 }
 
-/// Refuses a folder of results that has a file or folder in it that is read, or anything and no mark of an earlier run.
+/// Refuses a folder of results that has a file or folder in it that is read, or a file as this program writes them and no mark of an
+/// earlier run. A log may be there.
 ///
 /// # Errors
 /// A [`Failure`] of the arguments that names the clash, or of writing that names what is there.
@@ -58,13 +62,14 @@ pub fn check_output_folder<'a>(out: &Path, reads: impl IntoIterator<Item = (&'a 
     if fs::read_to_string(out.join(MARK)).is_ok_and(|text| text == MARKED) {
         return Ok(());
     }
-    let entries = fs::read_dir(out).into_iter().flatten().flatten().map(|entry| entry.file_name());
-    let strangers = entries.filter(|name| !name.to_string_lossy().starts_with('.'));
+    let entries = fs::read_dir(out).into_iter().flatten().flatten().map(|entry| entry.path());
+    let written = |path: &Path| path.extension().is_some_and(|extension| WRITTEN.iter().any(|of| extension == *of));
+    let strangers = entries.filter(|path| path.is_file() && written(path));
     match strangers.min() {
         None => Ok(()),
-        Some(name) => Err(Failure::writing(format!(
+        Some(path) => Err(Failure::writing(format!(
             "{}: is there, and no {MARK} beside it says that an earlier run made the folder; move it away, or give another --out",
-            out.join(name).display()
+            path.display()
         ))
         .into()),
     }
