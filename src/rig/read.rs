@@ -251,23 +251,20 @@ fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigW
         }
     };
     let noting = Noting::here();
-    let triangles = mesh.triangulate().triangles;
-    let read = |(name, path): &(String, PathBuf)| {
-        let shape = Noting::along(noting.as_ref(), || read_shape(path, kind, &neutral))?;
-        Ok((odd_shape(name, &neutral, &triangles, &shape)?, shape))
-    };
-    let read: Vec<Result<(Vec<RigWarning>, Vec<f32>), RigError>> = files.par_iter().map(read).collect();
+    let read: Vec<Result<Vec<f32>, RigError>> =
+        files.par_iter().map(|(_, path)| Noting::along(noting.as_ref(), || read_shape(path, kind, &neutral))).collect();
     let mut deltas = Vec::with_capacity(3 * neutral.len() * files.len());
-    let mut odd = Vec::new();
     for shape in read {
-        let (odd_shape, shape) = shape?;
-        odd.extend(odd_shape);
-        deltas.extend(shape);
+        deltas.extend(shape?);
     }
     let shapes = files.into_iter().map(|(name, _)| Shape { name, family: Family::Other }).collect();
-    let (rig, warnings) = Rig::new(neutral, Some(mesh), shapes, deltas)?;
-    odd.extend(warnings);
-    Ok((rig, odd))
+    let triangles = mesh.triangulate().triangles;
+    let (rig, mut warnings) = Rig::new(neutral, Some(mesh), shapes, deltas)?;
+    let odd = |(k, shape): (usize, &Shape)| odd_shape(&shape.name, rig.neutral(), &triangles, rig.deltas(k));
+    // each by itself, so that the first of several faults is told
+    let odd: Vec<Result<Vec<RigWarning>, RigError>> = rig.shapes().par_iter().enumerate().map(odd).collect();
+    warnings.extend(odd.into_iter().collect::<Result<Vec<_>, _>>()?.concat());
+    Ok((rig, warnings))
 }
 
 /// The OBJ and PLY files of a folder, packed or not, or where there are none its GLB files: each with its name without extensions, by

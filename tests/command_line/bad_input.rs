@@ -15,7 +15,7 @@ const ROWS: &[Row] = &[
     ("register", "--template nan.obj", LOADING, &["nan.obj", "line 2", "finite"]),
     ("register", "--template points.obj --rig - --neutral - --landmarks - --unit mm", LOADING, &["template", "no faces"]),
     ("register", "--template one_point.obj --rig - --neutral - --landmarks - --unit mm", LOADING, &["template", "no area"]),
-    ("register", "--template soup.obj --rig - --neutral - --landmarks - --unit mm", LOADING, &["template", "share no vertices"]),
+    ("register", "--template apart.obj --rig - --neutral - --landmarks - --unit mm", LOADING, &["template", "share no vertices"]),
     ("register", "--template triangle.obj --landmarks -", LOADING, &["neutral", "the template has 3"]),
     ("register", "--template -", ARGUMENTS, &["--template"]),
     // the scan

@@ -20,7 +20,7 @@ use nonrigid::registration::{
     ModelKind, Quality, RegistrationError, RegistrationInput, RegistrationResult, Silent, register,
 };
 use nonrigid::render::{ColourScale, View, error_sheet, registration_sheet};
-use nonrigid::rig::{Family, Rig, RigReadOptions, Shape, ShapeBasis};
+use nonrigid::rig::{Family, Rig, RigReadOptions, RigWarning, Shape, ShapeBasis};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -68,7 +68,8 @@ fn rigs_on_them_are_read_back() {
         let folder = tempfile::tempdir().unwrap();
         write_polygon_mesh(&folder.path().join("template.obj"), &mesh).unwrap();
         let (size, _) = extent(&mesh);
-        let deltas: Vec<f32> = (0..3 * mesh.positions.len()).map(|i| (size * 0.1) as f32 * (i % 5) as f32).collect();
+        let delta = |i: usize| (size * (0.1 * (i % 3) as f64 + 1e-3 * (i % 5) as f64)) as f32;
+        let deltas: Vec<f32> = (0..3 * mesh.positions.len()).map(delta).collect();
         write_npy(&folder.path().join("expression_deltas.npy"), &[1, mesh.positions.len(), 3], &deltas).unwrap();
         std::fs::write(folder.path().join("expression_names.json"), "[\"a\"]").unwrap();
         match Rig::read(folder.path(), &RigReadOptions::default()) {
@@ -94,7 +95,9 @@ fn every_form_holds(rig: &Rig, name: &str) {
         let path = folder.path().join(form);
         write(rig, &path).unwrap();
         let (read, warnings) = Rig::read(&path, &RigReadOptions::default()).unwrap();
-        assert!(warnings.is_empty(), "{name}, {form}: {warnings:?}");
+        // needles turn over at any rounding
+        let odd = |warning: &RigWarning| form == "shapes" && matches!(warning, RigWarning::ShapeUnlike { .. });
+        assert!(warnings.iter().all(odd), "{name}, {form}: {warnings:?}");
         // arrays are exact; whole shapes round differences; .glb has 32 bits of where vertices are, and of how far they go
         let (place, step) = match form {
             "a.glb" => (1e-7 * far, 1e-6 * size),

@@ -145,7 +145,7 @@ pub fn broken() -> Bench {
     bench.write("nan.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n");
     bench.write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
     bench.write("triangle.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n");
-    bench.write("soup.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 100 0 0\nv 0 100 0\nv 100 100 0\nf 1 2 3\nf 4 6 5\n");
+    bench.write("apart.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 101 0 0\nv 1 100 0\nv 101 100 0\nf 1 2 3\nf 4 6 5\n");
     bench.write("one_point.obj", "v 5 5 5\nv 5 5 5\nv 5 5 5\nf 1 2 3\n");
 
     // A scan of one triangle far from everything, and the whole scan moved away from its landmarks.
