@@ -170,7 +170,7 @@ fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<Sta
 /// Searches the start of every scan in every pose and prints a table.
 ///
 /// # Errors
-/// A [`Failure`](nonrigid::console::Failure) when something cannot be read.
+/// A [`Failure`] when something cannot be read.
 pub fn run(a: &Arguments) -> Result<()> {
     let rig = BenchRig::read(&a.rig).map_err(unread)?;
     if !a.kinds.is_empty() {
