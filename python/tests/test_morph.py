@@ -196,7 +196,10 @@ def test_ctrl_c_ends_generated_data(tmp_path: Path) -> None:
     time.sleep(2.0)
     assert process.poll() is None
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
+    try:
+        assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
+    finally:
+        process.kill()
 
 
 def test_generated_faces(face: data_gen.Face, case: data_gen.Case) -> None:
