@@ -35,7 +35,7 @@ pub use polygon_mesh::{ObjMetadata, ObjStatement, PolygonMesh};
 pub(crate) use pose::weighted_closest_pose;
 pub use pose::{Pose, PoseError, PoseKind, closest_pose};
 pub use seam::sewn;
-pub(crate) use seam::{first_at_place, least_opening};
+pub(crate) use seam::{first_at_place, sewn_unless_opened};
 pub use spikes::spikes;
 pub use subdivide::Subdivision;
 pub use triangle_mesh::TriangleMesh;

@@ -43,10 +43,15 @@ pub fn sewn(mesh: &TriangleMesh, one: impl Fn(u32, u32) -> bool) -> Vec<u32> {
     first
 }
 
-/// How far a shape at weight one may move two vertices at one place apart before they are two points of the surface: a ten-thousandth of
-/// its size, 0.01 mm on a face, which is rounding.
-pub(crate) fn least_opening(mesh: &TriangleMesh) -> f64 {
-    1e-4 * rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()))
+/// [`sewn`], but for seams that a shape opens: one of so many moves vertices at one place apart, by more than a ten-thousandth of the
+/// surface's size, 0.01 mm on a face, which is rounding. `displacement` is that of a vertex by a shape at weight one.
+pub(crate) fn sewn_unless_opened(
+    mesh: &TriangleMesh,
+    shapes: usize,
+    displacement: impl Fn(usize, u32) -> Vec3,
+) -> Vec<u32> {
+    let rounding = 1e-4 * rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+    sewn(mesh, |v, w| (0..shapes).all(|k| (displacement(k, v) - displacement(k, w)).norm() <= rounding))
 }
 
 /// The first of the vertices at each one's place, bit for bit.

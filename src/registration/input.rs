@@ -2,7 +2,8 @@
 
 use super::{RegistrationError, WarmStart};
 use crate::correspondence::{VertexMasks, check_normals};
-use crate::landmark::Landmark;
+use crate::energy::SampleError;
+use crate::landmark::{Landmark, TemplatePoint};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::model::ModelFactory;
 use crate::rig::{Regions, ShapeBasis};
@@ -107,7 +108,15 @@ fn check_numbers(input: &RegistrationInput<'_>) -> Result<(), RegistrationError>
             return Err(RegistrationError::NotFinite { what, index });
         }
     }
+    let count = input.template.positions.len();
     for landmark in input.landmarks {
+        let corners = match landmark.template {
+            TemplatePoint::Vertex(v) => [v; 3],
+            TemplatePoint::Face { corners, .. } => corners,
+        };
+        if let Some(vertex) = corners.map(|v| v as usize).into_iter().find(|v| *v >= count) {
+            return Err(SampleError::VertexOutOfRange { vertex, count }.into());
+        }
         if let Some(sigma) = landmark.sigma.filter(|s| !(*s > 0.0 && s.is_finite())) {
             return Err(RegistrationError::LandmarkSigma { name: landmark.name.clone(), sigma });
         }

@@ -10,7 +10,9 @@ use serde::Serialize;
 use super::facing::{is_collapsed, turned};
 use super::{RegistrationInput, RegistrationObserver, RegistrationResult, StepRecord};
 use crate::landmark::{Landmark, TemplatePoint};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, least_opening, sewn};
+#[cfg(doc)]
+use crate::mesh::sewn;
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, sewn_unless_opened};
 use crate::nlls::NormalEquations;
 use crate::rig::{Regions, ShapeBasis};
 
@@ -164,9 +166,7 @@ pub(super) fn seams(input: &RegistrationInput<'_>) -> Vec<u32> {
 }
 
 fn seams_of(rest: &TriangleMesh, shapes: &ShapeBasis) -> Vec<u32> {
-    let least = least_opening(rest);
-    let apart = |v: u32, w: u32, k: usize| shapes.displacement(v as usize, k) - shapes.displacement(w as usize, k);
-    sewn(rest, |v, w| (0..shapes.len()).all(|k| apart(v, w, k).norm() <= least))
+    sewn_unless_opened(rest, shapes.len(), |k, v| shapes.displacement(v as usize, k))
 }
 
 struct OfVertices<'a> {

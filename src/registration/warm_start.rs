@@ -12,7 +12,7 @@ use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, weighted_closest_pose};
 pub struct WarmStart {
     /// Name of the model.
     pub model: String,
-    /// What tells templates apart: see [`RegistrationResult::end`](super::RegistrationResult::end). Nothing is checked where it is empty.
+    /// A hash of the template's number of vertices and its polygons; where it is empty nothing is checked.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub template: String,
     /// Pose of the model's frame in the scan's.

@@ -42,7 +42,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::io::{LARGEST_COORDINATE, Place, ReadError};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, bounding_box_diagonal, least_opening, sewn, surface_points};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, bounding_box_diagonal, sewn_unless_opened, surface_points};
 use crate::text::{self, LONGEST_NAME};
 
 /// A vertex counts as moved, and a shape as one that moves something, beyond this share of the neutral's bounding-box
@@ -292,16 +292,15 @@ impl Rig {
         &self.deltas[k * width..(k + 1) * width]
     }
 
-    /// The first of the vertices with which each one is a point of the surface: itself, but along [seams](sewn) of the neutral that no
-    /// shape opens and whose sides are together in `positions` as well.
+    /// The first of the vertices with which each one is a point of the surface: itself, but along [seams](crate::mesh::sewn) of the neutral
+    /// that no shape opens and whose sides are together in `positions` as well.
     pub(crate) fn seams(&self, positions: &[Vec3]) -> Vec<u32> {
         let Some(mesh) = &self.mesh else { return (0..self.neutral.len() as u32).collect() };
         let mesh = TriangleMesh { positions: self.neutral.clone(), ..mesh.triangulate() };
-        let least = least_opening(&mesh);
-        let vector = |k: usize, v: u32| Vec3::from_fn(|axis, _| f64::from(self.deltas(k)[3 * v as usize + axis]));
-        sewn(&mesh, |v, w| {
-            let together = (positions[v as usize] - positions[w as usize]).norm() <= least;
-            together && (0..self.shapes.len()).all(|k| (vector(k, v) - vector(k, w)).norm() <= least)
+        let shapes = self.shapes.len();
+        sewn_unless_opened(&mesh, shapes + 1, |k, v| match v as usize {
+            v if k == shapes => positions[v] - self.neutral[v],
+            v => Vec3::from_fn(|axis, _| f64::from(self.deltas(k)[3 * v + axis])),
         })
     }
 

@@ -173,3 +173,19 @@ fn a_template_that_is_cut_is_divided_as_if_it_were_whole() {
     let count = whole.template.positions.len();
     assert!(own.iter().zip(&other).skip(count).all(|(&v, p)| other[v as usize] == *p), "copies stay together");
 }
+
+#[test]
+fn landmarks_outside_the_template_are_refused_whether_it_is_cut_or_not() {
+    let whole = of_triangles();
+    let torn = cut(&whole).1;
+    for task in [whole, torn] {
+        let beyond = task.template.positions.len() as u32;
+        let inside = TemplatePoint::Face { corners: [0, 1, beyond], weights: [0.5, 0.3, 0.2] };
+        for place in [TemplatePoint::Vertex(beyond), inside] {
+            let mut task = task.clone();
+            task.landmarks[0].template = place;
+            let error = fit_input(&task.input(), ModelKind::Graph).unwrap_err().to_string();
+            assert!(error.contains(&format!("vertex {beyond}")), "{error}");
+        }
+    }
+}
