@@ -12,6 +12,10 @@ use pulp::{Simd, WithSimd, bytemuck};
 /// Rows are padded to a multiple of so many numbers: the widest register.
 pub const PAD: usize = 8;
 
+/// Rows of a tile where they are free to choose; divides [`PAD`]. Of sixteen registers three columns of sums fill twelve, and what is
+/// multiplied fits into the rest: of eight rows the compiler keeps a sum in memory, and the forward solve takes more than twice as long.
+pub const TILE_ROWS: usize = 4;
+
 /// Length of a padded row of `n` numbers.
 #[must_use]
 pub const fn padded(n: usize) -> usize {
@@ -151,15 +155,17 @@ pub trait Tile {
 #[inline(always)]
 pub fn sweep<S: Simd, const R: usize>(simd: S, columns: usize, work: &mut impl Tile) {
     let widest = (S::REGISTER_COUNT * 3 / 4 / R).clamp(1, 4);
+    let mut registers = columns / S::F64_LANES;
     let mut first = 0;
-    while first < columns {
-        let width = ((columns - first) / S::F64_LANES).min(widest);
+    for tiles in (1..=registers.div_ceil(widest)).rev() {
+        let width = registers.div_ceil(tiles); // alike: one that is left over would be narrow, and wait for its own sums
         match width {
             4 => work.tile::<S, 4>(simd, first),
             3 => work.tile::<S, 3>(simd, first),
             2 => work.tile::<S, 2>(simd, first),
             _ => work.tile::<S, 1>(simd, first),
         }
+        registers -= width;
         first += width * S::F64_LANES;
     }
 }
@@ -221,11 +227,11 @@ impl WithSimd for Gram<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         for first in (0..self.rows).step_by(GRAM_ROWS) {
             let rows = first..(first + GRAM_ROWS).min(self.rows);
-            for i in (0..self.a_width).step_by(PAD) {
-                let columns = if self.lower { i + PAD } else { self.b_width };
+            for i in (0..self.a_width).step_by(TILE_ROWS) {
+                let columns = if self.lower { padded(i + TILE_ROWS) } else { self.b_width };
                 let out = &mut self.out[i * self.b_width..];
                 let (a, b) = ((self.a, self.a_width), (self.b, self.b_width));
-                sweep::<S, PAD>(simd, columns, &mut GramTile { a, b, i, rows: rows.clone(), out });
+                sweep::<S, TILE_ROWS>(simd, columns, &mut GramTile { a, b, i, rows: rows.clone(), out });
             }
         }
     }
@@ -243,9 +249,11 @@ impl Tile for GramTile<'_> {
     #[inline(always)]
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let ((a, a_width), (b, b_width)) = (self.a, self.b);
-        let rows = self.rows.clone().map(|k| (&a[k * a_width + self.i..], &b[k * b_width + first..]));
-        let sum = sum_of_products::<S, _, PAD, V>(simd, rows);
-        for r in 0..PAD {
+        let (from, count, i) = (self.rows.start, self.rows.len(), self.i);
+        let (a, b) = (a[from * a_width..].chunks_exact(a_width), b[from * b_width..].chunks_exact(b_width));
+        let rows = a.zip(b).take(count).map(|(a, b)| (&a[i..], &b[first..]));
+        let sum = sum_of_products::<S, _, TILE_ROWS, V>(simd, rows);
+        for r in 0..TILE_ROWS {
             let out = &mut S::as_mut_simd_f64s(&mut self.out[r * b_width + first..]).0[..V];
             for v in 0..V {
                 out[v] = simd.add_f64s(out[v], sum[r][v]);

@@ -33,7 +33,7 @@ use super::isotropic::Isotropic;
 use super::supernodal::SupernodalFactor;
 use super::vector::dot;
 use super::{LinearError, LinearSolver, breakdown, check_step, damping_at, same_structure};
-use crate::nlls::dense_kernels::{Gram, PAD, dispatch, padded, sweep, vectorized};
+use crate::nlls::dense_kernels::{Gram, TILE_ROWS, dispatch, padded, sweep, vectorized};
 use crate::nlls::parallel::for_each;
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -359,7 +359,7 @@ impl WithSimd for Forward<'_> {
                 x: &mut *x,
                 pitch,
             };
-            sweep::<S, PAD>(simd, pitch, &mut tile);
+            sweep::<S, TILE_ROWS>(simd, pitch, &mut tile);
         }
     }
 }

@@ -6,7 +6,7 @@
 
 use pulp::Simd;
 
-use crate::nlls::dense_kernels::{PAD, Tile, padded, sum_of_products, sweep};
+use crate::nlls::dense_kernels::{PAD, TILE_ROWS, Tile, padded, sum_of_products, sweep};
 
 /// Overwrites the first `width` columns of a front, `stride` apart, by those of its Cholesky factor.
 ///
@@ -17,8 +17,7 @@ pub(super) fn factor_columns<S: Simd>(simd: S, columns: &mut [f64], stride: usiz
     let mut j = 0;
     while j < width {
         j += match width - j {
-            8.. => factor_panel::<S, 8>(simd, columns, stride, j)?,
-            4.. => factor_panel::<S, 4>(simd, columns, stride, j)?,
+            TILE_ROWS.. => factor_panel::<S, TILE_ROWS>(simd, columns, stride, j)?,
             2.. => factor_panel::<S, 2>(simd, columns, stride, j)?,
             _ => factor_panel::<S, 1>(simd, columns, stride, j)?,
         };
@@ -143,9 +142,14 @@ pub(super) fn negative_square<S: Simd>(
     below: usize,
     out: &mut [f64],
 ) {
-    for j in (0..below).step_by(PAD) {
-        let out = &mut out[update_column(below, j) + j..];
-        sweep::<S, PAD>(simd, padded(below) - j, &mut SquareTile { columns, stride, width, below, j, out });
+    for j in (0..below).step_by(TILE_ROWS) {
+        let top = j / PAD * PAD;
+        let out = &mut out[update_column(below, j) + top..];
+        sweep::<S, TILE_ROWS>(
+            simd,
+            padded(below) - top,
+            &mut SquareTile { columns, stride, width, below, j, top, out },
+        );
     }
 }
 
@@ -155,18 +159,20 @@ struct SquareTile<'a> {
     width: usize,
     below: usize,
     j: usize,
+    /// First row of the tiles.
+    top: usize,
     out: &'a mut [f64],
 }
 
 impl Tile for SquareTile<'_> {
     #[inline(always)]
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
-        let (left, right) = (self.width + self.j, self.width + self.j + first);
-        let columns = (0..self.width).map(|k| &self.columns[k * self.stride..]);
-        let sum = sum_of_products::<S, _, PAD, V>(simd, columns.map(|column| (&column[left..], &column[right..])));
-        for c in 0..PAD {
+        let from = |row: usize| self.columns[self.width + row..].chunks(self.stride).take(self.width);
+        let columns = from(self.j).zip(from(self.top + first));
+        let sum = sum_of_products::<S, _, TILE_ROWS, V>(simd, columns);
+        for c in 0..TILE_ROWS {
             if self.j + c < self.below {
-                let start = c * (padded(self.below) - self.j) + first;
+                let start = c * (padded(self.below) - self.top) + first;
                 let out = &mut S::as_mut_simd_f64s(&mut self.out[start..]).0[..V];
                 for v in 0..V {
                     out[v] = simd.neg_f64s(sum[c][v]);
@@ -196,18 +202,18 @@ impl Tile for ForwardTile<'_> {
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
         let (width, stride, pitch) = (self.width, self.stride, self.pitch);
         let own = self.start * pitch + first;
-        for j in (0..width).step_by(PAD) {
+        for j in (0..width).step_by(TILE_ROWS) {
             let known = (0..j).map(|k| (&self.columns[k * stride + j..], &self.x[own + k * pitch..]));
-            let mut sum = sum_of_products::<S, _, PAD, V>(simd, known);
-            for r in 0..PAD {
+            let mut sum = sum_of_products::<S, _, TILE_ROWS, V>(simd, known);
+            for r in 0..TILE_ROWS {
                 if j + r < width {
                     let x = &mut S::as_mut_simd_f64s(&mut self.x[own + (j + r) * pitch..]).0[..V];
-                    let column = &self.columns[(j + r) * stride + j..][..PAD];
+                    let column = &self.columns[(j + r) * stride + j..][..TILE_ROWS];
                     let inverse = simd.splat_f64s(1.0 / column[r]);
                     for v in 0..V {
                         sum[r][v] = simd.mul_f64s(simd.sub_f64s(x[v], sum[r][v]), inverse);
                     }
-                    for d in r + 1..PAD {
+                    for d in r + 1..TILE_ROWS {
                         let factor = simd.splat_f64s(column[d]);
                         for v in 0..V {
                             sum[d][v] = simd.mul_add_f64s(factor, sum[r][v], sum[d][v]);
@@ -217,11 +223,11 @@ impl Tile for ForwardTile<'_> {
                 }
             }
         }
-        for (b, rows) in self.pattern.chunks(PAD).enumerate() {
-            let left = width + b * PAD;
+        for (b, rows) in self.pattern.chunks(TILE_ROWS).enumerate() {
+            let left = width + b * TILE_ROWS;
             let solved = (0..width).map(|k| (&self.columns[k * stride + left..], &self.x[own + k * pitch..]));
-            let sum = sum_of_products::<S, _, PAD, V>(simd, solved);
-            for r in 0..PAD {
+            let sum = sum_of_products::<S, _, TILE_ROWS, V>(simd, solved);
+            for r in 0..TILE_ROWS {
                 if let Some(&row) = rows.get(r) {
                     let x = &mut S::as_mut_simd_f64s(&mut self.x[row * pitch + first..]).0[..V];
                     for v in 0..V {
@@ -260,7 +266,7 @@ mod tests {
             let pattern: Vec<usize> = (0..below).map(|r| width + 2 * r).collect();
             let columns = &*columns;
             let mut tile = ForwardTile { columns, stride, width, start: 0, pattern: &pattern, x, pitch };
-            sweep::<S, PAD>(simd, pitch, &mut tile);
+            sweep::<S, TILE_ROWS>(simd, pitch, &mut tile);
             Ok(())
         }
     }
