@@ -74,6 +74,8 @@ const IDENTITY_MODES: &str = "40";
 const REGISTRATION: (usize, &str) = (50, "automatic");
 const DERIVATIVES: [&str; 2] = ["automatic", "analytic"];
 const SOLVERS: [&str; 3] = ["sparse-normal-cholesky", "sparse-schur", "dense-schur"];
+/// Of the fastest solver's time; what takes longer is not run again.
+const FAR_BEHIND: f64 = 1.5;
 /// Both end by their tolerances long before.
 const ITERATIONS: &str = "200";
 /// Relative differences of costs at the start and at the end.
@@ -161,18 +163,18 @@ fn solve(command: &mut Command, name: &str) -> Result<Solve> {
     Ok(parsed.map_err(|e| Failure::computation(format!("{name}: not what a solver prints: {e}")))?)
 }
 
-/// Ours and every solver of Ceres in turns; each time they must agree.
+/// Ours and the solvers of Ceres in turns; each time they must agree. Those that are far behind are left out.
 fn compare(
     shapes: usize,
     repeats: usize,
     ours: &dyn Fn() -> Result<Solve>,
     theirs: &dyn Fn(&str, &str) -> Result<Solve>,
 ) -> Result<Vec<Row>> {
-    let programs = DERIVATIVES.map(|derivatives| SOLVERS.map(|solver| (derivatives, solver))).concat();
-    let (mut our, mut their) = (Vec::new(), vec![Vec::new(); programs.len()]);
+    let solvers = |derivatives| SOLVERS.map(|solver| (derivatives, solver, Vec::new()));
+    let (mut our, mut their): (Vec<Solve>, Vec<_>) = (Vec::new(), DERIVATIVES.map(solvers).concat());
     for round in 1..=repeats {
         let now = ours()?;
-        for ((derivatives, solver), solves) in programs.iter().zip(&mut their) {
+        for (derivatives, solver, solves) in &mut their {
             let found = theirs(derivatives, solver)?;
             let Solve { initial_cost, final_cost, .. } = found;
             tell(format_args!(
@@ -183,9 +185,14 @@ fn compare(
             solves.push(found);
         }
         our.push(now);
+        for derivatives in DERIVATIVES {
+            let seconds = their.iter().filter(|of| of.0 == derivatives).map(|of| median(&of.2));
+            let least = seconds.fold(f64::INFINITY, f64::min);
+            their.retain(|of| of.0 != derivatives || median(&of.2) <= FAR_BEHIND * least);
+        }
     }
     let our_seconds = median(&our);
-    let rows = programs.iter().zip(&their).map(|(&(derivatives, solver), solves)| Row {
+    let rows = their.iter().map(|(derivatives, solver, solves)| Row {
         shapes,
         derivatives,
         solver,
@@ -197,7 +204,7 @@ fn compare(
     });
     let rows: Vec<Row> = rows.collect();
     let fastest = |of: &[Row]| of.iter().min_by(|a, b| a.ratio.total_cmp(&b.ratio)).cloned();
-    Ok(rows.chunks(SOLVERS.len()).filter_map(fastest).collect())
+    Ok(rows.chunk_by(|a, b| a.derivatives == b.derivatives).filter_map(fastest).collect())
 }
 
 /// Refuses costs that differ.
