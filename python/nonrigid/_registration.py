@@ -348,8 +348,6 @@ def register(
         on_positions=on_positions,
         equations=equations,
     )
-    if found.facing[-1] and flip != "yes":
-        warn('scan and template face opposite ways: the scan was turned over; flip="no" leaves it as it is')
     for remark in found.remarks:
         warn(remark)
     result = Registration()

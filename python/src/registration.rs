@@ -15,7 +15,7 @@ use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::nlls::NormalEquations;
 use nonrigid::registration::TERMS;
 use nonrigid::registration::{
-    self, DetailReport, InputFile, LandmarkStart, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
+    self, DetailReport, InputFile, ModelFactory as _, ModelKind, RegistrationError, RegistrationInput,
     RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, ScanFacing, StepRecord,
     VertexColors, add_detail, assess, register_with, scan_colors,
 };
@@ -256,14 +256,7 @@ impl Registration {
 
     #[getter]
     fn remarks(&self) -> Vec<String> {
-        let of_landmarks = self.result.start_landmarks.iter().flat_map(LandmarkStart::remarks);
-        let of_inputs = self
-            .notes
-            .iter()
-            .cloned()
-            .chain(self.result.template_repair.remarks())
-            .chain(self.result.scan_facing.remarks());
-        of_inputs.chain(of_landmarks).collect()
+        self.notes.iter().cloned().chain(self.result.remarks()).collect()
     }
 
     #[getter]

@@ -23,10 +23,9 @@ use super::{
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles};
 use crate::registration::{
-    DetailReport, Handedness, InputFile, LandmarkStart, MOST_ROUNDS, ModelFactory, ModelKind, Quality,
-    RegistrationError, RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability,
-    Report, ScanFlip, Schedule, StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess,
-    register, scan_colors,
+    DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
+    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, Schedule,
+    StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::rig::Regions;
@@ -365,17 +364,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
 
 /// What was found wrong with scan and landmarks, and what was done about it.
 fn warn_of_inputs(a: &Arguments, result: &RegistrationResult, colorless: bool) {
-    let facing = result.scan_facing;
-    result.template_repair.remarks().iter().chain(&facing.remarks()).for_each(warn);
-    if facing.flipped && result.schedule.scan.flip == ScanFlip::Auto {
-        warn(
-            "scan and template face opposite ways, so that the normals of one of them face inwards: the scan was turned over; if a \
-             program has mirrored it instead, left is right in the result; --flip no leaves it as it is",
-        );
-    }
-    for remark in result.start_landmarks.iter().flat_map(LandmarkStart::remarks) {
-        warn(remark);
-    }
+    result.remarks().iter().for_each(warn);
     if let Some(texture) = texture_of(&a.target).filter(|_| colorless) {
         warn(format_args!(
             "the scan's texture {texture:?} is not used; --bake-texture 2048 brings it to the template's UVs"

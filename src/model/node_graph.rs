@@ -7,7 +7,7 @@ use crate::mesh::geodesic::{
 };
 use crate::mesh::normals::face_areas;
 use crate::mesh::rows::Rows;
-use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, TriangleMesh, Vec3, referenced};
 
 /// Nodes `x_j`, influences `omega_ij` and directed edges of an embedded deformation graph.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,6 +17,8 @@ pub struct NodeGraph {
     edges: Vec<(u32, u32)>,
     /// How many of the last nodes stay where they are.
     fixed: usize,
+    /// Which vertices follow a node without a say in what it is: those of no triangle. Empty if there are none.
+    followers: Vec<bool>,
 }
 
 /// Influences of a vertex that [`NodeGraph::on_region`] takes: Sumner's.
@@ -48,7 +50,8 @@ impl NodeGraph {
                 _ => influence_weights(&reached, influences),
             }
         });
-        Ok(Self::from_influences(positions, lists).with_company(&nearest, &at).with_neighbours_together())
+        let graph = Self::from_influences(positions, lists).with_company(&nearest, &at);
+        Ok(Self { followers: followers(mesh), ..graph }.with_neighbours_together())
     }
 
     /// A graph for the vertices of `mesh` that are not held: about `nodes` farthest-point nodes among them and, along the rim that
@@ -97,7 +100,7 @@ impl NodeGraph {
         let lists = (0..held.len()).map(influences);
         let fixed = positions.len() - free;
         let graph = Self::from_influences(positions, lists).with_company(&nearest, &at);
-        Ok(Self { fixed, ..graph }.with_neighbours_together())
+        Ok(Self { fixed, followers: followers(mesh), ..graph }.with_neighbours_together())
     }
 
     /// [`along_surface`](Self::along_surface) with influences by distance through space.
@@ -118,7 +121,7 @@ impl NodeGraph {
                 influence_weights(&reached, influences)
             })
             .collect();
-        Ok(Self::from_influences(on_surface.nodes, lists))
+        Ok(Self { followers: on_surface.followers, ..Self::from_influences(on_surface.nodes, lists) })
     }
 
     /// One node at `centre` that moves all of `vertex_count` vertices: the graph behind rigid, similarity and blendshape.
@@ -129,6 +132,7 @@ impl NodeGraph {
             influences: (0..vertex_count).map(|_| [(0, 1.0)]).collect(),
             edges: Vec::new(),
             fixed: 0,
+            followers: Vec::new(),
         }
     }
 
@@ -163,7 +167,7 @@ impl NodeGraph {
                 }
             }
         }
-        Self { nodes, influences, edges: Vec::new(), fixed: 0 }.with_edges(edges)
+        Self { nodes, influences, edges: Vec::new(), fixed: 0, followers: Vec::new() }.with_edges(edges)
     }
 
     /// The same nodes and influences with these directed edges; repeated ones count once.
@@ -213,7 +217,7 @@ impl NodeGraph {
         let nodes = order.iter().map(|&j| self.nodes[j as usize]).collect();
         let influences = (0..self.vertex_count()).map(renumbered).collect();
         let edges = self.edges.iter().map(|&(i, j)| (number[i as usize], number[j as usize])).collect();
-        Self { nodes, influences, edges: Vec::new(), fixed: self.fixed }.with_edges(edges)
+        Self { nodes, influences, ..self }.with_edges(edges)
     }
 
     /// How many nodes can move: the first ones. The others are fixed; they have no parameters, and their motion is the identity.
@@ -256,16 +260,22 @@ impl NodeGraph {
     }
 
     /// Mean squared distance between a vertex and the nodes that move it, `sum_ij omega_ij |n_i - x_j|^2 / N`, for the rest
-    /// positions `n_i`; in their unit, squared. Zero without vertices.
+    /// positions `n_i` of the vertices that triangles have; in their unit, squared. Zero without vertices.
     #[must_use]
     pub fn squared_reach(&self, rest: &[Vec3]) -> f64 {
-        let mut sum = 0.0;
-        for (i, n) in rest.iter().enumerate() {
+        let (mut sum, mut count) = (0.0, 0);
+        for i in self.carried() {
             for &(j, omega) in self.influences(i) {
-                sum += omega * (n - self.nodes[j as usize]).norm_squared();
+                sum += omega * (rest[i] - self.nodes[j as usize]).norm_squared();
             }
+            count += 1;
         }
-        sum / rest.len().max(1) as f64
+        sum / count.max(1) as f64
+    }
+
+    /// The vertices that say what their nodes are: all but those of no triangle, which follow a node wherever they are.
+    pub fn carried(&self) -> impl Iterator<Item = usize> {
+        (0..self.vertex_count()).filter(|&i| !self.followers.get(i).is_some_and(|follows| *follows))
     }
 
     /// Number of vertices the graph moves.
@@ -273,6 +283,12 @@ impl NodeGraph {
     pub fn vertex_count(&self) -> usize {
         self.influences.len()
     }
+}
+
+/// Which vertices are of no triangle; empty if there are none.
+fn followers(mesh: &TriangleMesh) -> Vec<bool> {
+    let used = referenced(mesh.positions.len(), mesh.triangles.as_flattened().iter().copied());
+    if used.contains(&false) { used.iter().map(|used| !used).collect() } else { Vec::new() }
 }
 
 /// Those of `candidates`, in order, that lie at least `apart` from all before them.

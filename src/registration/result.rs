@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use serde::Serialize;
 
 use super::{LandmarkStart, ScanFacing, Schedule, StartSearch, TemplateRepair, Untangled, WarmStart};
-use crate::correspondence::ScanSurface;
+use crate::correspondence::{ScanFlip, ScanSurface};
 #[cfg(doc)]
 use crate::energy::Deformation;
 use crate::mesh::{Pose, Vec3};
@@ -148,4 +148,22 @@ pub struct RegistrationResult {
     pub stop: RegistrationStop,
     /// The schedule as it was used.
     pub schedule: Schedule,
+}
+
+impl RegistrationResult {
+    /// What was wrong with template, scan and landmarks and what was done about it, for the user, a sentence each.
+    #[must_use]
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = self.template_repair.remarks();
+        remarks.extend(self.scan_facing.remarks());
+        if self.scan_facing.flipped && self.schedule.scan.flip == ScanFlip::Auto {
+            remarks.push(
+                "scan and template face opposite ways, so that the normals of one of them face inwards: the scan was turned over; if a \
+                 program has mirrored it instead, left is right in the result; `no` for the option flip leaves it as it is"
+                    .to_owned(),
+            );
+        }
+        remarks.extend(self.start_landmarks.iter().flat_map(LandmarkStart::remarks));
+        remarks
+    }
 }

@@ -10,8 +10,8 @@ use nonrigid::io::{self, LengthUnit, MaterialFiles};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::PolygonMesh;
 use nonrigid::registration::{
-    LandmarkStart, ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report,
-    Schedule, TERMS, WarmStart, assess, register, scan_colors,
+    ModelFactory as _, ModelKind, RegistrationInput, RegistrationObserver, RegistrationResult, Report, Schedule, TERMS,
+    WarmStart, assess, register, scan_colors,
 };
 use nonrigid::rig::{Family, Regions, ShapeBasis};
 
@@ -274,7 +274,7 @@ impl WrapJob {
         let surface = ScanDistance::new(&faced, normals.as_deref()).map_err(problem)?;
         let distances = result.positions.iter().map(|p| surface.of(p)).collect();
         let mut doubts: Vec<String> = reliability.doubts.iter().map(ToString::to_string).collect();
-        doubts.extend(result.start_landmarks.iter().flat_map(LandmarkStart::remarks));
+        doubts.extend(result.remarks());
         let summary = WrapSummary {
             within: quality.to_scan.share_within,
             median: quality.median_within,

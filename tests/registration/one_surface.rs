@@ -1,9 +1,9 @@
-//! Templates that are one surface only once they are sewn along their seams and face one way.
+//! Templates that are one surface only once they are sewn along their seams and face one way, and vertices that are of no surface.
 
 use crate::laws::{bits, small_task};
 use crate::task::Task;
 use nonrigid::landmark::TemplatePoint;
-use nonrigid::mesh::{PolygonMesh, TriangleMesh};
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::{
     ModelKind, RegistrationInput, RegistrationResult, Silent, TemplateRepair, add_detail, register,
 };
@@ -130,6 +130,24 @@ fn triangles_that_face_against_their_neighbours_are_turned_for_the_registration(
         let [one, other] = [(&whole, &one), (&mixed, &other)]
             .map(|(task, result)| nonrigid::registration::assess(&task.input(), result).unwrap());
         assert_eq!(one, other, "{model}: judged alike");
+    }
+}
+
+#[test]
+fn a_vertex_of_no_triangle_has_no_say_in_the_others() {
+    let whole = of_triangles();
+    let count = whole.template.positions.len() as u32;
+    let own: Vec<u32> = (0..=count).map(|v| v.min(count - 1)).collect();
+    let moved: Vec<f64> = (0..=count).map(|v| if v < count { 1.0 } else { 0.0 }).collect();
+    let mut mesh = whole.template.triangulate();
+    mesh.positions.push(Vec3::new(50_000.0, 0.0, 0.0));
+    let stray = Task { template: mesh.into(), shapes: whole.shapes.masked(&own, &moved), ..whole.clone() };
+    for model in ModelKind::ALL {
+        let (one, other) = (fit(&whole, model), fit(&stray, model));
+        let apart = one.positions.iter().zip(&other.positions).map(|(p, q)| (p - q).norm());
+        let apart = apart.fold(0.0, f64::max);
+        assert!(apart < 1e-6, "{model}: {apart} mm");
+        assert_eq!(one.accepted[..], other.accepted[..count as usize], "{model}");
     }
 }
 

@@ -44,10 +44,10 @@ impl<const W: usize> GraphRegulariser<W> {
     pub fn stiffen(&mut self, graph: &NodeGraph, unseen: &[f64], factor: f64) {
         self.unseen.clear();
         self.unseen.resize(graph.nodes().len(), [0.0; 2]);
-        for (i, unseen) in unseen.iter().enumerate() {
+        for i in graph.carried() {
             for &(j, omega) in graph.influences(i) {
                 let [sum, total] = &mut self.unseen[j as usize];
-                *sum += omega * unseen;
+                *sum += omega * unseen[i];
                 *total += omega;
             }
         }
