@@ -18,7 +18,7 @@ use crate::{
 use clap::builder::PossibleValuesParser;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, FromArgMatches as _, Parser};
-use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say};
+use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say, told};
 use nonrigid::io::FilePlan;
 use nonrigid::render::save_png;
 
@@ -113,15 +113,6 @@ fn unsimulated(error: ScanError) -> Failure {
 
 fn unwritten(error: anyhow::Error) -> Failure {
     Failure::writing(told(&error))
-}
-
-/// An error and its causes, but for those that it tells itself.
-fn told(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
-        "" => cause,
-        _ if said.ends_with(&cause) => said,
-        _ => format!("{said}: {cause}"),
-    })
 }
 
 /// Where lines for the user go.

@@ -43,19 +43,9 @@ pub fn check_millimetres(path: &std::path::Path, points: &[nonrigid::mesh::Vec3]
     }
 }
 
-/// An error with its causes, but for those that it tells itself.
-#[must_use]
-pub fn told(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
-        "" => cause,
-        _ if said.ends_with(&cause) => said,
-        _ => format!("{said}: {cause}"),
-    })
-}
-
 /// What could not be read.
 fn unread(error: anyhow::Error) -> nonrigid::console::Failure {
-    nonrigid::console::Failure::loading(told(&error))
+    nonrigid::console::Failure::loading(nonrigid::console::told(error))
 }
 
 /// How many identity modes of a rig take part: those that are asked for, or as many as usual.

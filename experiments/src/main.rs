@@ -7,9 +7,9 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use experiments::{
     ceres, compare_rigs, consistency, flicker, more_garbow_hillstrom, nist, peers, real_scans, report, scaling,
-    scan_bench, schedule_search, silence, solver_case, start_bench, this_program, told, unseen,
+    scan_bench, schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
-use nonrigid::console::{Failure, Stage, answer, bounded, tell};
+use nonrigid::console::{Failure, Stage, answer, bounded, tell, told};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its

@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
-use nonrigid::console::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell, told};
 use nonrigid::io::{NpzContents, read_npy_points};
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
@@ -23,7 +23,7 @@ use crate::process::Process;
 use crate::scan_bench::{
     BenchCase, BenchRow, CaseSource, Variant, measure, summarize, summary_table, table_of, write_rows,
 };
-use crate::{this_program, told};
+use crate::this_program;
 
 /// What runs the other programs.
 const SCRIPT: &str = include_str!("../peers/peers.py");

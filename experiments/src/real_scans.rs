@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::console::{Failure, Stage, say, tell};
+use nonrigid::console::{Failure, Stage, say, tell, told};
 use nonrigid::io::{self, Scan, write_polygon_mesh};
 use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
@@ -25,7 +25,7 @@ use serde::Serialize;
 
 use crate::output::{each_once, make_folder, make_output_folder};
 use crate::tables::{csv_text, table, write_csv, write_json};
-use crate::{identity_modes, told, unread};
+use crate::{identity_modes, unread};
 
 /// What to run.
 #[derive(Debug, clap::Args)]

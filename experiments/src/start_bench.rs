@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::ValueEnum as _;
-use nonrigid::console::{Failure, Stage, say};
+use nonrigid::console::{Failure, Stage, say, told};
 use nonrigid::io;
 use nonrigid::landmark;
 use nonrigid::mesh::{Pose, Vec3};
@@ -21,7 +21,7 @@ use crate::random_pose::{finite, random_pose};
 use crate::scan_bench::{BenchCase, BenchRig};
 use crate::start_cases::{StartKind, face_pose};
 use crate::tables::table;
-use crate::{told, unread};
+use crate::unread;
 
 /// What to run.
 #[derive(Debug, clap::Args)]

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use nonrigid::console::{Failure, say, tell};
+use nonrigid::console::{Failure, say, tell, told};
 use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
 use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::closest_point::ClosestVertices;
@@ -21,7 +21,6 @@ use serde::Serialize;
 use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::{BenchCase, CaseSource, LandmarkUse, fit_case, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
-use crate::told;
 
 /// What to run.
 #[derive(Debug, clap::Args)]

@@ -1,5 +1,6 @@
 //! One clear error, and the exit code that says at which stage it happened.
 
+use std::error::Error;
 use std::fmt;
 use std::process::ExitCode;
 
@@ -28,6 +29,17 @@ pub enum Stage {
 pub struct Failure {
     stage: Stage,
     message: String,
+}
+
+/// An error with its causes, but for those that it tells itself.
+pub fn told(error: impl AsRef<dyn Error + Send + Sync>) -> String {
+    let first: &dyn Error = error.as_ref();
+    let causes = std::iter::successors(Some(first), |cause: &&dyn Error| (*cause).source());
+    causes.map(ToString::to_string).fold(String::new(), |said, cause| match said.as_str() {
+        "" => cause,
+        _ if said.ends_with(&cause) => said,
+        _ => format!("{said}: {cause}"),
+    })
 }
 
 impl Failure {

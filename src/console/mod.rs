@@ -7,7 +7,7 @@ mod output;
 use crate::io::FilePlan;
 use crate::text;
 
-pub use failure::{Failure, Stage};
+pub use failure::{Failure, Stage, told};
 #[cfg(feature = "cli")]
 pub use output::answer;
 pub use output::{say, say_to, tell};

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use nonrigid::console::{Failure, Stage, say_to};
+use nonrigid::console::{Failure, Stage, say_to, told};
 use nonrigid::registration::{ModelFactory, ModelKind};
 use nonrigid::self_test::Machine;
 use serde_json::json;
@@ -36,7 +36,6 @@ use crate::peers::check_python;
 use crate::scan_bench::case_folders;
 
 use crate::tables::write_json;
-use crate::told;
 
 /// What to run.
 #[derive(Debug, Clone, clap::Args)]

@@ -6,7 +6,7 @@ use std::thread;
 
 use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
-use nonrigid::console::Failure;
+use nonrigid::console::{Failure, told};
 use nonrigid::registration::{ModelFactory, ModelKind, RegistrationResult, Schedule, TERMS};
 use nonrigid::render::{RgbImage, save_png};
 use rayon::prelude::*;
@@ -19,7 +19,6 @@ use crate::output::write_file;
 use crate::plots::{Point, Series};
 pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
-use crate::told;
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]

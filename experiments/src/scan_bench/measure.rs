@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::thread;
 
 use anyhow::{Context, Result, bail};
-use nonrigid::console::{Failure, Stage};
+use nonrigid::console::{Failure, Stage, told};
 use nonrigid::io::write_polygon_mesh;
 use nonrigid::registration::TERMS;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_cas
 use crate::process::Process;
 use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
-use crate::{told, unread};
+use crate::unread;
 
 /// Cases in a folder, and what is done to their scans.
 #[derive(Debug, Clone, Serialize, Deserialize)]

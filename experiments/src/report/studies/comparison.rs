@@ -1,13 +1,13 @@
 //! The comparison table: every model, kernel and data term on the same scans.
 
 use anyhow::Result;
+use nonrigid::console::told;
 use nonrigid::registration::ModelKind;
 
 use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, spread, write_runs};
 use crate::report::table::{Table, counted, number};
 use crate::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, summarize};
-use crate::told;
 
 pub const STUDY: Study = Study {
     name: "comparison",
