@@ -348,6 +348,15 @@ def register(
         on_positions=on_positions,
         equations=equations,
     )
+    for_shapes = {
+        "shapes": shapes,
+        "identity_modes": identity_modes,
+        "expression_bounds": expression_bounds,
+        "identity_bounds": identity_bounds,
+    }
+    for option, given in for_shapes.items():
+        if given is not None and not found.uses_shapes:
+            warn(f"{option} has no effect: the model {model} has no blendshapes")
     for remark in found.remarks:
         warn(remark)
     result = Registration()

@@ -190,6 +190,8 @@ pub struct Registration {
     materials: PathBuf,
     /// What is odd about the template or the neutral.
     notes: Vec<String>,
+    /// Whether its model has blendshapes.
+    uses_shapes: bool,
 }
 
 #[pymethods]
@@ -241,6 +243,11 @@ impl Registration {
     #[getter]
     fn doubts(&self) -> Vec<String> {
         self.reliability.doubts.iter().map(ToString::to_string).collect()
+    }
+
+    #[getter]
+    fn uses_shapes(&self) -> bool {
+        self.uses_shapes
     }
 
     #[getter]
@@ -466,6 +473,7 @@ fn register(
             report,
             state,
             reliability,
+            uses_shapes: model.uses_shapes(),
             equations: None,
             finer,
             materials: template.materials.clone(),

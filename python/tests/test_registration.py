@@ -171,6 +171,13 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
     assert issubclass(nonrigid.ComputationError, RuntimeError)
 
 
+def test_options_without_effect_are_said(face: data_gen.Face, case: data_gen.Case) -> None:
+    given = {"landmarks": case.landmarks, "rig": face.rig, "model": "rigid"}
+    for option, setting in [("identity_modes", 3), ("shapes", ["jawOpen"]), ("expression_bounds", (0, 1))]:
+        with pytest.warns(nonrigid.NonrigidWarning, match=f"{option} has no effect: the model rigid has no blendshapes"):
+            nonrigid.register(face.rig.mesh, case.scan, **given, **{option: setting})
+
+
 def test_saving(registered: nonrigid.Registration, data: Data, tmp_path: Path) -> None:
     registered.save(tmp_path / "a.ply", report=tmp_path / "a.json", state=tmp_path / "b.json")
     again = nonrigid.Mesh.read(tmp_path / "a.ply")

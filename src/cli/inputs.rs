@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::NonEmptyStringValueParser;
 
 use super::units::Units;
 use super::{Failure, Stage, file_name, has_extension, same_place, warn};
@@ -68,7 +69,7 @@ pub struct RigArguments {
     #[arg(long, value_name = "DIR")]
     pub rig: Option<PathBuf>,
     /// Expression shapes to use, by name [default: all]
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig")]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig", value_parser = NonEmptyStringValueParser::new())]
     pub shapes: Option<Vec<String>>,
     /// Identity modes to use, from the first [default: 60 or as many as there are for an unknown subject, none beside its own neutral]
     #[arg(long, value_name = "K", requires = "rig")]
