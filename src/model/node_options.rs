@@ -101,7 +101,7 @@ impl GraphOptions {
     fn with_further(&self, shapes: &ShapeBasis, input: &ModelInput<'_>) -> Result<ShapeBasis, ModelError> {
         let mut all = shapes.clone();
         if self.proportions > 0.0 && shapes.shapes().iter().any(|shape| shape.family == Family::Identity) {
-            all = all.joined(&ShapeBasis::proportions(&input.rest.positions, self.proportions));
+            all = all.joined(&ShapeBasis::proportions(input.rest, self.proportions));
         }
         if self.smooth_shapes > 0 && !shapes.is_empty() {
             all = all.joined(&self.smooth_process().basis(input.rest, input.unit)?);

@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 use super::{Family, Shape};
-use crate::mesh::Vec3;
+use crate::mesh::{TriangleMesh, Vec3, surface_points};
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
 /// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the displacements.
@@ -58,13 +58,14 @@ impl ShapeBasis {
         }
     }
 
-    /// The width, height and depth of a template about its centre, each larger by `share` at weight one.
+    /// The width, height and depth of a template about the centre of its surface's vertices, each larger by `share` at weight one.
     #[must_use]
-    pub fn proportions(rest: &[Vec3], share: f64) -> Self {
-        let centre = rest.iter().sum::<Vec3>() / rest.len().max(1) as f64;
+    pub fn proportions(template: &TriangleMesh, share: f64) -> Self {
+        let surface = surface_points(&template.positions, template.triangles.as_flattened().iter().copied());
+        let centre = surface.iter().sum::<Vec3>() / surface.len().max(1) as f64;
         let shapes = ["width", "height", "depth"].map(|name| Shape { name: name.to_owned(), family: Family::Identity });
         // Rows x, y and z of a vertex, of three shapes each.
-        let rows = rest.iter().flat_map(|p| {
+        let rows = template.positions.iter().flat_map(|p| {
             let delta = (p - centre) * share;
             (0..9).map(move |k| if k % 4 == 0 { delta[k / 4] as f32 } else { 0.0 })
         });
@@ -307,7 +308,8 @@ mod tests {
 
     #[test]
     fn proportions_are_of_the_template_about_its_centre() {
-        let basis = ShapeBasis::proportions(&[Vec3::new(3.0, 10.0, -1.0), Vec3::new(1.0, 20.0, -5.0)], 0.1);
+        let positions = vec![Vec3::new(3.0, 10.0, -1.0), Vec3::new(1.0, 20.0, -5.0)];
+        let basis = ShapeBasis::proportions(&TriangleMesh { positions, triangles: Vec::new() }, 0.1);
         assert_eq!(basis.shapes().iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["width", "height", "depth"]);
         let rows = |i: usize| basis.vertex(i).next().unwrap();
         assert_eq!(rows(0), (0..3, &[0.1, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.2][..]));
