@@ -13,7 +13,7 @@ use std::fmt;
 use super::landmarks::{LANDMARKS, Placed, index, mirrored};
 use crate::mesh::adjacency::middle_of_parts;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::{MirrorPlane, Pose, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
+use crate::mesh::{MirrorPlane, Pose, TriangleMesh, Vec3, bounding_box_diagonal};
 
 /// An axis of the face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -276,8 +276,7 @@ impl FacialFrame {
             let midline = || placed.iter().flatten().copied();
             let ends = midline().next().zip(midline().last()).and_then(|(top, bottom)| in_plane(top - bottom));
             let up = vertical.or(ends).ok_or(Missing::Front)?;
-            let size =
-                bounding_box_diagonal(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+            let size = bounding_box_diagonal(&mesh.surface_points());
             (plane.normal.cross(&up).dot(&out_of_face(placed, mesh)), FRONT_SHARE * size)
         };
         if left.abs() <= least {

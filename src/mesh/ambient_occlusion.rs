@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::closest_point::ClosestPoint;
 use super::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use super::{MeshError, TriangleMesh, Vec3, rms_size, surface_points};
+use super::{MeshError, TriangleMesh, Vec3, rms_size};
 
 /// Directions over a vertex, and how many must be free for a scanner to see it.
 const DIRECTIONS: usize = 16;
@@ -26,7 +26,7 @@ const NEAR: f64 = 5e-4;
 /// When a triangle indexes past the vertices, or a vertex of one is not finite.
 pub fn hidden_vertices(mesh: &TriangleMesh) -> Result<Vec<bool>, MeshError> {
     let surface = ClosestPoint::new(mesh)?;
-    let size = rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+    let size = rms_size(&mesh.surface_points());
     // the whole of the way is what lies so near to its middle
     let (middle, reach) = (0.5 * (NEAR + FAR) * size, 0.5 * (FAR - NEAR) * size);
     let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);

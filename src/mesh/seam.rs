@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::adjacency::EdgeGraph;
-use super::{TriangleMesh, Vec3, place, rms_size, surface_points};
+use super::{TriangleMesh, Vec3, place, rms_size};
 
 /// The first of the vertices with which each vertex is one point of the surface: itself, but along seams. A seam is a pair of edges of
 /// the open boundary that run in opposite directions between the same places, bit for bit, whose ends may each be `one`; so lips that
@@ -50,7 +50,7 @@ pub(crate) fn sewn_unless_opened(
     shapes: usize,
     displacement: impl Fn(usize, u32) -> Vec3,
 ) -> Vec<u32> {
-    let rounding = 1e-4 * rms_size(&surface_points(&mesh.positions, mesh.triangles.as_flattened().iter().copied()));
+    let rounding = 1e-4 * rms_size(&mesh.surface_points());
     sewn(mesh, |v, w| (0..shapes).all(|k| (displacement(k, v) - displacement(k, w)).norm() <= rounding))
 }
 

@@ -1,5 +1,7 @@
 //! Triangles: what distances, normals and pictures are computed on.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::{MeshError, Vec3, check_finite};
@@ -14,6 +16,12 @@ pub struct TriangleMesh {
 }
 
 impl TriangleMesh {
+    /// The points that triangles have, [`surface_points`](super::surface_points).
+    #[must_use]
+    pub fn surface_points(&self) -> Cow<'_, [Vec3]> {
+        super::surface_points(&self.positions, self.triangles.as_flattened().iter().copied())
+    }
+
     /// An error unless every triangle's vertices exist.
     ///
     /// # Errors

@@ -29,7 +29,7 @@ use super::linear_samples::LinearSamples;
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::{MeshError, TriangleMesh, Vec3, surface_points};
+use crate::mesh::{MeshError, TriangleMesh, Vec3};
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Entries of one `X_i`: rows x, y, z of four.
@@ -85,7 +85,7 @@ impl Affine {
     pub fn new(rest: &TriangleMesh, lambda: f64, gamma: f64) -> Result<Self, MeshError> {
         assert!(gamma > 0.0 && gamma.is_finite(), "gamma is {gamma}, but must be positive and finite");
         rest.check()?;
-        let surface = surface_points(&rest.positions, rest.triangles.as_flattened().iter().copied());
+        let surface = rest.surface_points();
         let centre = super::centroid(&surface);
         let spread: f64 = surface.iter().map(|p| (p - centre).norm_squared()).sum();
         let size = if spread > 0.0 { (spread / surface.len() as f64).sqrt() } else { 1.0 };

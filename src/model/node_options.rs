@@ -129,8 +129,9 @@ impl GraphDistance {
         [nodes, coarse]: [usize; 2],
         influences: usize,
     ) -> Result<(NodeGraph, Option<NodeGraph>), ModelError> {
+        let vertices = input.rest.surface_points().len();
         let graph = |nodes: usize| {
-            let nodes = nodes.min(input.rest.positions.len().div_ceil(3));
+            let nodes = nodes.min(vertices.div_ceil(3));
             match self {
                 Self::Surface => NodeGraph::along_surface(input.rest, nodes, influences),
                 Self::Euclidean => NodeGraph::through_space(input.rest, nodes, influences),

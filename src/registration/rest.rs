@@ -6,7 +6,7 @@ use super::{RegistrationError, RegistrationInput};
 use crate::correspondence::{ScanSurface, VertexMasks};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::normals::{NormalWeighting, vertex_areas, vertex_normals};
-use crate::mesh::{MeshError, TriangleMesh, Vec3, hidden_vertices, referenced, rms_size, surface_points};
+use crate::mesh::{MeshError, TriangleMesh, Vec3, hidden_vertices, referenced, rms_size};
 
 /// The shape that a stage deforms, in the first stage the centred rest shape, and how the schedule's units translate to it.
 pub(super) struct Rest {
@@ -34,9 +34,8 @@ impl Rest {
     pub fn new(input: &RegistrationInput<'_>, schedule: &Schedule) -> Result<Self, RegistrationError> {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(input.rest_positions());
-        let corners = || mesh.triangles.as_flattened().iter().copied();
-        let used = referenced(mesh.positions.len(), corners());
-        let points = surface_points(&mesh.positions, corners());
+        let used = referenced(mesh.positions.len(), mesh.triangles.as_flattened().iter().copied());
+        let points = mesh.surface_points();
         let count = points.len() as f64;
         let centre = points.iter().sum::<Vec3>() / count;
         let unit = rms_size(&points) / schedule.reference_size;

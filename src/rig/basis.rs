@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 use super::{Family, Shape};
-use crate::mesh::{TriangleMesh, Vec3, surface_points};
+use crate::mesh::{TriangleMesh, Vec3};
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
 /// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the displacements.
@@ -61,7 +61,7 @@ impl ShapeBasis {
     /// The width, height and depth of a template about the centre of its surface's vertices, each larger by `share` at weight one.
     #[must_use]
     pub fn proportions(template: &TriangleMesh, share: f64) -> Self {
-        let surface = surface_points(&template.positions, template.triangles.as_flattened().iter().copied());
+        let surface = template.surface_points();
         let centre = surface.iter().sum::<Vec3>() / surface.len().max(1) as f64;
         let shapes = ["width", "height", "depth"].map(|name| Shape { name: name.to_owned(), family: Family::Identity });
         // Rows x, y and z of a vertex, of three shapes each.

@@ -34,7 +34,7 @@ impl ScanPoints {
     #[must_use]
     pub fn new(scan: &ScanSurface, template: &TriangleMesh) -> Self {
         let area: f64 = face_areas(&template.positions, &template.triangles).iter().sum();
-        let per_vertex = area / template.positions.len() as f64;
+        let per_vertex = area / template.surface_points().len() as f64;
         let (points, each) = scan.spread((per_vertex / AREA_OF_ONE).sqrt());
         Self { points, weight: each / per_vertex, boundary: OpenBoundary::of(template), last: None }
     }

@@ -266,7 +266,7 @@ pub(super) fn deviation(input: &StartInput<'_>, landmarks: &[(Vec3, &Landmark)],
         information += j.tr_mul(&j) / (own * own + (MISMATCH * scale).powi(2));
     }
     let Some(covariance) = information.try_inverse() else { return f64::INFINITY };
-    let vertices = &input.template.positions;
+    let vertices = input.template.surface_points();
     let variance = |p: &Vec3| {
         let j = jacobian(p + input.centre);
         (j * covariance * j.transpose()).trace()
