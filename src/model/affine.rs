@@ -29,7 +29,7 @@ use super::linear_samples::LinearSamples;
 use crate::energy::{DeformationModel, NamedEnergy, OptionTable, Options, OptionsError, QuadricField, Samples};
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::closest_point::ClosestVertices;
-use crate::mesh::{MeshError, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, TriangleMesh, Vec3, rms_size};
 use crate::nlls::{BlockStructure, NormalEquations};
 
 /// Entries of one `X_i`: rows x, y, z of four.
@@ -87,8 +87,7 @@ impl Affine {
         rest.check()?;
         let surface = rest.surface_points();
         let centre = super::centroid(&surface);
-        let spread: f64 = surface.iter().map(|p| (p - centre).norm_squared()).sum();
-        let size = if spread > 0.0 { (spread / surface.len() as f64).sqrt() } else { 1.0 };
+        let size = Some(rms_size(&surface)).filter(|size| *size > 0.0).unwrap_or(1.0);
 
         let graph = EdgeGraph::of(rest);
         let (owner, block_count) = owners(&graph, &rest.positions)?;

@@ -274,7 +274,7 @@ impl NodeGraph {
     }
 
     /// The vertices that say what their nodes are: all but those of no triangle, which follow a node wherever they are.
-    pub fn carried(&self) -> impl Iterator<Item = usize> {
+    pub(super) fn carried(&self) -> impl Iterator<Item = usize> {
         (0..self.vertex_count()).filter(|&i| !self.followers.get(i).is_some_and(|follows| *follows))
     }
 
