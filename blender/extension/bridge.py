@@ -10,7 +10,7 @@ import re
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
@@ -66,20 +66,6 @@ class Surface:
         if (sizes == sizes[0]).all():
             return self.corners.reshape(-1, int(sizes[0]))
         return np.split(self.corners, self.starts[1:-1])
-
-    def copies(self, shapes: Iterable[np.ndarray] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """For each vertex the number of the one that it is a copy of, and for each number its first vertex: importers part a surface at seams
-        of texture and between materials, where vertices of one place stay together whatever moves them."""
-        rows = np.hstack([self.positions, *shapes])
-        _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        vertex = first[of.ravel()]
-        # two corners of one polygon stay two
-        polygon = np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
-        met, counts = np.unique(np.stack([polygon, vertex[self.corners]], axis=1), axis=0, return_counts=True)
-        alone = np.isin(vertex, met[counts > 1, 1])
-        vertex[alone] = np.flatnonzero(alone)
-        first, of = np.unique(vertex, return_inverse=True)
-        return of, first
 
     def nearest(self, point: np.ndarray) -> int:
         """The vertex nearest to a point."""
@@ -188,15 +174,6 @@ class Wrap:
     regions: tuple[str, ...] = ()
     """Regions of the rig that follow smoothness alone."""
 
-    def joined(self, of: np.ndarray, first: np.ndarray) -> Wrap:
-        """Without copies of vertices."""
-        of_first = lambda array: None if array is None else array[first]
-        template = replace(
-            self.template, positions=self.template.positions[first], corners=of[self.template.corners], colors=of_first(self.template.colors)
-        )
-        rig = {name: delta[first] for name, delta in self.rig.items()} if isinstance(self.rig, dict) else self.rig
-        return replace(self, template=template, rig=rig, mask=of_first(self.mask), free_mask=of_first(self.free_mask))
-
 
 @dataclass(frozen=True)
 class Wrapped:
@@ -225,20 +202,6 @@ class Wrapped:
     """JSON."""
     notes: list[str]
     """What was found odd."""
-
-    def parted(self, of: np.ndarray, first: np.ndarray) -> Wrapped:
-        """With the copies of vertices again."""
-        return replace(
-            self,
-            positions=self.positions[of],
-            basis=self.basis[of],
-            shapes={name: delta[of] for name, delta in self.shapes.items()},
-            accepted=self.accepted[of],
-            distances=self.distances[of],
-            colors=None if self.colors is None else self.colors[of],
-            landmarks={name: int(first[v]) for name, v in self.landmarks.items()},
-            regions={name: np.flatnonzero(np.isin(of, vertices)) for name, vertices in self.regions.items()},
-        )
 
 
 def unit_by_size(name: str, surface: Surface) -> tuple[float, str | None]:
@@ -352,10 +315,6 @@ def wrap(given: Wrap, job: Job[Wrapped]) -> Wrapped:
 
 
 def _wrap(nonrigid: Any, given: Wrap, job: Job[Wrapped]) -> Wrapped:
-    if not isinstance(given.rig, str):  # a file's rig has the template's vertices
-        of, first = given.template.copies((given.rig or {}).values())
-        if len(first) < len(of):
-            return _wrap(nonrigid, given.joined(of, first), job).parted(of, first)
     rig = None if given.rig is None else read_rig(given.rig, given.template)
     template, scan = given.template.mesh(), given.scan.mesh()
     model = given.model or ("sumner" if rig is None and given.schedule is None else "hybrid")
