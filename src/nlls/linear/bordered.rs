@@ -190,8 +190,8 @@ impl BorderedCholesky {
         for (&p, g) in self.position.iter().zip(&equations.gradient) {
             self.permuted[p] = -g;
         }
-        self.factor.forward(&mut self.permuted);
-        self.factor.backward(&mut self.permuted);
+        self.factor.forward::<1>(self.permuted.as_chunks_mut().0);
+        self.factor.backward::<1>(self.permuted.as_chunks_mut().0);
         for (&p, d) in self.position.iter().zip(&mut *step) {
             *d = self.permuted[p];
         }
@@ -273,7 +273,7 @@ impl BorderedCholesky {
                 },
             );
         }
-        self.factor.backward(&mut self.permuted);
+        self.factor.backward::<1>(self.permuted.as_chunks_mut().0);
         for (&p, d) in self.position.iter().zip(d_g) {
             *d = self.permuted[p];
         }

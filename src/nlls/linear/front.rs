@@ -145,11 +145,7 @@ pub(super) fn negative_square<S: Simd>(
     for j in (0..below).step_by(TILE_ROWS) {
         let top = j / PAD * PAD;
         let out = &mut out[update_column(below, j) + top..];
-        sweep::<S, TILE_ROWS>(
-            simd,
-            padded(below) - top,
-            &mut SquareTile { columns, stride, width, below, j, top, out },
-        );
+        sweep::<S, TILE_ROWS>(simd, padded(below) - top, &mut SquareTile { columns, stride, width, below, j, out });
     }
 }
 
@@ -159,20 +155,19 @@ struct SquareTile<'a> {
     width: usize,
     below: usize,
     j: usize,
-    /// First row of the tiles.
-    top: usize,
     out: &'a mut [f64],
 }
 
 impl Tile for SquareTile<'_> {
     #[inline(always)]
     fn tile<S: Simd, const V: usize>(&mut self, simd: S, first: usize) {
+        let top = self.j / PAD * PAD;
         let from = |row: usize| self.columns[self.width + row..].chunks(self.stride).take(self.width);
-        let columns = from(self.j).zip(from(self.top + first));
+        let columns = from(self.j).zip(from(top + first));
         let sum = sum_of_products::<S, _, TILE_ROWS, V>(simd, columns);
         for c in 0..TILE_ROWS {
             if self.j + c < self.below {
-                let start = c * (padded(self.below) - self.top) + first;
+                let start = c * (padded(self.below) - top) + first;
                 let out = &mut S::as_mut_simd_f64s(&mut self.out[start..]).0[..V];
                 for v in 0..V {
                     out[v] = simd.neg_f64s(sum[c][v]);

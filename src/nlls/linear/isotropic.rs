@@ -10,7 +10,7 @@
 
 use std::sync::Arc;
 
-use super::supernodal::{Lanes, SupernodalFactor};
+use super::supernodal::{LANES, SupernodalFactor};
 use super::{LinearError, breakdown};
 use crate::nlls::{BlockStructure, NormalEquations};
 
@@ -26,7 +26,7 @@ pub(super) struct Isotropic {
     damping: Vec<f64>,
     /// Whether the factor is that of the scalars and the damping.
     factored: bool,
-    permuted: Vec<Lanes>,
+    permuted: Vec<[f64; LANES]>,
     weak: usize,
 }
 
@@ -42,7 +42,7 @@ impl Isotropic {
             scalars: NormalEquations::new(scalar),
             damping: vec![0.0; n],
             factored: false,
-            permuted: vec![Lanes::default(); n],
+            permuted: vec![[0.0; LANES]; n],
             weak: 0,
         }
     }
@@ -84,8 +84,8 @@ impl Isotropic {
         for (&p, g) in self.factor.position().iter().zip(equations.gradient.chunks_exact(SIZE)) {
             self.permuted[p] = [-g[0], -g[1], -g[2], 0.0];
         }
-        self.factor.forward_lanes(&mut self.permuted);
-        self.factor.backward_lanes(&mut self.permuted);
+        self.factor.forward(&mut self.permuted);
+        self.factor.backward(&mut self.permuted);
         for (&p, d) in self.factor.position().iter().zip(step.chunks_exact_mut(SIZE)) {
             d.copy_from_slice(&self.permuted[p][..SIZE]);
         }

@@ -26,7 +26,7 @@ use pulp::{Simd, WithSimd};
 
 use super::front::{factor_columns, negative_square, update_column, update_len};
 use super::layout::Layout;
-use crate::nlls::dense_kernels::dispatch;
+use crate::nlls::dense_kernels::{add_to, dispatch};
 
 /// The tree of fronts with all memory that a factorisation needs.
 #[derive(Debug)]
@@ -43,6 +43,7 @@ pub(super) struct Multifrontal {
 /// One supernode's place in the tree.
 #[derive(Debug, Clone)]
 struct Front {
+    supernode: usize,
     /// First column, in permuted order.
     start: usize,
     width: usize,
@@ -136,6 +137,7 @@ impl Multifrontal {
                 }
             }
             fronts.push(Front {
+                supernode: k,
                 start: node.start,
                 width: node.width,
                 below: pattern.len(),
@@ -158,38 +160,42 @@ impl Multifrontal {
         Self { fronts, runs, updates: highest.map(|length| vec![0.0; length]) }
     }
 
-    /// Overwrites the lower triangle of a matrix, laid out like its factor, with the factor: supernode after supernode, each
-    /// column-major with its columns' rows first and those below after them.
+    /// Writes the factor of a matrix: supernode after supernode, each column-major with its columns' rows first and those below after
+    /// them. `load` writes a supernode's columns of the matrix itself, the lower triangle, where nothing but zeros is yet; they
+    /// are still in the cache when they are eliminated.
     ///
     /// # Errors
     /// The column, in permuted order, whose pivot is not positive.
-    pub(super) fn factorize(&mut self, factor: &mut [f64]) -> Result<(), usize> {
-        dispatch(Factorize { tree: self, factor })
+    pub(super) fn factorize(&mut self, factor: &mut [f64], load: impl Fn(usize, &mut [f64])) -> Result<(), usize> {
+        dispatch(Factorize { tree: self, factor, load })
     }
 }
 
-struct Factorize<'a> {
+struct Factorize<'a, L> {
     tree: &'a mut Multifrontal,
     factor: &'a mut [f64],
+    load: L,
 }
 
-impl WithSimd for Factorize<'_> {
+impl<L: Fn(usize, &mut [f64])> WithSimd for Factorize<'_, L> {
     type Output = Result<(), usize>;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let Self { tree: Multifrontal { fronts, runs, updates: [even, odd] }, factor } = self;
+        let Self { tree: Multifrontal { fronts, runs, updates: [even, odd] }, factor, load } = self;
         let mut tops = [0; 2];
         for (k, front) in fronts.iter().enumerate() {
             let &Front { width, below, parity, stride, .. } = front;
             let columns = &mut factor[front.values..];
+            columns[..stride * width].fill(0.0);
+            load(front.supernode, &mut columns[..stride * width]);
             let (own, others) = if parity == 0 { (&mut *even, &*odd) } else { (&mut *odd, &*even) };
             let top = tops[1 - parity];
             for (child, start) in children(fronts, k, top) {
                 let runs = &runs[child.runs.clone()];
                 let split = runs.partition_point(|run| (run.to as usize) < width);
                 let column = |to: u32| to as usize * stride;
-                add_columns(&others[start..], child.below, (&runs[..split], runs), column, 0, columns);
+                add_columns(simd, &others[start..], child.below, (&runs[..split], runs), column, 0, columns);
                 tops[1 - parity] = start;
             }
 
@@ -204,7 +210,7 @@ impl WithSimd for Factorize<'_> {
                 let below_columns = &runs[runs.partition_point(|run| (run.to as usize) < width)..];
                 let column = |to: u32| update_column(below, to as usize - width);
                 let runs = (below_columns, below_columns);
-                add_columns(&others[start..], child.below, runs, column, width, update);
+                add_columns(simd, &others[start..], child.below, runs, column, width, update);
             }
             tops[parity] += front.update();
         }
@@ -216,7 +222,8 @@ impl WithSimd for Factorize<'_> {
 /// diagonal, so of the rows in `rows`, which begin with the same runs. `column` says where in `out` a column of the parent
 /// starts, and that is its row `first`.
 #[inline(always)]
-fn add_columns(
+fn add_columns<S: Simd>(
+    simd: S,
     update: &[f64],
     below: usize,
     (columns, rows): (&[Run], &[Run]),
@@ -233,9 +240,7 @@ fn add_columns(
                 let skip = if i == 0 { c } else { 0 };
                 let (source, length) = ((rows.from + skip) as usize, (rows.length - skip) as usize);
                 let target = (rows.to + skip) as usize - first;
-                for (o, u) in out[target..target + length].iter_mut().zip(&from[source..source + length]) {
-                    *o += u;
-                }
+                add_to(simd, &from[source..source + length], &mut out[target..]);
             }
         }
     }

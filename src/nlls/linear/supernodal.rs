@@ -22,18 +22,22 @@ use super::layout::{Layout, SupernodeLayout};
 use super::multifrontal::Multifrontal;
 use super::ordering::block_ordering;
 use super::scratch::Scratch;
-use super::vector::{axpy, dot};
+use super::vector::{axpy_lanes, dot_lanes};
 use super::{damping_at, pivot_is_sound};
 use crate::nlls::dense_kernels::vectorized;
 use crate::nlls::{BlockStructure, NormalEquations};
 
-/// Where one stored block goes in the factor's memory.
+/// Right-hand sides that are solved together: as many as a register holds.
+pub(super) const LANES: usize = 4;
+
+/// Where one stored block goes among the columns of its supernode.
 #[derive(Debug, Clone, Copy)]
 struct Placement {
+    slot: usize,
+    /// The block's, as it is stored.
+    columns: usize,
     /// Position of its first value.
     start: usize,
-    /// Distance between its columns.
-    stride: usize,
     /// The permutation has swapped row and column block.
     transposed: bool,
 }
@@ -45,12 +49,15 @@ pub(super) struct SupernodalFactor {
     position: Vec<usize>,
     /// Inverse of `position`.
     coordinate: Vec<usize>,
+    /// Supernode by supernode.
     placements: Vec<Placement>,
+    /// Where those of each supernode start; one more for the end of the last.
+    placement_starts: Vec<usize>,
     layout: Layout,
     numeric: Multifrontal,
     factor: Vec<f64>,
+    /// Right-hand sides of the longest pattern.
     gathered: Vec<f64>,
-    gathered_lanes: Vec<Lanes>,
 }
 
 impl SupernodalFactor {
@@ -94,30 +101,31 @@ impl SupernodalFactor {
         let layout = Layout::new(&symbolic);
 
         // A block's columns lie in one supernode and its rows follow each other there: both come whole.
-        let place = |i: usize, j: usize| {
+        let place = |slot: usize, i: usize, j: usize| {
             let (row, col) = (starts[rank[i].max(rank[j])], starts[rank[i].min(rank[j])]);
             let k = layout.owner[col];
-            let SupernodeLayout { start, values, stride, .. } = layout.supernodes[k];
-            Placement {
-                start: values + (col - start) * stride + layout.local_row(k, row),
-                stride,
-                transposed: rank[i] < rank[j],
-            }
+            let SupernodeLayout { start, stride, .. } = layout.supernodes[k];
+            let start = (col - start) * stride + layout.local_row(k, row);
+            (k, Placement { slot, columns: s.size(j), start, transposed: rank[i] < rank[j] })
         };
-        let placements = (0..s.block_count())
-            .flat_map(|i| s.row(i).iter().map(move |&j| (i, j)))
-            .map(|(i, j)| place(i, j))
+        let mut placements: Vec<_> = (0..s.block_count())
+            .flat_map(|i| s.row_slots(i).zip(s.row(i)).map(move |(slot, &j)| (slot, i, j)))
+            .map(|(slot, i, j)| place(slot, i, j))
             .collect();
+        placements.sort_by_key(|&(k, _)| k);
+        let placement_starts =
+            (0..=layout.supernodes.len()).map(|k| placements.partition_point(|&(of, _)| of < k)).collect();
+        let placements = placements.into_iter().map(|(_, placement)| placement).collect();
         let longest = layout.supernodes.iter().map(|node| node.pattern.len()).max().unwrap_or(0);
         Self {
             position,
             coordinate,
             placements,
+            placement_starts,
             numeric: Multifrontal::new(&layout),
             factor: vec![0.0; layout.len],
             layout,
-            gathered: vec![0.0; longest],
-            gathered_lanes: Vec::new(),
+            gathered: vec![0.0; longest * LANES],
         }
     }
 
@@ -129,31 +137,24 @@ impl SupernodalFactor {
     /// Refills the matrix and factorises it. Returns the number of weak pivots, or the tangent coordinate that broke it.
     pub(super) fn factorize(&mut self, equations: &NormalEquations, damping: &[f64]) -> Result<usize, usize> {
         let s = equations.structure();
-        self.factor.fill(0.0);
-        for i in 0..s.block_count() {
-            for (slot, &j) in s.row_slots(i).zip(s.row(i)) {
-                let block = &equations.blocks[s.values(slot)];
-                let Placement { start, stride, transposed } = self.placements[slot];
-                let columns = s.size(j);
-                if transposed {
-                    for (r, row) in block.chunks_exact(columns).enumerate() {
-                        self.factor[start + r * stride..][..columns].copy_from_slice(row);
-                    }
+        let Self { coordinate, placements, placement_starts, layout, numeric, factor, .. } = self;
+        let load = |k: usize, matrix: &mut [f64]| {
+            let &SupernodeLayout { start, width, stride, .. } = &layout.supernodes[k];
+            for p in &placements[placement_starts[k]..placement_starts[k + 1]] {
+                let rows = equations.blocks[s.values(p.slot)].chunks_exact(p.columns).enumerate();
+                if p.transposed {
+                    rows.for_each(|(r, row)| matrix[p.start + r * stride..][..row.len()].copy_from_slice(row));
                 } else {
-                    for (r, row) in block.chunks_exact(columns).enumerate() {
-                        for (c, v) in row.iter().enumerate() {
-                            self.factor[start + c * stride + r] = *v;
-                        }
+                    for (r, row) in rows {
+                        row.iter().enumerate().for_each(|(c, v)| matrix[p.start + c * stride + r] = *v);
                     }
                 }
             }
-            // The diagonal block is the last of its row.
-            let diagonal = self.placements[s.row_slots(i).end - 1];
-            for a in 0..s.size(i) {
-                self.factor[diagonal.start + a * (diagonal.stride + 1)] += damping_at(damping, s.offset(i) + a);
+            for (c, &i) in coordinate[start..start + width].iter().enumerate() {
+                matrix[c * (stride + 1)] += damping_at(damping, i);
             }
-        }
-        self.numeric.factorize(&mut self.factor).map_err(|column| self.coordinate[column])?;
+        };
+        numeric.factorize(factor, load).map_err(|column| coordinate[column])?;
         let mut weak = 0;
         for k in 0..self.supernode_count() {
             let node = self.supernode(k);
@@ -185,25 +186,25 @@ impl SupernodalFactor {
         Supernode { start, width, stride, pattern: self.layout.pattern(k), values: &self.factor[values..] }
     }
 
-    /// Solves `L x = b` in place; `x` is in permuted order.
-    pub(super) fn forward(&mut self, x: &mut [f64]) {
+    /// Solves `L x = b` in place for `L` right-hand sides side by side, [`LANES`] at most; rows are in permuted order.
+    pub(super) fn forward<const L: usize>(&mut self, x: &mut [[f64; L]]) {
         let mut gathered = std::mem::take(&mut self.gathered);
         vectorized(
             #[inline(always)]
             || {
                 for k in 0..self.supernode_count() {
                     let node = self.supernode(k);
-                    let below = &mut gathered[..node.pattern.len()];
-                    below.fill(0.0);
+                    let below = &mut gathered.as_chunks_mut::<L>().0[..node.pattern.len()];
+                    below.fill([0.0; L]);
                     for c in 0..node.width {
                         let column = node.column(c);
                         let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                        head[c] /= column[c];
-                        axpy(-head[c], &column[c + 1..node.width], tail);
-                        axpy(head[c], &column[node.width..], below);
+                        head[c] = head[c].map(|v| v / column[c]);
+                        axpy_lanes(head[c].map(|v| -v), &column[c + 1..node.width], tail);
+                        axpy_lanes(head[c], &column[node.width..], below);
                     }
                     for (&row, v) in node.pattern.iter().zip(below) {
-                        x[row] -= *v;
+                        x[row].iter_mut().zip(v).for_each(|(x, v)| *x -= *v);
                     }
                 }
             },
@@ -211,113 +212,31 @@ impl SupernodalFactor {
         self.gathered = gathered;
     }
 
-    /// Solves `L' x = b` in place; `x` is in permuted order.
-    pub(super) fn backward(&mut self, x: &mut [f64]) {
+    /// Solves `L' x = b` in place, as [`forward`](Self::forward) does `L x = b`.
+    pub(super) fn backward<const L: usize>(&mut self, x: &mut [[f64; L]]) {
         let mut gathered = std::mem::take(&mut self.gathered);
         vectorized(
             #[inline(always)]
             || {
                 for k in (0..self.supernode_count()).rev() {
                     let node = self.supernode(k);
-                    let below = &mut gathered[..node.pattern.len()];
+                    let below = &mut gathered.as_chunks_mut::<L>().0[..node.pattern.len()];
                     for (&row, v) in node.pattern.iter().zip(&mut *below) {
                         *v = x[row];
                     }
                     for c in (0..node.width).rev() {
                         let column = node.column(c);
                         let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                        let sum = dot(&column[c + 1..node.width], tail) + dot(&column[node.width..], below);
-                        head[c] = (head[c] - sum) / column[c];
-                    }
-                }
-            },
-        );
-        self.gathered = gathered;
-    }
-}
-
-/// Right-hand sides that are solved together; as many as a register holds.
-pub(super) type Lanes = [f64; 4];
-
-/// `y += a x`, a number of L times a row of right-hand sides.
-#[inline(always)]
-fn add_lanes(a: f64, x: &Lanes, y: &mut Lanes) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y += a * x;
-    }
-}
-
-/// Adds `a . x` of every lane to four running sums, as one would wait for itself.
-#[inline(always)]
-fn sum_lanes(a: &[f64], x: &[Lanes], sums: &mut [Lanes; 4]) {
-    let (a_fours, x_fours) = (a.chunks_exact(4), x.chunks_exact(4));
-    for (a, x) in a_fours.remainder().iter().zip(x_fours.remainder()) {
-        add_lanes(*a, x, &mut sums[0]);
-    }
-    for (a, x) in a_fours.zip(x_fours) {
-        for k in 0..4 {
-            add_lanes(a[k], &x[k], &mut sums[k]);
-        }
-    }
-}
-
-impl SupernodalFactor {
-    /// [`forward`](Self::forward) for several right-hand sides.
-    pub(super) fn forward_lanes(&mut self, x: &mut [Lanes]) {
-        let mut gathered = std::mem::take(&mut self.gathered_lanes);
-        gathered.resize(self.gathered.len(), Lanes::default());
-        vectorized(
-            #[inline(always)]
-            || {
-                for k in 0..self.supernode_count() {
-                    let node = self.supernode(k);
-                    let below = &mut gathered[..node.pattern.len()];
-                    below.fill(Lanes::default());
-                    for c in 0..node.width {
-                        let column = node.column(c);
-                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                        let solved = head[c].map(|v| v / column[c]);
-                        head[c] = solved;
-                        tail.iter_mut().zip(&column[c + 1..]).for_each(|(y, l)| add_lanes(-l, &solved, y));
-                        below.iter_mut().zip(&column[node.width..]).for_each(|(y, l)| add_lanes(*l, &solved, y));
-                    }
-                    for (&row, v) in node.pattern.iter().zip(below) {
-                        add_lanes(-1.0, v, &mut x[row]);
-                    }
-                }
-            },
-        );
-        self.gathered_lanes = gathered;
-    }
-
-    /// [`backward`](Self::backward) for several right-hand sides.
-    pub(super) fn backward_lanes(&mut self, x: &mut [Lanes]) {
-        let mut gathered = std::mem::take(&mut self.gathered_lanes);
-        gathered.resize(self.gathered.len(), Lanes::default());
-        vectorized(
-            #[inline(always)]
-            || {
-                for k in (0..self.supernode_count()).rev() {
-                    let node = self.supernode(k);
-                    let below = &mut gathered[..node.pattern.len()];
-                    for (&row, v) in node.pattern.iter().zip(&mut *below) {
-                        *v = x[row];
-                    }
-                    for c in (0..node.width).rev() {
-                        let column = node.column(c);
-                        let (head, tail) = x[node.start..node.start + node.width].split_at_mut(c + 1);
-                        let mut sums = [Lanes::default(); 4];
-                        sum_lanes(&column[c + 1..node.width], tail, &mut sums);
-                        sum_lanes(&column[node.width..], below, &mut sums);
-                        for lane in 0..head[c].len() {
-                            let sum = (sums[0][lane] + sums[1][lane]) + (sums[2][lane] + sums[3][lane]);
-                            head[c][lane] = (head[c][lane] - sum) / column[c];
+                        let own = dot_lanes(&column[c + 1..node.width], tail);
+                        let others = dot_lanes(&column[node.width..], below);
+                        for l in 0..L {
+                            head[c][l] = (head[c][l] - (own[l] + others[l])) / column[c];
                         }
                     }
                 }
             },
         );
-        self.gathered_lanes = gathered;
+        self.gathered = gathered;
     }
 }
 

@@ -185,8 +185,8 @@ impl TwoLevel {
                     permuted[factor.position()[offset(i) + a]] += r[s.offset(i) + a];
                 }
             }
-            factor.forward(permuted);
-            factor.backward(permuted);
+            factor.forward::<1>(permuted.as_chunks_mut().0);
+            factor.backward::<1>(permuted.as_chunks_mut().0);
         };
         rayon::join(fine, solve_coarse);
         for i in 0..s.block_count() {

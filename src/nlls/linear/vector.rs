@@ -3,23 +3,41 @@
 /// `a . b`, both of the same length.
 #[inline(always)]
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    const LANES: usize = 8;
-    let (a_chunks, b_chunks) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let tail: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
-    let mut sums = [0.0; LANES];
-    for (x, y) in a_chunks.zip(b_chunks) {
-        for k in 0..LANES {
-            sums[k] += x[k] * y[k];
-        }
-    }
-    ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
+    let [product] = dot_lanes(a, b.as_chunks().0);
+    product
 }
 
 /// `y += a x`.
 #[inline(always)]
 pub(super) fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
+    axpy_lanes([a], x, y.as_chunks_mut().0);
+}
+
+/// [`dot`] with each of `L` vectors side by side.
+#[inline(always)]
+pub(super) fn dot_lanes<const L: usize>(a: &[f64], b: &[[f64; L]]) -> [f64; L] {
+    let add = |sum: &mut [f64; L], a: f64, b: &[f64; L]| sum.iter_mut().zip(b).for_each(|(s, b)| *s += a * b);
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    let (mut sums, mut rest) = ([[0.0; L]; 8], [0.0; L]);
+    for (a, b) in a_rest.iter().zip(b_rest) {
+        add(&mut rest, *a, b);
+    }
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..8 {
+            add(&mut sums[k], a[k], &b[k]);
+        }
+    }
+    std::array::from_fn(|l| {
+        let sum = |k: usize| sums[k][l] + sums[k + 4][l];
+        (sum(0) + sum(1)) + (sum(2) + sum(3)) + rest[l]
+    })
+}
+
+/// [`axpy`] with a factor for each of `L` vectors side by side.
+#[inline(always)]
+pub(super) fn axpy_lanes<const L: usize>(a: [f64; L], x: &[f64], y: &mut [[f64; L]]) {
     for (y, x) in y.iter_mut().zip(x) {
-        *y += a * x;
+        y.iter_mut().zip(a).for_each(|(y, a)| *y += a * x);
     }
 }
 
