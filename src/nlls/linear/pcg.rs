@@ -76,7 +76,7 @@ impl Pcg {
     /// [`LinearError::NotConverged`]. `x` is unspecified then.
     ///
     /// # Panics
-    /// If `b` and `x` differ in length.
+    /// If `b` and `x` differ in length, or the tolerance is not in [0, 1).
     pub fn solve(
         &mut self,
         b: &[f64],
@@ -85,12 +85,16 @@ impl Pcg {
         mut precondition: impl FnMut(&[f64], &mut [f64]),
     ) -> Result<usize, LinearError> {
         assert_eq!(b.len(), x.len(), "right-hand side and solution must be of equal length");
+        assert!((0.0..1.0).contains(&self.tolerance), "the tolerance is {}, but must be in [0, 1)", self.tolerance);
         let Self { residual: r, preconditioned: z, direction: p, product: q, .. } = self;
         for vector in [&mut *r, &mut *z, &mut *p, &mut *q] {
             vector.resize(b.len(), 0.0);
         }
         x.fill(0.0);
-        r.copy_from_slice(b);
+        // Squares of what is very small or large are lost.
+        let largest = b.iter().fold(0.0, |max: f64, v| max.max(v.abs()));
+        let scale = if largest > 0.0 && !(1e-100..1e100).contains(&largest) { 1.0 / largest } else { 1.0 };
+        r.iter_mut().zip(b).for_each(|(r, b)| *r = scale * b);
         precondition(r, z);
         p.copy_from_slice(z);
         let mut square = dot(r, z);
@@ -106,7 +110,7 @@ impl Pcg {
                 return Err(LinearError::NoCurvature { iteration });
             }
             let length = square / curvature;
-            axpy(length, p, x);
+            axpy(length / scale, p, x);
             axpy(-length, q, r);
             precondition(r, z);
             let last = std::mem::replace(&mut square, dot(r, z));

@@ -345,10 +345,25 @@ fn conjugate_gradients_end_after_as_many_iterations_as_there_are_eigenvalues() {
     }
     let exact = |r: &[f64], z: &mut [f64]| (0..n).for_each(|i| z[i] = r[i] / eigenvalue(i));
     assert_eq!(pcg.solve(&b, &mut x, apply, exact), Ok(1));
+    // Of any size.
+    for scale in [1e-300, 1e-200, 1e200, 1e300] {
+        let scaled: Vec<f64> = b.iter().map(|b| scale * b).collect();
+        assert_eq!(pcg.solve(&scaled, &mut x, apply, identity), Ok(4));
+        for i in 0..n {
+            approx::assert_relative_eq!(x[i] / scale, b[i] / eigenvalue(i), max_relative = 1e-9);
+        }
+    }
     // Another size with the same buffers.
     assert_eq!(pcg.solve(&b[..1], &mut x[..1], |p, out| out[0] = 4.0 * p[0], |r, z| z[0] = r[0]), Ok(1));
     assert_eq!(x[0], 0.25);
     assert_eq!(pcg.solve(&[0.0; 3], &mut x[..3], |_, _| unreachable!(), |r, z| z.copy_from_slice(r)), Ok(0));
+}
+
+#[test]
+#[should_panic(expected = "the tolerance is -1, but must be in [0, 1)")]
+fn conjugate_gradients_refuse_a_tolerance_that_is_none() {
+    let identity = |r: &[f64], z: &mut [f64]| z.copy_from_slice(r);
+    let _ = Pcg::default().with_tolerance(-1.0).solve(&[1.0], &mut [0.0], identity, identity);
 }
 
 #[test]
