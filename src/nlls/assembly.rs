@@ -310,7 +310,8 @@ impl ItemRows<'_> {
         &mut self.y[offset as usize * self.count + row * pitch..][..pitch]
     }
 
-    /// Derivatives of a row by the border; the equations take them rounded to f32, the gradient as they are.
+    /// Derivatives of a row by the border; the equations take them rounded to f32, so that they must be below 3e38, the gradient as
+    /// they are.
     #[inline(always)]
     pub fn of_border(&mut self, row: usize) -> &mut [f64] {
         &mut self.u[row * padded(self.border)..][..self.border]
@@ -548,6 +549,8 @@ fn add_outer<T: Copy + Into<f64>>(left: &[f64], right: &[T], out: &mut [f64]) {
 mod tests {
     use std::sync::Arc;
 
+    use crate::nlls::linear::{Coordinate, LinearError, choose};
+
     use nalgebra::{DMatrix, DVector};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -625,5 +628,30 @@ mod tests {
                 assert!((gradient - g).amax() < 1e-11, "border {border}, round {round}");
             }
         }
+    }
+
+    #[test]
+    fn a_derivative_beyond_single_precision_is_that_of_the_border() {
+        let items = [vec![0]];
+        let structure = Arc::new(BlockStructure::new(&[1], [], 2).unwrap());
+        let mut assembly = Assembly::new(items.iter().map(Vec::as_slice), &structure, |_| 1);
+        let mut solve = |derivative: f64| {
+            assembly.linearize(
+                2,
+                |_| 1,
+                |_, rows| {
+                    rows.of_block(0, 0)[0] = 1.0;
+                    rows.of_border(0).copy_from_slice(&[1.0, derivative]);
+                    rows.set_residuals(&[1.0]);
+                },
+            );
+            let mut equations = NormalEquations::new(structure.clone());
+            assembly.add_to(&mut equations);
+            choose(&structure).solve(&equations, &[1.0; 3], &mut [0.0; 3])
+        };
+        solve(1e10).unwrap();
+        let error = solve(1e39).unwrap_err();
+        assert_eq!(error, LinearError::NonFinite { at: Coordinate::Border { index: 1 } });
+        assert!(error.to_string().contains("beyond 3e38"), "{error}");
     }
 }

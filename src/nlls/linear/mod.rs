@@ -115,7 +115,9 @@ pub enum LinearError {
         at: Coordinate,
     },
     /// The equations contain an infinity or a NaN, or are so badly scaled that the step does.
-    #[error("non-finite value in the normal equations at {at}; a residual or its derivative is not finite there")]
+    #[error(
+        "non-finite value in the normal equations at {at}; a residual or its derivative is not finite there, or one by the border is beyond 3e38 in an `Assembly`"
+    )]
     NonFinite {
         /// The first coordinate whose row or gradient is not finite.
         at: Coordinate,
@@ -306,8 +308,12 @@ fn first_non_finite(equations: &NormalEquations, damping: &[f64]) -> Option<usiz
             return Some(rows.start);
         }
         for r in rows {
-            if bad(&equations.cross[r * border..(r + 1) * border]) || !equations.gradient[r].is_finite() {
+            if !equations.gradient[r].is_finite() {
                 return Some(r);
+            }
+            // The block's own derivatives are finite.
+            if let Some(k) = equations.cross[r * border..(r + 1) * border].iter().position(|v| !v.is_finite()) {
+                return Some(sparse + k);
             }
         }
     }
