@@ -42,6 +42,20 @@ pub trait RobustKernel: Send + Sync {
     fn weight(&self, s: f64) -> f64 {
         self.evaluate(s)[1]
     }
+
+    /// Checks its settings, if it has some; asked when a problem is built.
+    ///
+    /// # Errors
+    /// Names the field, its value and the violated bound.
+    fn validate(&self) -> Result<(), OptionError> {
+        Ok(())
+    }
+}
+
+fn check_scale(field: &'static str, scale: f64) -> Result<(), OptionError> {
+    OptionError::require(scale > 0.0 && scale.is_finite(), field, scale, "positive and finite")?;
+    // Its square is a factor and a divisor.
+    OptionError::require((1e-100..=1e100).contains(&scale), field, scale, "in [1e-100, 1e100]")
 }
 
 /// A normalised kernel at the scale delta: `rho_delta(s) = delta^2 rho(s / delta^2)`.
@@ -58,6 +72,11 @@ impl<K: RobustKernel> RobustKernel for Scaled<K> {
         let square = self.delta * self.delta;
         let [rho, first, second] = self.kernel.evaluate(s / square);
         [square * rho, first, second / square]
+    }
+
+    fn validate(&self) -> Result<(), OptionError> {
+        check_scale("kernel.delta", self.delta)?;
+        self.kernel.validate()
     }
 }
 
@@ -164,7 +183,7 @@ impl Kernel {
     pub fn validate(&self) -> Result<(), OptionError> {
         if let Some(scale) = self.scale() {
             let field = if matches!(self, Self::L1 { .. } | Self::Lp { .. }) { "kernel.eps" } else { "kernel.delta" };
-            OptionError::require(scale > 0.0 && scale.is_finite(), field, scale, "positive and finite")?;
+            check_scale(field, scale)?;
         }
         if let Self::Lp { p, .. } = *self {
             OptionError::require(p > 0.0 && p <= 2.0, "kernel.p", p, "in (0, 2]")?;
@@ -191,6 +210,10 @@ impl RobustKernel for Kernel {
             Self::Lp { p, eps } => lp(p, eps, s),
         }
     }
+
+    fn validate(&self) -> Result<(), OptionError> {
+        Self::validate(self)
+    }
 }
 
 fn huber(s: f64) -> [f64; 3] {
@@ -207,6 +230,9 @@ fn cauchy(s: f64) -> [f64; 3] {
 }
 
 fn geman_mcclure(s: f64) -> [f64; 3] {
+    if s == f64::INFINITY {
+        return [1.0, 0.0, 0.0];
+    }
     let u = 1.0 / (1.0 + s);
     [s * u, u * u, -2.0 * u * u * u]
 }
@@ -337,6 +363,28 @@ mod tests {
         assert!((l1 - 2.0 * eps * (2.0 - eps)).abs() < 1e-9, "{l1}");
         assert_eq!(Kernel::Tukey { delta: 3.0 }.weight(9.1), 0.0);
         assert!((Kernel::Lp { p: 2.0, eps: 0.7 }.evaluate(5.0)[0] - 5.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_smallest_and_largest_scales_meet_any_residual() {
+        for scale in [1e-100, 1e100] {
+            for kernel in all(scale) {
+                kernel.validate().unwrap();
+                for r in [0.0, 1e-160, 1e-50, 1e-10, 1.0, 1e10, 1e50] {
+                    let [rho, weight, _] = kernel.evaluate(r * r);
+                    assert!(rho >= 0.0 && (0.0..=1.0).contains(&weight), "{kernel:?} at {r}: {rho} {weight}");
+                }
+            }
+        }
+        let delta = 1e-100;
+        for bounded in [Kernel::GemanMcClure { delta }, Kernel::Welsch { delta }, Kernel::Tukey { delta }] {
+            let [rho, weight, _] = bounded.evaluate(1e200);
+            assert!(rho <= 1.01e-200 && weight == 0.0, "{bounded:?}: {rho} {weight}");
+        }
+        for delta in [1e-170, 1e170] {
+            let error = Kernel::Welsch { delta }.validate().unwrap_err().to_string();
+            assert!(error.ends_with("but must be in [1e-100, 1e100]"), "{error}");
+        }
     }
 
     #[test]

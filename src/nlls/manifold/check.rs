@@ -7,7 +7,7 @@ use super::{Manifold, PointArray};
 
 /// Checks `M` at the point `x`:
 ///
-/// 1. `x` has `AMBIENT` entries, `Point` too, and `normalize(x)` leaves `x` alone;
+/// 1. `x` has `AMBIENT` entries, `Point` too, `normalize(x)` leaves `x` alone, and `M` contains it;
 /// 2. a zero step goes nowhere: `plus(x, 0) = x`;
 /// 3. the derivative of `plus` at 0, taken by dual numbers, is that of central differences;
 /// 4. it has rank `TANGENT`: no direction is lost (a chart whose derivative is zero at 0 fails here);
@@ -31,6 +31,9 @@ pub fn check_manifold<M: Manifold>(x: &[f64]) -> Result<(), String> {
             "the point is not on the manifold: normalize moves entry {i} from {} to {}",
             x[i], normal[i]
         ));
+    }
+    if !M::contains(x, 1e-14) {
+        return Err(format!("the point is not on the manifold: {x:?}"));
     }
 
     let mut moved = x.to_vec();
@@ -88,7 +91,7 @@ pub fn check_manifold<M: Manifold>(x: &[f64]) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nlls::Scalar;
+    use crate::nlls::{Scalar, So3};
 
     /// Quaternion steps through `sqrt`, whose derivative at 0 is NaN: the classical mistake.
     struct NoDerivative;
@@ -101,6 +104,16 @@ mod tests {
         fn plus<D: Scalar>(x: &[f64], delta: &[D], out: &mut [D]) {
             out[0] = (delta[0] * delta[0]).sqrt() + x[0];
         }
+    }
+
+    #[test]
+    fn what_normalizing_leaves_alone_may_still_be_no_rotation() {
+        let diagonal = |d: [f64; 3]| [d[0], 0.0, 0.0, 0.0, d[1], 0.0, 0.0, 0.0, d[2]];
+        for wrong in [diagonal([-1.0, 1.0, 1.0]), [0.0; 9]] {
+            let error = check_manifold::<So3>(&wrong).unwrap_err();
+            assert!(error.starts_with("the point is not on the manifold"), "{error}");
+        }
+        check_manifold::<So3>(&diagonal([-1.0, -1.0, 1.0])).unwrap();
     }
 
     #[test]

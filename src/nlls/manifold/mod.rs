@@ -60,6 +60,15 @@ pub trait Manifold: 'static {
 
     /// Puts a point that has drifted off by rounding back on the manifold.
     fn normalize(_x: &mut [f64]) {}
+
+    /// Whether `x` is a point of the manifold up to `tolerance`, a share of its largest entry or of 1: as it stands, whether
+    /// [`normalize`](Self::normalize) moves no entry farther. To be written where that leaves something else alone.
+    fn contains(x: &[f64], tolerance: f64) -> bool {
+        let mut normal = x.to_vec();
+        Self::normalize(&mut normal);
+        let size = x.iter().fold(1.0, |m: f64, v| m.max(v.abs()));
+        normal.iter().zip(x).all(|(a, b)| (a - b).abs() <= tolerance * size)
+    }
 }
 
 /// Arrays `[D; N]` as storage of a point.

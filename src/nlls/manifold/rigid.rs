@@ -24,6 +24,10 @@ impl Manifold for Se3 {
     fn normalize(x: &mut [f64]) {
         So3::normalize(x);
     }
+
+    fn contains(x: &[f64], tolerance: f64) -> bool {
+        So3::contains(x, tolerance)
+    }
 }
 
 impl Se3 {
@@ -80,6 +84,10 @@ impl Manifold for Sim3 {
 
     fn normalize(x: &mut [f64]) {
         So3::normalize(x);
+    }
+
+    fn contains(x: &[f64], tolerance: f64) -> bool {
+        So3::contains(x, tolerance)
     }
 }
 

@@ -4,6 +4,8 @@
 //! and `B = (1 - cos(theta)) / theta^2`. A and B are functions of `theta^2`: near zero they are evaluated by their series,
 //! because the square root that gives theta has no derivative there.
 
+use nalgebra::Matrix3;
+
 use super::{Manifold, Scalar};
 
 /// Below this `theta^2` the series are used; their remainder is then under 1e-17.
@@ -25,6 +27,14 @@ impl Manifold for So3 {
 
     fn normalize(x: &mut [f64]) {
         orthonormalize(x.first_chunk_mut().expect("a rotation matrix has nine entries"));
+    }
+
+    /// `R R' = I`, and R is no reflection.
+    fn contains(x: &[f64], tolerance: f64) -> bool {
+        let r = Matrix3::from_row_slice(&x[..9]);
+        let defect = (r * r.transpose() - Matrix3::identity()).amax();
+        // Half of it is how far `normalize` moves.
+        defect <= 2.0 * tolerance && r.determinant() > 0.0
     }
 }
 

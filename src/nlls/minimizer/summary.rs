@@ -33,7 +33,7 @@ pub enum StopReason {
     NoDecrease,
     /// No step could be computed. The last accepted parameters are kept.
     LinearSolverFailed(LinearError),
-    /// The energy of the start is not finite.
+    /// The energy of the start is not finite: [`ResidualProblem::non_finite`](crate::nlls::ResidualProblem::non_finite) names the residual.
     NonFinite,
     /// The observer asked to stop.
     StoppedByObserver,
@@ -70,7 +70,10 @@ impl fmt::Display for StopReason {
             Self::MaxIterations => write!(f, "stopped at the limit on iterations, not converged"),
             Self::NoDecrease => write!(f, "failed: no step lowers the energy"),
             Self::LinearSolverFailed(e) => write!(f, "failed: {e}"),
-            Self::NonFinite => write!(f, "failed: the energy of the start is not finite"),
+            Self::NonFinite => write!(
+                f,
+                "failed: the energy of the start is not finite; `ResidualProblem::non_finite` says which residual is not"
+            ),
             Self::StoppedByObserver => write!(f, "stopped by the observer"),
             Self::InvalidBounds(e) => write!(f, "failed: {e}"),
         }

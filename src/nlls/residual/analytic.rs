@@ -27,6 +27,13 @@ struct Slot {
     energy: f64,
 }
 
+impl Slot {
+    fn clear(&mut self) {
+        [&mut self.residual, &mut self.jacobian].into_iter().for_each(|v| v.fill(0.0));
+        (self.weight, self.energy) = (0.0, 0.0);
+    }
+}
+
 impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
     /// Residuals and, for each, the blocks that it reads.
     #[must_use]
@@ -44,10 +51,10 @@ impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
     /// The same residuals under a kernel of your own.
     #[must_use]
     pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { common: self.common.with_robust_kernel(kernel), ..self }
+        Self { common: self.common.with_kernel(kernel), ..self }
     }
 
-    /// The same residuals with the weight alpha >= 0. Default 1.
+    /// The same residuals with the weight alpha >= 0. Default 1; at 0 they are not evaluated.
     #[must_use]
     pub fn with_weight(self, alpha: f64) -> Self {
         Self { common: Common { weight: alpha, ..self.common }, ..self }
@@ -61,6 +68,10 @@ impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
         work: impl Fn(&F, [&[f64]; K], &Common, &mut Slot) + Sync,
     ) -> f64 {
         let Self { residuals, common, slots } = self;
+        if common.weight == 0.0 {
+            slots.iter_mut().for_each(Slot::clear);
+            return 0.0;
+        }
         let ids = common.blocks.as_chunks::<K>().0;
         for_each(slots, GRAIN, &|m, slot: &mut Slot| {
             work(&residuals[m], ids[m].map(|id| &x[ambient[id.0].clone()]), common, slot);
@@ -115,6 +126,10 @@ impl<F: AnalyticResidual<K>, const K: usize> AnyFamily for AnalyticFamily<F, K> 
             residual.evaluate(points, &mut slot.residual, Some(&mut slot.jacobian));
             [slot.energy, slot.weight] = common.judge(&slot.residual);
         })
+    }
+
+    fn energy_of(&self, m: usize) -> f64 {
+        self.slots[m].energy
     }
 
     fn row(&self, m: usize) -> (&[f64], &[f64], f64) {

@@ -27,6 +27,7 @@ pub(super) struct Block {
     pub tangent: usize,
     pub initial: Vec<f64>,
     pub move_by: fn(&[f64], &[f64], &mut [f64]),
+    pub contains: fn(&[f64], f64) -> bool,
     /// First ambient coordinate in x.
     pub ambient_at: usize,
     /// First tangent coordinate: in the gradient.

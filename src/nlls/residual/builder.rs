@@ -11,6 +11,9 @@ use super::{AnalyticResidual, BlockId, FamilyId, ProblemError, Residual, Residua
 use crate::nlls::manifold::Manifold;
 use crate::nlls::{BlockStructure, BorderBounds, OptionError};
 
+/// How far off its manifold a block may start: rounding to single precision, as of what was read from a file.
+const OFF_MANIFOLD: f64 = 1e-6;
+
 /// One block of one residual, seen from the row of `H` that it contributes to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Contribution {
@@ -90,6 +93,7 @@ impl ResidualProblemBuilder {
                 M::plus(x, step, out);
                 M::normalize(out);
             },
+            contains: M::contains,
             ambient_at: 0,
             tangent_at: 0,
             index: 0,
@@ -224,19 +228,29 @@ fn check_blocks(blocks: &[Block]) -> Result<(), ProblemError> {
                 found: block.initial.clone(),
             });
         }
+        if !(block.contains)(&block.initial, OFF_MANIFOLD) {
+            return Err(ProblemError::OffManifold { block: i, manifold: block.name, found: block.initial.clone() });
+        }
+    }
+    if let Some((block, b)) = blocks.iter().enumerate().find(|(_, b)| b.bounds.is_some() && !b.plain) {
+        return Err(ProblemError::BoundsOnManifold { block, manifold: b.name });
     }
     // The border's bounds count its coordinates in x.
     let border = || blocks.iter().enumerate().filter(|(_, b)| b.place == Place::Border);
     if border().any(|(_, b)| b.bounds.is_some())
         && let Some((block, b)) = border().find(|(_, b)| !b.plain)
     {
-        return Err(ProblemError::BoundsOnManifold { block, manifold: b.name });
+        return Err(ProblemError::ManifoldBesideBounds { block, manifold: b.name });
     }
     for (block, b) in blocks.iter().enumerate() {
         let Some([lower, upper]) = &b.bounds else { continue };
         BorderBounds { first: 0, lower, upper }
             .validate(b.ambient, b.ambient)
             .map_err(|source| ProblemError::Bounds { block, source })?;
+        let inside = b.initial.iter().zip(lower.iter().zip(upper)).all(|(x, (l, u))| l <= x && x <= u);
+        if b.place == Place::Constant && !inside {
+            return Err(ProblemError::ConstantOutOfBounds { block });
+        }
     }
     Ok(())
 }
@@ -260,7 +274,7 @@ fn check_family(f: usize, family: &dyn AnyFamily, blocks: &[Block]) -> Result<()
     }
     let alpha = family.common().weight;
     OptionError::require(alpha >= 0.0 && alpha.is_finite(), "weight", alpha, "finite and not negative")
-        .and(family.common().kernel_error.clone().map_or(Ok(()), Err))
+        .and_then(|()| family.common().kernel.validate())
         .map_err(|source| ProblemError::Setting { family: f, source })?;
     let manifolds = family.manifolds(blocks);
     for (m, ids) in family.common().blocks.chunks_exact(family.block_count()).enumerate() {

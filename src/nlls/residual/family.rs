@@ -8,7 +8,7 @@ use num_dual::DualSVec64;
 use super::block::Block;
 use super::{BlockId, BlockList, Residual};
 use crate::nlls::parallel::for_each;
-use crate::nlls::{Kernel, OptionError, RobustKernel};
+use crate::nlls::{Kernel, RobustKernel};
 
 /// Residuals of one kind that share a kernel and a weight.
 pub struct Family<F, const R: usize, const T: usize>
@@ -28,6 +28,10 @@ struct Slot<const R: usize, const T: usize> {
     jacobian: [[f64; T]; R],
     weight: f64,
     energy: f64,
+}
+
+impl<const R: usize, const T: usize> Slot<R, T> {
+    const EMPTY: Self = Self { residual: [0.0; R], jacobian: [[0.0; T]; R], weight: 0.0, energy: 0.0 };
 }
 
 impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
@@ -50,10 +54,10 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
     /// The same residuals under a kernel of your own.
     #[must_use]
     pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { common: self.common.with_robust_kernel(kernel), ..self }
+        Self { common: self.common.with_kernel(kernel), ..self }
     }
 
-    /// The same residuals with the weight alpha >= 0. Default 1.
+    /// The same residuals with the weight alpha >= 0. Default 1; at 0 they are not evaluated.
     #[must_use]
     pub fn with_weight(self, alpha: f64) -> Self {
         Self { common: Common { weight: alpha, ..self.common }, ..self }
@@ -66,7 +70,6 @@ pub(super) struct Common {
     /// For how many residuals there are blocks.
     pub block_lists: usize,
     pub kernel: Box<dyn RobustKernel>,
-    pub kernel_error: Option<OptionError>,
     pub weight: f64,
 }
 
@@ -77,17 +80,12 @@ impl Common {
             blocks: blocks.iter().flat_map(|ids| ids.as_ref().iter().copied()).collect(),
             block_lists: blocks.len(),
             kernel: Box::new(Kernel::None),
-            kernel_error: None,
             weight: 1.0,
         }
     }
 
-    pub(super) fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { kernel: Box::new(kernel), kernel_error: kernel.validate().err(), ..self }
-    }
-
-    pub(super) fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
-        Self { kernel: Box::new(kernel), kernel_error: None, ..self }
+    pub(super) fn with_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
+        Self { kernel: Box::new(kernel), ..self }
     }
 
     /// `alpha rho(|r|^2)` and `alpha rho'(|r|^2)`.
@@ -109,6 +107,8 @@ pub(super) trait AnyFamily: Send + Sync {
     fn prepare(&mut self, width: usize);
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64;
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64;
+    /// Energy of residual `m`, as last evaluated.
+    fn energy_of(&self, m: usize) -> f64;
     /// Residual, Jacobian (row-major) and weight of residual `m`, as of the last linearisation.
     fn row(&self, m: usize) -> (&[f64], &[f64], f64);
     fn residuals_mut(&mut self) -> &mut dyn Any;
@@ -139,11 +139,14 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
     }
 
     fn prepare(&mut self, _width: usize) {
-        let empty = Slot { residual: [0.0; R], jacobian: [[0.0; T]; R], weight: 0.0, energy: 0.0 };
-        self.slots = vec![empty; self.residuals.len()];
+        self.slots = vec![Slot::EMPTY; self.residuals.len()];
     }
 
     fn energy(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
+        if self.common.weight == 0.0 {
+            self.slots.fill(Slot::EMPTY);
+            return 0.0;
+        }
         let Self { residuals, common, slots, .. } = self;
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
             let ids = &common.blocks[m * F::Blocks::COUNT..(m + 1) * F::Blocks::COUNT];
@@ -154,6 +157,9 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
     }
 
     fn linearize(&mut self, x: &[f64], ambient: &[std::ops::Range<usize>]) -> f64 {
+        if self.common.weight == 0.0 {
+            return self.energy(x, ambient);
+        }
         let Self { residuals, common, slots, .. } = self;
         let seeds: [DualSVec64<T>; T] = std::array::from_fn(|i| DualSVec64::from_re(0.0).derivative(i));
         for_each(slots, GRAIN, &|m, slot: &mut Slot<R, T>| {
@@ -167,6 +173,10 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> AnyFamily for Family<F, 
             [slot.energy, slot.weight] = common.judge(&slot.residual);
         });
         slots.iter().map(|slot| slot.energy).sum()
+    }
+
+    fn energy_of(&self, m: usize) -> f64 {
+        self.slots[m].energy
     }
 
     fn row(&self, m: usize) -> (&[f64], &[f64], f64) {

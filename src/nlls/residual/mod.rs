@@ -229,11 +229,32 @@ pub enum ProblemError {
         /// What was given.
         found: Vec<f64>,
     },
-    /// The border counts no plain numbers.
+    /// The initial value of a block is no point of its manifold.
+    #[error(
+        "the initial value of block {block} is no point of {manifold}, or farther off than single precision: {found:?}; \
+         normalise it, or start from the identity"
+    )]
+    OffManifold {
+        /// The block.
+        block: usize,
+        /// Its manifold.
+        manifold: &'static str,
+        /// What was given.
+        found: Vec<f64>,
+    },
+    /// A block with bounds is not of plain numbers.
+    #[error("bounds hold plain numbers, but block {block} is {manifold}; set none on it")]
+    BoundsOnManifold {
+        /// The block.
+        block: usize,
+        /// Its manifold.
+        manifold: &'static str,
+    },
+    /// A block of a border with bounds is not of plain numbers.
     #[error(
         "bounds hold plain numbers, but block {block} of the border is {manifold}; add it by `add_block`, not `add_border_block`"
     )]
-    BoundsOnManifold {
+    ManifoldBesideBounds {
         /// The block.
         block: usize,
         /// Its manifold.
@@ -246,6 +267,12 @@ pub enum ProblemError {
         block: usize,
         /// What is wrong.
         source: BoundsError,
+    },
+    /// A constant block does not keep its bounds.
+    #[error("block {block} is held constant at a value outside its bounds; start inside, or set none on it")]
+    ConstantOutOfBounds {
+        /// The block.
+        block: usize,
     },
     /// A weight or a kernel is out of bounds.
     #[error("family {family}: {source}")]

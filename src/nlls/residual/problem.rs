@@ -77,7 +77,14 @@ impl ResidualProblem {
         self.families.iter().map(|f| f.residual_count()).sum()
     }
 
-    /// Changes the weight alpha of a family.
+    /// The first residual whose energy at `x` is not finite, by its family and its place in that.
+    pub fn non_finite(&mut self, x: &[f64]) -> Option<(FamilyId, usize)> {
+        self.energy(x);
+        let first = |f: &dyn AnyFamily| (0..f.residual_count()).find(|&m| !f.energy_of(m).is_finite());
+        self.families.iter().enumerate().find_map(|(f, family)| Some((FamilyId(f), first(family.as_ref())?)))
+    }
+
+    /// Changes the weight alpha of a family; at 0 its residuals are not evaluated.
     ///
     /// # Errors
     /// If it is negative or not finite.

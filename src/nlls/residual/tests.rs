@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::nlls::{
-    Bounded, Euclidean, GradientCheck, Kernel, LinearSolverKind, Minimizer, NormalEquations, Options, Problem, Se3,
-    Sim3, So3, UnitQuaternion, check_gradient, check_hessian, so3,
+    Bounded, Euclidean, GradientCheck, Kernel, LinearSolverKind, Manifold, Minimizer, NormalEquations, Options,
+    Problem, Scaled, Se3, Sim3, So3, UnitQuaternion, check_gradient, check_hessian, so3,
 };
 
 /// `T_a^-1 T_b` measured: r = (vee of the antisymmetric part of Z' R_a' R_b, R_a' (t_b - t_a) - z).
@@ -223,11 +223,99 @@ fn mistakes_are_named() {
         b.add_block::<So3>(&[f64::NAN; 9]);
     });
     assert!(error.contains("block 0"), "{error}");
+    for robust in [false, true] {
+        let error = build(&|b| {
+            let r = b.add_block::<So3>(&identity);
+            let (family, kernel) = (Family::new(vec![Unary], &[[r]]), Kernel::Cauchy { delta: 0.0 });
+            b.add_family(if robust { family.with_robust_kernel(kernel) } else { family.with_kernel(kernel) });
+        });
+        assert_eq!(error, "family 0: kernel.delta is 0, but must be positive and finite");
+    }
     let error = build(&|b| {
         let r = b.add_block::<So3>(&identity);
-        b.add_family(Family::new(vec![Unary], &[[r]]).with_kernel(Kernel::Cauchy { delta: 0.0 }));
+        let kernel = Scaled { kernel: Kernel::Cauchy { delta: 1.0 }, delta: -1.0 };
+        b.add_family(Family::new(vec![Unary], &[[r]]).with_robust_kernel(kernel));
     });
-    assert_eq!(error, "family 0: kernel.delta is 0, but must be positive and finite");
+    assert_eq!(error, "family 0: kernel.delta is -1, but must be positive and finite");
+}
+
+#[test]
+fn starts_off_their_manifold_are_named() {
+    fn build<M: Manifold>(start: &[f64]) -> Result<ResidualProblem, ProblemError> {
+        let mut builder = ResidualProblem::builder();
+        builder.add_block::<Euclidean<1>>(&[7.0]);
+        builder.add_block::<M>(start);
+        builder.build()
+    }
+    let diagonal = |d: [f64; 3]| [d[0], 0.0, 0.0, 0.0, d[1], 0.0, 0.0, 0.0, d[2]];
+    let pose = |d: [f64; 3]| diagonal(d).into_iter().chain([5.0; 3]).collect::<Vec<_>>();
+    for (result, name) in [
+        (build::<UnitQuaternion>(&[0.0; 4]), "UnitQuaternion"),
+        (build::<UnitQuaternion>(&[2.0, 0.0, 0.0, 0.0]), "UnitQuaternion"),
+        (build::<So3>(&[0.0; 9]), "So3"),
+        (build::<So3>(&diagonal([2.0; 3])), "So3"),
+        (build::<So3>(&diagonal([1.0, 1.0, -1.0])), "So3"),
+        (build::<Se3>(&pose([-1.0; 3])), "Se3"),
+        (build::<Sim3>(&[0.0; 13]), "Sim3"),
+    ] {
+        let error = result.unwrap_err().to_string();
+        assert!(error.starts_with("the initial value of block 1 is no point of") && error.contains(name), "{error}");
+    }
+    // Read from a file.
+    build::<UnitQuaternion>(&[0.7071068, 0.0, 0.7071068, 0.0]).unwrap();
+    build::<So3>(&[0.8, -0.6, 0.0, 0.6, 0.8000001, 0.0, 0.0, 0.0, 1.0]).unwrap();
+    build::<Se3>(&pose([1.0; 3])).unwrap();
+}
+
+/// The logarithm of a coordinate.
+struct Log;
+
+impl Residual<1, 1> for Log {
+    type Blocks = (Euclidean<1>,);
+
+    fn evaluate<D: Scalar>(&self, (p,): &([D; 1],)) -> [D; 1] {
+        [p[0].ln()]
+    }
+}
+
+/// The same, with its derivative.
+impl AnalyticResidual<1> for Log {
+    fn len(&self) -> usize {
+        1
+    }
+
+    fn evaluate(&self, [p]: [&[f64]; 1], residual: &mut [f64], jacobian: Option<&mut [f64]>) {
+        residual[0] = p[0].ln();
+        jacobian.into_iter().for_each(|j| j[0] = 1.0 / p[0]);
+    }
+}
+
+#[test]
+fn a_residual_that_is_not_finite_is_named_unless_it_weighs_nothing() {
+    for analytic in [false, true] {
+        let mut builder = ResidualProblem::builder();
+        let [good, bad] = [2.0, -1.0].map(|v| builder.add_block::<Euclidean<1>>(&[v]));
+        builder.add_family(Family::new(vec![Log], &[[good]]));
+        let ids = [[good], [bad], [good]];
+        let logs = vec![Log, Log, Log];
+        let family = match analytic {
+            true => builder.add_analytic_family(AnalyticFamily::new(logs, &ids)),
+            false => builder.add_family(Family::new(logs, &ids)),
+        };
+        let mut problem = builder.build().unwrap();
+        let mut x = problem.initial();
+        let minimizer = Minimizer::new(Options::default()).unwrap();
+        let summary = minimizer.minimize(&mut problem, &mut x);
+        assert!(summary.to_string().contains("ResidualProblem::non_finite"), "{summary}");
+        assert_eq!(problem.non_finite(&x), Some((family, 1)));
+        // It has left NaN in its slot.
+        problem.set_weight(family, 0.0).unwrap();
+        assert_eq!(problem.non_finite(&x), None);
+        let mut equations = NormalEquations::new(problem.structure().clone());
+        assert_eq!(problem.linearize(&x, &mut equations), problem.energy(&x));
+        assert!(equations.gradient[1] == 0.0 && equations.gradient[0] != 0.0);
+        assert!(problem.weighted_jacobian().1.iter().all(|v| v.is_finite()));
+    }
 }
 
 /// A pose moves so many points: r = R p + t - q for each.
@@ -339,7 +427,7 @@ fn blocks_between_bounds_move_to_the_border_and_stay_inside() {
         let ids = if bounded {
             let ids = [(); 2].map(|()| builder.add_block::<Euclidean<2>>(&[0.0; 2]));
             builder.set_bounds(ids[1], &[-none, 0.5], &[0.1, none]);
-            let still = builder.add_block::<Euclidean<2>>(&[9.0; 2]);
+            let still = builder.add_block::<Euclidean<2>>(&[0.5; 2]);
             builder.set_constant(still);
             builder.set_bounds(still, &[0.0; 2], &[1.0; 2]);
             ids
@@ -401,4 +489,15 @@ fn bounds_that_cannot_be_held_are_named() {
         b.set_bounds(w, &[0.0], &[1.0]);
     });
     assert!(turned.contains("block 0 of the border is") && turned.contains("So3"), "{turned}");
+    let own = error(&|b| {
+        let r = b.add_block::<So3>(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        b.set_bounds(r, &[0.0; 9], &[1.0; 9]);
+    });
+    assert!(own.contains("block 0 is") && own.contains("So3; set none on it"), "{own}");
+    let constant = error(&|b| {
+        let w = b.add_block::<Euclidean<2>>(&[0.5, 9.0]);
+        b.set_constant(w);
+        b.set_bounds(w, &[0.0; 2], &[1.0; 2]);
+    });
+    assert!(constant.starts_with("block 0 is held constant at a value outside its bounds"), "{constant}");
 }
