@@ -107,7 +107,8 @@ pub struct Options {
     /// Converged when an accepted step lowers the energy by at most this share of it. Default 1e-10. 0 for as far as rounding lets
     /// one go: once the energy no longer tells points apart, steps are judged by whether the gradient falls.
     pub energy_tolerance: f64,
-    /// Converged when `|d| <= tolerance (|x| + tolerance)`. Default 1e-10.
+    /// Converged when `|d| <= tolerance (|x| + tolerance)` and the step promises to lower the energy by at most `sqrt(tolerance)` of
+    /// it. Default 1e-10.
     pub step_tolerance: f64,
     /// Converged when no entry of the gradient of E/2 exceeds this (for coordinates with bounds: of how far they can follow it,
     /// `w - P(w - gradient)`). Default 1e-12. In units of the energy: set it by scale.

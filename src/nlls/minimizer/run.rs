@@ -65,7 +65,7 @@ pub(super) struct Proposal {
     pub curvature: f64,
     /// `|d|`.
     pub step_norm: f64,
-    /// `|d| <= tolerance (|x| + tolerance)`.
+    /// `|d| <= tolerance (|x| + tolerance)`, and `predicted` is at most `sqrt(tolerance)` of the energy.
     pub step_is_small: bool,
 }
 
@@ -264,14 +264,11 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
         let slope = 2.0 * dot(&self.equations.gradient, d);
         let curvature = self.equations.quadratic_form(d);
         let norm = |v: &[f64]| dot(v, v).sqrt();
-        let (step_norm, tolerance) = (norm(d), self.options.step_tolerance);
-        Proposal {
-            slope,
-            predicted: -slope - curvature,
-            curvature,
-            step_norm,
-            step_is_small: step_norm <= tolerance * (norm(self.x) + tolerance),
-        }
+        let (step_norm, predicted, tolerance) = (norm(d), -slope - curvature, self.options.step_tolerance);
+        let short = step_norm <= tolerance * (norm(self.x) + tolerance);
+        // Beside a coordinate that is far away, any step is short.
+        let step_is_small = short && predicted <= tolerance.sqrt() * self.summary.final_energy;
+        Proposal { slope, predicted, curvature, step_norm, step_is_small }
     }
 
     /// Moves a copy of x by `scale` times the step; returns its energy, infinity if that is not finite. `whole` says that this is

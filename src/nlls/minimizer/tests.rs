@@ -283,6 +283,36 @@ fn the_units_of_the_parameters_do_not_matter() {
 }
 
 #[test]
+fn a_short_step_beside_a_far_coordinate_is_no_convergence() {
+    /// Rosenbrock's function, and a coordinate that is solved.
+    fn beside(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        let wide = |(r, row): (f64, Vec<f64>)| (r, vec![row[0], row[1], 0.0]);
+        rosenbrock(x).into_iter().map(wide).chain([(x[2] - 1e12, vec![0.0, 0.0, 1.0])]).collect()
+    }
+    for options in all() {
+        let (summary, x) = run(options, 3, beside, &[-1.2, 1.0, 1e12]);
+        assert!(summary.stop.converged() && summary.final_energy < 1e-18, "{summary}\n{x:?}");
+    }
+}
+
+#[test]
+fn a_coordinate_that_runs_away_does_not_end_the_others() {
+    /// Box' function: far out, the second coordinate has no effect, and the first step takes it to 1e45.
+    fn box3(x: &[f64]) -> Vec<(f64, Vec<f64>)> {
+        let row = |t: f64| {
+            let (a, b, c) = ((-x[0] * t).exp(), (-x[1] * t).exp(), (-t).exp() - (-10.0 * t).exp());
+            (a - b - x[2] * c, vec![-t * a, t * b, -c])
+        };
+        (1..=10).map(|i| row(0.1 * f64::from(i))).collect()
+    }
+    for options in [Options::levenberg_marquardt(), Options::dogleg()] {
+        let (summary, x) = run(options.with_max_iterations(500), 3, box3, &[0.0, 1000.0, 2000.0]);
+        assert!(x[1] > 1e20 && summary.stop.converged(), "{summary}\n{x:?}");
+        assert!((summary.final_energy - 7.5589e-2).abs() < 1e-5, "{summary}\n{x:?}");
+    }
+}
+
+#[test]
 fn options_name_what_is_wrong_with_them() {
     let error = Minimizer::new(Options::default().with_energy_tolerance(-1.0)).unwrap_err();
     assert_eq!(error.to_string(), "energy_tolerance is -1, but must be finite and not negative");
