@@ -135,7 +135,7 @@ impl BlockJacobi {
             square[r * (m + 1)] += damping_at(damping, n + r);
         }
         let damping = |k: usize| damping_at(damping, n + k);
-        let border = self.border.factorize(|k| h.border[k * (m + 1)] + damping(k), damping);
+        let border = self.border.factorize(|k| h.border[k * (m + 1)], damping);
         Ok(weak + border.map_err(|k| n + k)?)
     }
 }

@@ -292,7 +292,7 @@ impl LinearSolver for BorderedCholesky {
         self.schur_factor.matrix_mut().copy_from_slice(&self.schur);
         self.weak += self
             .schur_factor
-            .factorize(|i| equations.diagonal(n + i) + damping_at(damping, n + i), |i| damping_at(damping, n + i))
+            .factorize(|i| equations.diagonal(n + i), |i| damping_at(damping, n + i))
             .map_err(|i| breakdown(equations, damping, n + i))?;
         for i in 0..m {
             step[n + i] = -self.reduced_gradient[i];

@@ -56,10 +56,9 @@ impl LinearSolver for DenseCholesky {
         for (i, d) in damping.iter().enumerate() {
             l[i * n + i] += d;
         }
-        let diagonal = |i: usize| damped_diagonal(equations, damping, i);
         self.weak = self
             .factor
-            .factorize(diagonal, |i| damping_at(damping, i))
+            .factorize(|i| equations.diagonal(i), |i| damping_at(damping, i))
             .map_err(|i| breakdown(equations, damping, i))?;
         for (d, g) in step.iter_mut().zip(&equations.gradient) {
             *d = -g;
@@ -75,11 +74,6 @@ impl LinearSolver for DenseCholesky {
     fn name(&self) -> &'static str {
         "dense Cholesky"
     }
-}
-
-/// Diagonal entry `i` of `H + diag(damping)`.
-fn damped_diagonal(equations: &NormalEquations, damping: &[f64], i: usize) -> f64 {
-    equations.diagonal(i) + damping_at(damping, i)
 }
 
 /// A dense Cholesky factor in a buffer of its own.
@@ -112,10 +106,11 @@ impl DenseFactor {
         &mut self.values[..self.side * self.side]
     }
 
-    /// Factorises what is in the buffer. Returns the number of weak pivots, or the coordinate that broke it.
+    /// Factorises what is in the buffer. Returns the number of weak pivots, or the coordinate that broke it. `own` are the diagonal
+    /// entries without damping.
     pub(super) fn factorize(
         &mut self,
-        diagonal: impl Fn(usize) -> f64,
+        own: impl Fn(usize) -> f64,
         damping: impl Fn(usize) -> f64,
     ) -> Result<usize, usize> {
         let n = self.side;
@@ -133,7 +128,7 @@ impl DenseFactor {
         let mut weak = 0;
         for i in 0..n {
             let pivot = self.values[i * n + i].powi(2);
-            if !pivot_is_sound(pivot, diagonal(i), damping(i), &mut weak) {
+            if !pivot_is_sound(pivot, own(i), damping(i), &mut weak) {
                 return Err(i);
             }
         }

@@ -158,8 +158,12 @@ pub trait LinearSolver: fmt::Debug + Send {
     /// [`LinearError`] when the damped matrix is not numerically positive definite, or not finite.
     fn solve(&mut self, equations: &NormalEquations, damping: &[f64], step: &mut [f64]) -> Result<(), LinearError>;
 
-    /// How many pivots of the last factorisation were held up by damping alone (at least half of the pivot): the number of
-    /// directions that nothing in the energy observes. 0 when unknown.
+    /// How many pivots of the last factorisation were held up by damping alone: directions that nothing in the energy observes. 0 when
+    /// unknown.
+    ///
+    /// The factorisations count coordinates whose diagonal entry in H is zero, and those whose damping is at most a millionth of that
+    /// entry and at least half of the pivot: without damping it would be at most a millionth too. Stronger damping hides what it
+    /// holds, so that nothing else is counted then.
     fn unobserved_pivots(&self) -> usize {
         0
     }
@@ -264,12 +268,19 @@ fn damping_at(damping: &[f64], i: usize) -> f64 {
     damping.get(i).copied().unwrap_or(0.0)
 }
 
-/// Judges one pivot (the square of a diagonal entry of L) against its damped diagonal entry; counts it if damping holds it up.
-fn pivot_is_sound(pivot: f64, diagonal: f64, damping: f64, weak: &mut usize) -> bool {
-    if damping > 0.0 && pivot <= 2.0 * damping {
+/// Damping of up to this share of the diagonal entry tells by its pivot whether anything but damping holds a coordinate.
+const LIGHT_DAMPING: f64 = 1e-6;
+
+/// Judges one pivot (the square of a diagonal entry of L) against its damped diagonal entry; counts it if damping alone holds it up.
+/// `own` is the diagonal entry of H.
+///
+/// Damping does not lower what the others leave of a diagonal entry: without any, the pivot is at most `pivot - damping`.
+fn pivot_is_sound(pivot: f64, own: f64, damping: f64, weak: &mut usize) -> bool {
+    let light = damping <= LIGHT_DAMPING * own || own == 0.0;
+    if damping > 0.0 && light && pivot <= 2.0 * damping {
         *weak += 1;
     }
-    pivot > PIVOT_TOLERANCE * diagonal && pivot.is_finite()
+    pivot > PIVOT_TOLERANCE * (own + damping) && pivot.is_finite()
 }
 
 /// The error for a factorisation that broke down at tangent coordinate `i`: non-finite input is named before its consequence.

@@ -162,7 +162,7 @@ impl SupernodalFactor {
                 let i = self.coordinate[node.start + c];
                 let damp = damping_at(damping, i);
                 let pivot = node.column(c)[c].powi(2);
-                if !pivot_is_sound(pivot, equations.diagonal(i) + damp, damp, &mut weak) {
+                if !pivot_is_sound(pivot, equations.diagonal(i), damp, &mut weak) {
                     return Err(i);
                 }
             }

@@ -144,9 +144,9 @@ impl TwoLevel {
         // Symmetric, so row-major is column-major; column by column.
         for c in 0..n {
             let damp = damping_at(damping, s.offset(i) + c);
-            let diagonal = block[c * (n + 1)] + damp;
-            let pivot = diagonal - (0..c).map(|k| l[k * n + c] * l[k * n + c]).sum::<f64>();
-            if !pivot_is_sound(pivot, diagonal, damp, weak) {
+            let own = block[c * (n + 1)];
+            let pivot = own + damp - (0..c).map(|k| l[k * n + c] * l[k * n + c]).sum::<f64>();
+            if !pivot_is_sound(pivot, own, damp, weak) {
                 return Err(s.offset(i) + c);
             }
             l[c * (n + 1)] = pivot.sqrt();

@@ -132,7 +132,8 @@ pub struct IterationRecord {
     pub gain: f64,
     /// The step was accepted.
     pub accepted: bool,
-    /// Directions in which nothing but damping holds the parameters.
+    /// Directions in which nothing but damping holds the parameters, as far as the damping of this step is light enough to tell: see
+    /// [`LinearSolver::unobserved_pivots`](crate::nlls::LinearSolver::unobserved_pivots).
     pub unobserved_directions: usize,
     /// Iterations of the linear solver; 0 from direct ones.
     pub linear_iterations: usize,
@@ -217,7 +218,8 @@ impl Summary {
         self.records.iter().filter(|r| r.accepted).count()
     }
 
-    /// Most directions that damping alone held in any iteration.
+    /// Most directions that damping alone held in any iteration, as far as [the records](IterationRecord::unobserved_directions)
+    /// tell.
     #[must_use]
     pub fn unobserved_directions(&self) -> usize {
         self.records.iter().map(|r| r.unobserved_directions).max().unwrap_or(0)

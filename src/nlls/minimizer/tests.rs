@@ -313,6 +313,18 @@ fn a_coordinate_that_runs_away_does_not_end_the_others() {
 }
 
 #[test]
+fn what_heavy_damping_holds_may_still_be_observed() {
+    for initial_lambda in [1e-2, 1.0, 1e6] {
+        let damped = LevenbergMarquardt { initial_lambda, ..LevenbergMarquardt::default() };
+        let options = Options::default().with_algorithm(Algorithm::LevenbergMarquardt(damped)).with_max_iterations(200);
+        let (summary, _) = run(options, 2, linear, &[30.0, -40.0]);
+        assert_eq!(summary.unobserved_directions(), 0, "{summary}");
+        let (summary, _) = run(options, 3, unobserved, &[1.0, 0.0, 5.0]);
+        assert_eq!(summary.unobserved_directions(), 1, "{summary}");
+    }
+}
+
+#[test]
 fn options_name_what_is_wrong_with_them() {
     let error = Minimizer::new(Options::default().with_energy_tolerance(-1.0)).unwrap_err();
     assert_eq!(error.to_string(), "energy_tolerance is -1, but must be finite and not negative");
