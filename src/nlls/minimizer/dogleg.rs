@@ -55,7 +55,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
         let Blend { length, whole } = blend(run, radius);
         let proposal = run.proposal();
         if proposal.predicted <= f64::EPSILON * energy || proposal.predicted.is_nan() {
-            return Ok(run.stuck(energy));
+            return Ok(run.stuck(energy, run.attainable()));
         }
         let trial = run.try_step(1.0, whole);
         let gain = (energy - trial) / proposal.predicted;
@@ -92,7 +92,11 @@ pub(super) fn minimize<P: Problem + ?Sized>(run: &mut Run<'_, P>, options: &Dogl
         }
         if proposal.step_is_small {
             let whole = accepted && whole;
-            return Ok(if whole { StopReason::Converged(Convergence::Step) } else { run.stuck(energy) });
+            return Ok(if whole {
+                StopReason::Converged(Convergence::Step)
+            } else {
+                run.stuck(energy, run.attainable())
+            });
         }
     }
     Ok(StopReason::MaxIterations)

@@ -19,6 +19,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(
     options: &GaussNewton,
 ) -> Result<StopReason, StopReason> {
     let mut energy = run.start()?;
+    let gradient_count = run.equations.gradient.len() as f64;
     for iteration in 1..=run.options.max_iterations {
         if iteration > 1 {
             energy = run.linearize();
@@ -30,7 +31,10 @@ pub(super) fn minimize<P: Problem + ?Sized>(
         run.solve(0.0)?;
         let Proposal { slope, predicted, curvature, step_norm, step_is_small } = run.proposal();
         if predicted <= f64::EPSILON * energy {
-            return Ok(run.polish(StopReason::Converged(Convergence::Energy)));
+            // The step solves the equations, so that it promises at least what the best of the coordinate steps does.
+            run.rescale(0.0);
+            let least = run.attainable() / gradient_count;
+            return Ok(run.stuck(energy, least));
         }
         let mut accepted = None;
         let mut scale = 1.0;

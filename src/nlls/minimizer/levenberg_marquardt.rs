@@ -53,7 +53,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(
             return Ok(StopReason::Converged(Convergence::Gradient));
         }
         if lambda > options.max_lambda {
-            return Ok(failure.map_or_else(|| run.stuck(energy), StopReason::LinearSolverFailed));
+            return Ok(failure.map_or_else(|| run.stuck(energy, run.attainable()), StopReason::LinearSolverFailed));
         }
         let used = lambda;
         let (mut trial, mut gain, mut proposal) = (f64::INFINITY, f64::NAN, Proposal::default());
@@ -62,7 +62,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(
                 failure = None;
                 proposal = run.proposal();
                 if proposal.predicted <= f64::EPSILON * energy {
-                    return Ok(run.stuck(energy));
+                    return Ok(run.stuck(energy, run.attainable()));
                 }
                 trial = run.try_step(1.0, true);
                 gain = (energy - trial) / proposal.predicted;
@@ -107,7 +107,7 @@ pub(super) fn minimize<P: Problem + ?Sized>(
         }
         if failure.is_none() && proposal.step_is_small {
             if !accepted {
-                return Ok(run.stuck(energy));
+                return Ok(run.stuck(energy, run.attainable()));
             }
             if proof {
                 return Ok(StopReason::Converged(Convergence::Step));

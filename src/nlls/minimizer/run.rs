@@ -151,11 +151,11 @@ impl<'a, P: Problem + ?Sized> Run<'a, P> {
     }
 
     /// No step is left that could lower the energy by more than rounding. Damped steps are short wherever one stands, so whether
-    /// this is the minimum is judged by the decrease that undamped coordinate steps promise.
-    pub(super) fn stuck(&mut self, energy: f64) -> StopReason {
+    /// this is the minimum is judged by the decrease that undamped steps promise, such as [`attainable`](Self::attainable).
+    pub(super) fn stuck(&mut self, energy: f64, promised: f64) -> StopReason {
         // Residuals are known to rounding of what they were at the start.
         let noise = (4.0 * f64::EPSILON).powi(2) * self.summary.initial_energy;
-        let negligible = self.attainable() <= self.options.energy_tolerance.max(f64::EPSILON) * energy + noise;
+        let negligible = promised <= self.options.energy_tolerance.max(f64::EPSILON) * energy + noise;
         self.polish(if negligible { StopReason::Converged(Convergence::Energy) } else { StopReason::NoDecrease })
     }
 

@@ -325,6 +325,31 @@ fn what_heavy_damping_holds_may_still_be_observed() {
 }
 
 #[test]
+fn a_solver_that_gives_no_descent_is_no_convergence() {
+    /// Minus the gradient times a factor.
+    #[derive(Debug)]
+    struct Lazy(f64);
+    impl LinearSolver for Lazy {
+        fn solve(&mut self, equations: &NormalEquations, _: &[f64], step: &mut [f64]) -> Result<(), LinearError> {
+            step.iter_mut().zip(&equations.gradient).for_each(|(d, g)| *d = -self.0 * g);
+            Ok(())
+        }
+        fn name(&self) -> &'static str {
+            "lazy"
+        }
+    }
+    for options in all() {
+        for factor in [0.0, -1.0] {
+            let mut workspace = Workspace::with_linear_solver(Box::new(Lazy(factor)));
+            let (minimizer, mut x) = (Minimizer::new(options).unwrap(), [30.0, -40.0]);
+            let summary = minimizer.minimize_with(&mut Dense::new(2, linear), &mut x, &mut workspace, &mut Silent);
+            assert_eq!(summary.stop, StopReason::NoDecrease, "{factor}\n{summary}");
+            assert_eq!(x, [30.0, -40.0]);
+        }
+    }
+}
+
+#[test]
 fn options_name_what_is_wrong_with_them() {
     let error = Minimizer::new(Options::default().with_energy_tolerance(-1.0)).unwrap_err();
     assert_eq!(error.to_string(), "energy_tolerance is -1, but must be finite and not negative");
