@@ -74,7 +74,7 @@ pub trait SampleResidual<const R: usize>: Send + Sync {
     /// The sample that residual `m` acts on.
     fn sample(&self, m: usize) -> usize;
 
-    /// `alpha` of residual `m`; zero switches it off.
+    /// `alpha` of residual `m`, not negative; zero switches it off.
     fn weight(&self, m: usize) -> f64;
 
     /// The residual at sample position `v`.

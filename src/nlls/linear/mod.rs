@@ -114,6 +114,12 @@ pub enum LinearError {
         /// The coordinate whose pivot failed (coordinates eliminated before it may share the blame).
         at: Coordinate,
     },
+    /// A diagonal entry is negative, which no sum of squares is.
+    #[error("negative entry on the diagonal of the normal equations at {at}; the weight of a residual is negative")]
+    NegativeDiagonal {
+        /// The first coordinate with such an entry.
+        at: Coordinate,
+    },
     /// The equations contain an infinity or a NaN, or are so badly scaled that the step does.
     #[error(
         "non-finite value in the normal equations at {at}; a residual or its derivative is not finite there, or one by the border is beyond 3e38 in an `Assembly`"
@@ -289,10 +295,14 @@ fn breakdown(equations: &NormalEquations, damping: &[f64], i: usize) -> LinearEr
     cause(equations, damping, LinearError::NotPositiveDefinite { at })
 }
 
-/// What is behind an error: input that is not finite, if there is any.
+/// What is behind an error: input that is not finite, or no sum of squares, if there is any.
 fn cause(equations: &NormalEquations, damping: &[f64], error: LinearError) -> LinearError {
-    match first_non_finite(equations, damping) {
-        Some(i) => LinearError::NonFinite { at: Coordinate::of(equations.structure(), i) },
+    let s = equations.structure();
+    if let Some(i) = first_non_finite(equations, damping) {
+        return LinearError::NonFinite { at: Coordinate::of(s, i) };
+    }
+    match (0..s.dimension()).find(|&i| equations.diagonal(i) < 0.0) {
+        Some(i) => LinearError::NegativeDiagonal { at: Coordinate::of(s, i) },
         None => error,
     }
 }

@@ -331,6 +331,18 @@ fn non_finite_values_are_named() {
 }
 
 #[test]
+fn a_negative_weight_is_not_blamed_on_the_regulariser() {
+    let structure = Arc::new(BlockStructure::new(&[1, 1], [(0, 1)], 1).unwrap());
+    let mut equations = NormalEquations::new(structure.clone());
+    equations.blocks.copy_from_slice(&[2.0, 0.0, -2.0]);
+    equations.border[0] = 4.0;
+    for kind in LinearSolverKind::ALL {
+        let error = kind.build(&structure).solve(&equations, &[], &mut [0.0; 3]).unwrap_err();
+        assert_eq!(error, LinearError::NegativeDiagonal { at: Coordinate::Block { block: 1, component: 0 } }, "{kind}");
+    }
+}
+
+#[test]
 fn conjugate_gradients_end_after_as_many_iterations_as_there_are_eigenvalues() {
     let n = 60;
     let eigenvalue = |i: usize| [2.0, 5.0, 11.0, 300.0][i % 4];
