@@ -262,7 +262,7 @@ fn starts_off_their_manifold_are_named() {
         assert!(error.starts_with("the initial value of block 1 is no point of") && error.contains(name), "{error}");
     }
     // Read from a file.
-    build::<UnitQuaternion>(&[0.7071068, 0.0, 0.7071068, 0.0]).unwrap();
+    build::<UnitQuaternion>(&[0.8000001, 0.0, 0.6, 0.0]).unwrap();
     build::<So3>(&[0.8, -0.6, 0.0, 0.6, 0.8000001, 0.0, 0.0, 0.0, 1.0]).unwrap();
     build::<Se3>(&pose([1.0; 3])).unwrap();
 }
