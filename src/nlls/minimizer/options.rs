@@ -102,7 +102,7 @@ pub struct Options {
     pub algorithm: Algorithm,
     /// How the normal equations are solved. Default by structure.
     pub linear_solver: LinearSolverKind,
-    /// Steps at most, rejected ones included. Default 50.
+    /// Steps at most, rejected ones included. Default 100.
     pub max_iterations: usize,
     /// Converged when an accepted step lowers the energy by at most this share of it. Default 1e-10. 0 for as far as rounding lets
     /// one go: once the energy no longer tells points apart, steps are judged by whether the gradient falls.
@@ -124,7 +124,7 @@ impl Default for Options {
         Self {
             algorithm: Algorithm::LevenbergMarquardt(LevenbergMarquardt::default()),
             linear_solver: LinearSolverKind::Auto,
-            max_iterations: 50,
+            max_iterations: 100,
             energy_tolerance: 1e-10,
             step_tolerance: 1e-10,
             gradient_tolerance: 1e-12,
