@@ -14,7 +14,9 @@ use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 
-use nonrigid::io::{PlyOptions, WriteError, write_atomically, write_folder, write_npy, write_obj, write_ply};
+use nonrigid::io::{
+    PlyOptions, WriteError, write_atomically, write_folder, write_json, write_npy, write_obj, write_ply,
+};
 use nonrigid::mesh::Vec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -96,13 +98,13 @@ fn write_rig_into(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
     write_shapes(folder, "identity", &names, &deltas)?;
     for (file, landmarks) in [("landmarks", &rig.landmarks), ("landmarks_anthropometric", &rig.anthropometric)] {
         let named: Map<String, Value> = landmarks.iter().map(|l| (l.name.clone(), l.vertex.into())).collect();
-        write_json(&folder.join(format!("{file}.json")), &named.into())?;
+        write_json(&folder.join(format!("{file}.json")), &named)?;
     }
     let landmarks: Vec<u32> = rig.landmarks.iter().map(|l| l.vertex).collect();
-    write_json(&folder.join("landmarks_multipie68.json"), &json!(landmarks))?;
+    write_json(&folder.join("landmarks_multipie68.json"), &landmarks)?;
     let regions: Map<String, Value> =
         rig.regions.iter().map(|(name, vertices)| (name.clone(), json!(vertices))).collect();
-    write_json(&folder.join("regions.json"), &regions.into())?;
+    write_json(&folder.join("regions.json"), &regions)?;
     let Some(eyeballs) = rig.eyeballs(&[]) else { return Ok(()) };
     let [left, right] = eyeballs.map(|e| json!({ "centre": [e.centre.x, e.centre.y, e.centre.z], "radius": e.radius }));
     write_json(&folder.join("eyeballs.json"), &json!({ "left": left, "right": right }))
@@ -155,7 +157,7 @@ fn write_case_into(
     write_npy(&folder.join("observed.npy"), &[case.observed.len()], &case.observed)?;
     let landmarks: Map<String, Value> =
         case.landmarks.iter().map(|(v, p)| (v.to_string(), json!([p.x, p.y, p.z]))).collect();
-    write_json(&folder.join("landmarks.json"), &landmarks.into())?;
+    write_json(&folder.join("landmarks.json"), &landmarks)?;
 
     let neutral = rig.pose(&[], &case.identity_weights);
     let (same, withheld, identity_modes): (_, &[String], _) = match subject {
@@ -210,16 +212,12 @@ fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: 
         deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();
     write_npy(&deltas_path, &[names.len(), vertices, 3], &items)?;
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
-    write_json(&names_path, &names.into())
+    write_json(&names_path, &names)
 }
 
 fn write_points(path: &Path, points: &[Vec3]) -> Result<(), WriteError> {
     let items: Vec<f32> = points.iter().flat_map(|p| [p.x, p.y, p.z]).map(|x| x as f32).collect();
     write_npy(path, &[points.len(), 3], &items)
-}
-
-fn write_json(path: &Path, value: &Value) -> Result<(), WriteError> {
-    write_atomically(path, |file| writeln!(file, "{value:#}"))
 }
 
 #[cfg(test)]

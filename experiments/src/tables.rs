@@ -23,12 +23,12 @@ pub fn write_csv(path: &Path, header: &str, lines: impl IntoIterator<Item = Stri
     Ok(written.map_err(Failure::writing)?)
 }
 
-/// Writes JSON with a line break at the end.
+/// [`nonrigid::io::write_json`] with the exit code of what cannot be written.
 ///
 /// # Errors
 /// When the file cannot be written.
 pub fn write_json(path: &Path, json: &Value) -> Result<()> {
-    Ok(write_atomically(path, |file| writeln!(file, "{json:#}")).map_err(Failure::writing)?)
+    Ok(nonrigid::io::write_json(path, json).map_err(Failure::writing)?)
 }
 
 /// A table for the terminal: numbers, in all columns but the first, to the right.

@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::inputs::{Align, ShapeKindArgument, frames, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, say, warn, write_json};
-use crate::io::{Clip, FilePlan, MeshFile, Motion, write_animated_glb, write_pc2, write_usda};
+use super::{Failure, Stage, check_output, check_plan, say, warn};
+use crate::io::{Clip, FilePlan, MeshFile, Motion, write_animated_glb, write_json, write_pc2, write_usda};
 use crate::mesh::{PolygonMesh, Pose, Vec3};
 use crate::motion::{Lost, Track, flicker};
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter};
@@ -140,10 +140,8 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         let frames = names.iter().enumerate().map(|(k, name)| FrameReport { name, lost: lost(k) }).collect();
         let second_difference_mm = [before, flicker(&track.frames)];
         let (version, frames_per_second) = (env!("CARGO_PKG_VERSION"), a.fps);
-        write_json(
-            path,
-            &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames, cuts },
-        )?;
+        write_json(path, &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames, cuts })
+            .map_err(Failure::writing)?;
     }
     say(format_args!("{} frames of {} vertices, {} a second", names.len(), mesh.positions.len(), a.fps))?;
     say(format_args!("wrote {}", a.out.display()))
@@ -283,7 +281,7 @@ fn explained(
     // modes of how faces differ go below zero
     let bounds = if a.identity_modes > 0 { [-5.0, 5.0] } else { [0.0, 1.0] };
     let options = WeightFitOptions { bounds, pose: Align::Rigid.pose(), ..WeightFitOptions::default() };
-    let mut fitter = WeightFitter::new(rig.neutral(), basis, &options).map_err(|e| at_rig(&e))?;
+    let mut fitter = WeightFitter::new(rig.neutral(), rig.mesh(), basis, &options).map_err(|e| at_rig(&e))?;
     let mut fitted = Vec::with_capacity(frames.len());
     for (frame, name) in frames.iter().zip(frame_names) {
         let found = fitter.fit(frame).map_err(|e| Failure::loading(format!("frame {name:?}: {e}")))?;

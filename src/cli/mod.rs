@@ -21,16 +21,13 @@ mod rig_transfer;
 mod units;
 
 use std::ffi::OsString;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{CommandFactory as _, Parser, Subcommand};
-use serde::Serialize;
 
-use crate::io::{MaterialFiles, files_of_mesh, write_atomically};
+use crate::io::{MaterialFiles, files_of_mesh};
 use crate::mesh::{ObjStatement, PolygonMesh};
-use crate::text;
 
 use crate::console::{Failure, Stage, answer, bounded, check_plan, say, tell, warn};
 
@@ -261,11 +258,4 @@ fn has_extension(path: &Path, extension: &str) -> bool {
 
 fn is_gltf(path: &Path) -> bool {
     has_extension(path, "glb") || has_extension(path, "gltf")
-}
-
-/// Writes a value as JSON.
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
-    let text = text::json(text);
-    write_atomically(path, |out| writeln!(out, "{text}")).map_err(Failure::writing)
 }

@@ -18,10 +18,10 @@ use super::interrupt::Interrupt;
 use super::units::UnitArguments;
 use super::{
     Failure, Stage, check_output, check_plan, file_name, has_extension, is_gltf, meshes, on_threads, refuse_beside,
-    say, warn, warn_of_format, warn_of_materials, write_json,
+    say, warn, warn_of_format, warn_of_materials,
 };
 use crate::correspondence::VertexMasks;
-use crate::io::{self, FilePlan, Inputs, MaterialFiles};
+use crate::io::{self, FilePlan, Inputs, MaterialFiles, write_json};
 use crate::registration::{
     DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
     RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, Schedule,
@@ -321,7 +321,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
         copied.keep();
     }
     if let Some((path, report)) = report {
-        write_json(path, &report)?;
+        write_json(path, &report).map_err(Failure::writing)?;
         let timing = Timing {
             reading_seconds: reading,
             registration_seconds: registering,
@@ -330,10 +330,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
             total_seconds: clock.elapsed().as_secs_f64(),
             threads: rayon::current_num_threads(),
         };
-        write_json(&timing_path(path), &timing)?;
+        write_json(&timing_path(path), &timing).map_err(Failure::writing)?;
     }
     if let Some(path) = &a.state {
-        write_json(path, &result.end)?;
+        write_json(path, &result.end).map_err(Failure::writing)?;
     }
     if let Some(path) = &a.picture {
         let percent = 100.0 * reliability.probability;

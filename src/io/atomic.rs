@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::WriteError;
 use super::folder::beside;
+use crate::text;
 
 /// Calls `fill` on a buffered temporary file beside `path` and renames it to `path`.
 ///
@@ -19,6 +20,23 @@ use super::folder::beside;
 pub fn write_atomically(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), WriteError> {
+    let mut fill = Some(fill);
+    fill_and_rename(path, &mut |writer| fill.take().expect("proven: it is called once")(writer))
+}
+
+/// Writes a value as JSON, indented, with a line break at the end.
+///
+/// # Errors
+/// When the file cannot be written: see [`write_atomically`].
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
+    write_atomically(path, |file| writeln!(file, "{}", text::json(serde_json::to_string_pretty(value)?)))
+}
+
+/// [`write_atomically`], compiled once.
+fn fill_and_rename(
+    path: &Path,
+    fill: &mut dyn FnMut(&mut BufWriter<File>) -> std::io::Result<()>,
 ) -> Result<(), WriteError> {
     let fail = |source| WriteError::Io { path: path.to_owned(), source };
     let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());

@@ -1,6 +1,7 @@
 //! Mesh and array files. Every reader answers bad input with an error that says which file, where, what was
 //! expected and what was found; every writer leaves the complete file or none.
 
+pub(crate) mod arrays;
 mod atomic;
 mod error;
 mod folder;
@@ -23,7 +24,7 @@ mod xyz;
 
 use std::path::{Path, PathBuf};
 
-pub use atomic::write_atomically;
+pub use atomic::{write_atomically, write_json};
 pub use error::{Place, ReadError, WriteError, read_text};
 pub(crate) use error::{check_side_file, excerpt, extension, read_file, without_mark};
 #[cfg(feature = "cli")]

@@ -7,11 +7,10 @@ use image::RgbImage;
 
 use super::output::Table;
 use super::{AFTER, Comparison, FaceState, FacialFrame, MeasurementError, Plan, Subject};
-use crate::io::{WriteError, write_atomically, write_folder};
+use crate::io::{WriteError, write_atomically, write_folder, write_json};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::page;
 use crate::render::{Camera, ColourMap, ColourScale, Frame, Rgb8, Scene, Sheet, Style, View, encode_png, render};
-use crate::text;
 
 /// What a report is made of.
 #[derive(Debug, Clone)]
@@ -94,14 +93,6 @@ pub fn write_with(
         besides(aside)
     })?;
     Ok(measured)
-}
-
-/// Writes measurements as JSON.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn write_json(path: &Path, measured: &Comparison) -> Result<(), WriteError> {
-    write_atomically(path, |file| writeln!(file, "{}", text::json(serde_json::to_string_pretty(measured)?)))
 }
 
 fn check_weights(what: &'static str, report: &Report<'_>, weights: Option<&[f64]>) -> Result<(), MeasurementError> {

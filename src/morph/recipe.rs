@@ -42,7 +42,7 @@ pub struct Recipe {
     #[serde(default = "one")]
     pub amount: f64,
     /// Amounts for which it is made, the least and the most; another is done with a warning.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "crate::io::arrays::optional_array")]
     pub range: Option<[f64; 2]>,
     /// The frame in which masks are drawn and displacements given. Without it both are in the mesh's own axes, and masks need a camera,
     /// texture coordinates or a file.
@@ -141,7 +141,7 @@ pub struct MaskSpec {
     #[serde(default)]
     pub visibility: Visibility,
     /// How far a vertex of weight 1 moves, millimetres of the mesh along the frame's axes, times the amount.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "crate::io::arrays::optional_array")]
     pub displacement: Option<[f64; 3]>,
     /// Also the mirror image, in the frame's plane x = 0, of mask and displacement.
     #[serde(default)]
@@ -192,17 +192,19 @@ pub enum ViewSpec {
         #[serde(default = "pixels_per_mm")]
         pixels_per_mm: f64,
         /// Corners of what a picture covers, millimetres of the frame; a drawing knows where it ends.
-        #[serde(default)]
+        #[serde(default, deserialize_with = "crate::io::arrays::optional_arrays")]
         covers: Option<[[f64; 2]; 2]>,
     },
     /// By a camera.
     Camera {
         /// Where it is, millimetres.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         eye: [f64; 3],
         /// What it looks at.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         target: [f64; 3],
         /// Which way is up; default y.
-        #[serde(default = "up")]
+        #[serde(default = "up", deserialize_with = "crate::io::arrays::array")]
         up: [f64; 3],
         /// Full vertical angle, degrees, of a perspective picture; default 30.
         #[serde(default)]
@@ -211,13 +213,13 @@ pub enum ViewSpec {
         #[serde(default)]
         height: Option<f64>,
         /// Width and height of a drawing, pixels; default 1024 x 1024. A picture has its own.
-        #[serde(default = "size")]
+        #[serde(default = "size", deserialize_with = "crate::io::arrays::array")]
         size: [usize; 2],
     },
     /// By the mesh's own texture coordinates.
     Uv {
         /// Width and height of a drawing, pixels; default 1024 x 1024. A picture has its own.
-        #[serde(default = "size")]
+        #[serde(default = "size", deserialize_with = "crate::io::arrays::array")]
         size: [usize; 2],
     },
 }
@@ -239,10 +241,10 @@ pub struct PointSpec {
     #[serde(default)]
     pub vertex: Option<u32>,
     /// How far from where it is, millimetres along the frame's axes, times the amount.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "crate::io::arrays::optional_array")]
     pub by: Option<[f64; 3]>,
     /// Where to, in the mesh's coordinates.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "crate::io::arrays::optional_array")]
     pub to: Option<[f64; 3]>,
     /// Of a goal: how many vertices' handles it counts as; default 100.
     #[serde(default = "hundred")]

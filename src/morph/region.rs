@@ -16,6 +16,7 @@ pub enum Shape {
     /// Points at most `radius` from `centre`.
     Circle {
         /// Middle.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         centre: [f64; 2],
         /// Positive.
         radius: f64,
@@ -23,8 +24,10 @@ pub enum Shape {
     /// Points within an ellipse.
     Ellipse {
         /// Middle.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         centre: [f64; 2],
         /// Half axes, positive.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         radii: [f64; 2],
         /// Turn of the first half axis from +x.
         #[serde(default)]
@@ -33,6 +36,7 @@ pub enum Shape {
     /// Part of a disc, or of a ring.
     Sector {
         /// Tip.
+        #[serde(deserialize_with = "crate::io::arrays::array")]
         centre: [f64; 2],
         /// Inner radius; 0 (the default) for a part of a disc.
         #[serde(default)]
@@ -48,6 +52,7 @@ pub enum Shape {
     /// itself is outside where it winds twice. Rings close themselves.
     Polygon {
         /// Points of each ring.
+        #[serde(deserialize_with = "crate::io::arrays::lists_of_arrays")]
         rings: Vec<Vec<[f64; 2]>>,
     },
 }

@@ -2,12 +2,10 @@
 //! or one that is made of it, is written.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::{Family, Rig, ShapePca};
-use crate::io::{MaterialFiles, WriteError, read_file, write_atomically, write_obj};
-use crate::text;
+use crate::io::{MaterialFiles, WriteError, read_file, write_json, write_obj};
 
 /// Files of a rig's folder that no [`Rig`] holds: vertices by the names of landmarks, as `measure` and `register` read them.
 pub const NAMED_LANDMARKS: [&str; 2] = ["landmarks.json", "landmarks_anthropometric.json"];
@@ -128,7 +126,7 @@ impl Companions {
             let (kept, left) = self.of_vertices();
             notes.extend(left);
             for (of_rig, text) in kept.landmarks.iter().filter(|(path, _)| !is_numbered(path)) {
-                write_vertices(&file.with_file_name(of_rig.file_name().unwrap_or_default()), &vertices(text))?;
+                write_json(&file.with_file_name(of_rig.file_name().unwrap_or_default()), &vertices(text))?;
             }
         }
         Ok(notes)
@@ -142,10 +140,6 @@ fn is_numbered(path: &Path) -> bool {
 /// Landmarks that all are vertices.
 fn vertices(text: &Option<Vec<u8>>) -> Option<BTreeMap<String, u32>> {
     serde_json::from_slice(text.as_deref()?).ok()
-}
-
-fn write_vertices(path: &Path, vertices: &Option<BTreeMap<String, u32>>) -> Result<(), WriteError> {
-    write_atomically(path, |out| writeln!(out, "{}", text::json(serde_json::to_string_pretty(vertices)?)))
 }
 
 /// Copies materials beside the mesh of a rig that was written to `out`, which then names them.

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
 use super::read::read_json;
-use super::write::write_json;
+use super::write::write_json_line;
 use super::{Rig, RigError};
 use crate::io::{Place, ReadError, WriteError};
 use crate::mesh::PolygonMesh;
@@ -109,7 +109,7 @@ impl Regions {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
-        write_json(path, &InOrder(&self.regions))
+        write_json_line(path, &InOrder(&self.regions))
     }
 
     /// Names and vertices, in the order of the file.

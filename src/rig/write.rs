@@ -39,7 +39,7 @@ impl Rig {
         }
         write_npy_points(&folder.join("neutral.npy"), &self.neutral)?;
         if let Some(landmarks) = &self.landmarks {
-            write_json(&folder.join("landmarks_multipie68.json"), landmarks)?;
+            write_json_line(&folder.join("landmarks_multipie68.json"), landmarks)?;
         }
         if let Some(regions) = &self.regions {
             regions.write(&folder.join("regions.json"))?;
@@ -49,7 +49,7 @@ impl Rig {
             let deltas: Vec<f32> = chosen.iter().flat_map(|&k| self.deltas(k)).copied().collect();
             let shape = [chosen.len(), self.neutral.len(), 3];
             write_npy(&folder.join(format!("{stem}_deltas.npy")), &shape, &deltas)?;
-            write_json(&folder.join(format!("{stem}_names.json")), &names)?;
+            write_json_line(&folder.join(format!("{stem}_names.json")), &names)?;
         }
         Ok(())
     }
@@ -128,7 +128,7 @@ impl Rig {
             let positions = self.neutral.iter().zip(self.deltas(k).chunks_exact(3)).map(moved).collect();
             write_obj(&folder.join(format!("{}.obj", shape.name)), &mesh.with_positions(positions))?;
         }
-        write_json(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
+        write_json_line(&folder.join("rig.json"), &serde_json::json!({ "kind": "full" }))?;
         self.regions.as_ref().map_or(Ok(()), |regions| regions.write(&folder.join("regions.json")))
     }
 }
@@ -140,7 +140,8 @@ fn without_libraries(mesh: &PolygonMesh, neutral: &[Vec3]) -> PolygonMesh {
     mesh
 }
 
-pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
+/// Writes a value as JSON on one line: of lists as long as these nobody wants a line for each entry.
+pub(super) fn write_json_line(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
     write_atomically(path, |w| {
         w.write_all(text::json(serde_json::to_string(value)?).as_bytes())?;
         w.write_all(b"\n")

@@ -115,10 +115,10 @@ impl SigmaOptions {
 #[serde(deny_unknown_fields, default)]
 pub struct BoundsOptions {
     /// Expression blendshapes; `[0, 1]` for weights as an animator sets them.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "crate::io::arrays::optional_array")]
     pub expression: Option<[f64; 2]>,
     /// Identity modes, in standard deviations.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "crate::io::arrays::optional_array")]
     pub identity: Option<[f64; 2]>,
 }
 
