@@ -1,7 +1,7 @@
 //! Small registrations of random templates to random scans, with random models and options, and the corners of every model: no
 //! panic, nothing that is not finite, and no step that raises the energy of its own problem.
 //!
-//! The cases come from a fixed seed; `NONRIGID_CASES` says how many there are, 2000 without it.
+//! The cases come from a fixed seed; `NONRIGID_CASES` says how many there are, 1000 without it.
 
 use crate::awkward::{extent, sheet};
 use crate::task::Task;
@@ -271,7 +271,7 @@ fn sound(result: &RegistrationResult) -> Result<(), String> {
 
 #[test]
 fn random_registrations_end_well() {
-    let cases = std::env::var("NONRIGID_CASES").map_or(2000, |n| n.parse().expect("NONRIGID_CASES is a number"));
+    let cases = std::env::var("NONRIGID_CASES").map_or(1000, |n| n.parse().expect("NONRIGID_CASES is a number"));
     let config = Config { cases, failure_persistence: None, max_shrink_iters: 200, ..Config::default() };
     let mut runner = TestRunner::new_with_rng(config, TestRng::from_seed(RngAlgorithm::ChaCha, &[7; 32]));
     let done = std::cell::RefCell::new(std::collections::BTreeMap::<String, [usize; 2]>::new());
