@@ -48,7 +48,7 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Jumps {
     bends.sort_by(f64::total_cmp);
     let most = AT_LEAST.max(TIMES * bends[bends.len() / 2]);
     let goes_on = |i, j, k| bend(i, j, k) <= most;
-    let series = longest(there.len(), goes_on);
+    let series = longest(there.len(), |i, j, k| Some(bend(i, j, k)).filter(|bend| *bend <= most));
     // how far frame k lies from where frames i and j lead
     let beyond = |i: usize, j: usize, k: usize| {
         let [(at_i, x_i), (at_j, x_j), (at_k, x_k)] = [i, j, k].map(|f| there[f]);
@@ -87,30 +87,38 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Jumps {
     found
 }
 
-/// The longest series of 0 to `count` - 1 in which every three that follow each other may, of which each step is at most [`REACH`].
-/// Of equally long ones, the one with the last first gap.
-fn longest(count: usize, may: impl Fn(usize, usize, usize) -> bool) -> Vec<usize> {
-    // length of the longest series that ends with a step of so much to this frame, and the step before
-    let mut best = vec![[(2usize, 0usize); REACH + 1]; count];
+/// The longest series of 0 to `count` - 1 in which every three that follow each other have a `bend`, of which each step is at most
+/// [`REACH`]. Of equally long ones, the one that bends least in all: a frame that is off bends the motion at its neighbours, too.
+fn longest(count: usize, bend: impl Fn(usize, usize, usize) -> Option<f64>) -> Vec<usize> {
+    // length of the longest series that ends with a step of so much to this frame, its bends, and the step before
+    let mut best = vec![[(2usize, 0.0, 0usize); REACH + 1]; count];
+    let better = |a: (usize, f64), b: (usize, f64)| a.0 > b.0 || (a.0 == b.0 && a.1 < b.1);
     for k in 0..count {
         for step in 1..=REACH.min(k) {
             let j = k - step;
             for before in 1..=REACH.min(j) {
-                let length = best[j][before].0 + 1;
-                if length > best[k][step].0 && may(j - before, j, k) {
-                    best[k][step] = (length, before);
+                let (length, bends, _) = best[j][before];
+                // as long at best as what is known: need not be looked at
+                if length + 1 < best[k][step].0 {
+                    continue;
+                }
+                let Some(bend) = bend(j - before, j, k) else { continue };
+                let (known, known_bends, _) = best[k][step];
+                if better((length + 1, bends + bend), (known, known_bends)) {
+                    best[k][step] = (length + 1, bends + bend, before);
                 }
             }
         }
     }
     let ends = (1..count).flat_map(|k| (1..=REACH.min(k)).map(move |step| (k, step)));
     // the first of those that are equal
-    let Some((mut k, mut step)) = ends.rev().max_by_key(|&(k, step)| best[k][step].0) else {
+    let of = |(k, step): (usize, usize)| (best[k][step].0, best[k][step].1);
+    let Some((mut k, mut step)) = ends.reduce(|a, b| if better(of(b), of(a)) { b } else { a }) else {
         return (0..count).collect();
     };
     let mut series = vec![k];
     while step > 0 {
-        let before = best[k][step].1;
+        let before = best[k][step].2;
         k -= step;
         series.push(k);
         step = before;
@@ -130,10 +138,18 @@ mod tests {
 
     #[test]
     fn the_longest_series_leaves_out_what_may_not_follow() {
-        let all = longest(20, |_, _, _| true);
+        let all = longest(20, |_, _, _| Some(0.0));
         assert_eq!(all, (0..20).collect::<Vec<_>>());
-        let odd = longest(9, |i, j, k| ![i, j, k].contains(&4));
+        let odd = longest(9, |i, j, k| (![i, j, k].contains(&4)).then_some(0.0));
         assert_eq!(odd, [0, 1, 2, 3, 5, 6, 7, 8]);
+        // frame 4 bends the motion into it and out of it as well, but not so much that either could not be left out in its place
+        let at = |k: usize| if k == 4 { 2.0 } else { 0.0 };
+        let bend = |i: usize, j: usize, k: usize| {
+            let [before, after] = [(j - i) as f64, (k - j) as f64];
+            2.0 / (before + after) * f64::abs((at(k) - at(j)) / after - (at(j) - at(i)) / before)
+        };
+        let off = longest(9, |i, j, k| Some(bend(i, j, k)).filter(|bend| *bend <= 3.0));
+        assert_eq!(off, [0, 1, 2, 3, 5, 6, 7, 8]);
     }
 
     #[test]
