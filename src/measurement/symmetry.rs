@@ -22,7 +22,7 @@ use crate::evaluation::percentile;
 use crate::mesh::adjacency::OpenBoundary;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_normals, vertex_areas, vertex_normals};
-use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
+use crate::mesh::{MirrorPlane, TriangleMesh, Vec3, bounding_box_diagonal, sewn};
 
 /// What steers the search; the defaults suit faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,27 +90,29 @@ impl Symmetry {
         if areas.iter().sum::<f64>() <= 0.0 {
             return Err(MeasurementError::NoSurface(what));
         }
+        // A seam of texture coordinates is no boundary. Of vertices that are one point the first has all of its triangles.
+        let first = sewn(mesh, |_, _| true);
+        let triangles = mesh.triangles.iter().map(|t| t.map(|v| first[v as usize])).collect();
+        let mesh = &TriangleMesh { positions: mesh.positions.clone(), triangles };
         let search = Search {
             surface,
             boundary: OpenBoundary::of(mesh),
             faces: face_normals(&mesh.positions, &mesh.triangles),
             normals: vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Angle),
-            step: areas.len().div_ceil(options.samples.max(1)),
-            size: bounding_box_diagonal(&surface_points(
-                &mesh.positions,
-                mesh.triangles.as_flattened().iter().copied(),
-            )),
+            step: mesh.positions.len().div_ceil(options.samples.max(1)),
+            size: bounding_box_diagonal(&mesh.surface_points()),
             cosine: options.normal_angle.to_radians().cos(),
+            areas: vertex_areas(&mesh.positions, &mesh.triangles),
             mesh,
-            areas,
         };
         let starts = start.map_or_else(|| search.principal_planes().to_vec(), |plane| vec![plane]);
         let found = starts.into_iter().map(|plane| search.refined(plane, options));
         let best = found.min_by(|a, b| a.2.total_cmp(&b.2));
         let (plane, converged, _) = best.ok_or(MeasurementError::NoSurface(what))?;
         let offset = |m: &Match| m.offset().signum() * (m.image - m.closest).norm();
-        let offsets = search.matches(&plane, 1).iter().map(|m| m.as_ref().map_or(f64::NAN, offset)).collect();
-        Ok(Self { plane, converged, offsets, areas: search.areas })
+        let matches = search.matches(&plane, 1);
+        let offsets = first.iter().map(|&v| matches[v as usize].as_ref().map_or(f64::NAN, offset)).collect();
+        Ok(Self { plane, converged, offsets, areas })
     }
 
     /// How lopsided the part of these vertices is.

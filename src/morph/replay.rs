@@ -11,7 +11,7 @@ use super::{
 };
 use crate::landmark::TemplatePoint;
 use crate::mesh::adjacency::middle_of_parts;
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, sewn_unless_opened};
 use crate::render::Projection;
 use crate::rig::{Regions, ShapeBasis};
 
@@ -26,6 +26,15 @@ pub struct Subject<'a> {
     pub regions: &'a Regions,
     /// For models that use them; bounds hold.
     pub shapes: &'a ShapeBasis,
+}
+
+impl Subject<'_> {
+    /// The first of the vertices with which each is one point, along [seams](crate::mesh::sewn) that no shape opens. A mask takes all of
+    /// them that it takes one of, so that the surface stays whole.
+    fn seams(&self) -> Vec<u32> {
+        let shapes = self.shapes;
+        sewn_unless_opened(&self.mesh.triangulate(), shapes.len(), |k, v| shapes.displacement(v as usize, k))
+    }
 }
 
 /// How much of a recipe, and how strongly.
@@ -123,10 +132,11 @@ pub fn replay(
     let mut positions = subject.mesh.positions.clone();
     let amount = options.amount.unwrap_or(recipe.amount);
     let mut outcomes = Vec::new();
+    let first = subject.seams();
     for step in recipe.step.iter().take(options.until.unwrap_or(usize::MAX)) {
         let mesh = subject.mesh.with_positions(positions);
         let amount = amount * step.get_ref().amount;
-        let stage = Stage { recipe, subject, amount, triangles: mesh.triangulate(), mesh: &mesh, step };
+        let stage = Stage { recipe, subject, first: &first, amount, triangles: mesh.triangulate(), mesh: &mesh, step };
         let outcome = stage.run(options.model.unwrap_or(step.get_ref().model))?;
         positions = outcome.positions.clone();
         outcomes.push(outcome);
@@ -153,7 +163,8 @@ impl LiveStep {
         let Some(step) = recipe.step.first() else { return Ok(None) };
         let amount = recipe.amount * step.get_ref().amount;
         let (mesh, model) = (subject.mesh, step.get_ref().model);
-        let stage = Stage { recipe, subject, amount, triangles: mesh.triangulate(), mesh, step };
+        let first = &subject.seams();
+        let stage = Stage { recipe, subject, first, amount, triangles: mesh.triangulate(), mesh, step };
         let drawn = stage.drawn()?;
         let options = step.get_ref().energy;
         let options = EnergyOptions { max_iterations: options.max_iterations.min(iterations), ..options };
@@ -259,6 +270,8 @@ fn vector(d: [f64; 3], frame: Option<&LandmarkFrame>, amount: f64) -> Vec3 {
 struct Stage<'a> {
     recipe: &'a Recipe,
     subject: &'a Subject<'a>,
+    /// [`Subject::seams`].
+    first: &'a [u32],
     amount: f64,
     mesh: &'a PolygonMesh,
     triangles: TriangleMesh,
@@ -428,14 +441,14 @@ impl Stage<'_> {
             };
             (Some(texture), projector, weights.map_err(fail)?)
         };
-        let mut all = vec![weights];
+        let mut all = vec![weights.together(self.first)];
         if mask.mirror {
             let plane = frame.ok_or_else(|| fail(MorphError::NoFrame))?.mirror_plane();
             let mirrored = match (&projector, &texture) {
                 (Some(projector), Some(texture)) => project(&projector.mirrored(&plane), texture),
                 _ => all[0].mirrored(&self.triangles, &plane),
             };
-            all.push(mirrored.map_err(fail)?);
+            all.push(mirrored.map_err(fail)?.together(self.first));
         }
         Ok((texture, all))
     }

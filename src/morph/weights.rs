@@ -48,6 +48,16 @@ impl Weights {
         Self(self.0.iter().zip(protected).map(|(w, p)| w * (1.0 - p)).collect())
     }
 
+    /// The largest weight of the vertices that are one point of the surface: of each the `first` such vertex is given, as by
+    /// [`sewn`](crate::mesh::sewn).
+    pub(super) fn together(mut self, first: &[u32]) -> Self {
+        for (v, &f) in first.iter().enumerate() {
+            self.0[f as usize] = self.0[f as usize].max(self.0[v]);
+        }
+        (0..first.len()).for_each(|v| self.0[v] = self.0[first[v] as usize]);
+        self
+    }
+
     /// The larger of two weights at each vertex.
     pub(super) fn or(&self, other: &Self) -> Self {
         Self(self.0.iter().zip(&other.0).map(|(a, b)| a.max(*b)).collect())

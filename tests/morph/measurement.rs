@@ -403,6 +403,25 @@ fn the_plane_of_a_symmetric_face_is_found_to_rounding_from_a_bad_start() {
 }
 
 #[test]
+fn seams_of_texture_are_no_boundary() {
+    let rig = rig(1500);
+    let mut whole = rig.mesh.triangulate();
+    whole.positions.iter_mut().filter(|p| p.x > 0.0).for_each(|p| p.z += 1.0 * (0.05 * p.y).sin());
+    let of: Vec<u32> = whole.triangles.as_flattened().to_vec();
+    let cut = TriangleMesh {
+        positions: of.iter().map(|&v| whole.positions[v as usize]).collect(),
+        triangles: (0..of.len() as u32).collect::<Vec<_>>().as_chunks().0.to_vec(),
+    };
+    let find = |mesh| Symmetry::find(mesh, None, &SymmetryOptions::default(), "the face").unwrap();
+    let (one, other) = (find(&whole), find(&cut));
+    assert!(one.of(0..whole.positions.len()).max > 0.3);
+    for (v, &w) in of.iter().enumerate() {
+        let (a, b) = (one.offsets[w as usize], other.offsets[v]);
+        assert!((a.is_nan() && b.is_nan()) || (a - b).abs() < 1e-6, "vertex {w}: {a} and {b} mm");
+    }
+}
+
+#[test]
 fn a_known_asymmetry_is_measured_and_does_not_draw_the_plane() {
     let rig = rig(8000);
     let regions = regions(&rig);

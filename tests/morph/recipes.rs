@@ -70,6 +70,41 @@ const FRAME: &str = "frame = { origin = [\"30\"], right = [\"36\", \"45\"], up =
 
 static FACE: LazyLock<Face> = LazyLock::new(|| Face::generated(3000, &[]));
 
+/// Every polygon with vertices of its own, and whose vertex each of them is.
+fn cut(face: &Face) -> (Face, Vec<u32>) {
+    let of = face.mesh.corners.clone();
+    let positions = of.iter().map(|&v| face.mesh.positions[v as usize]).collect();
+    let mesh = PolygonMesh { positions, corners: (0..of.len() as u32).collect(), ..face.mesh.clone() };
+    let vertex = |point: &TemplatePoint| match point {
+        TemplatePoint::Vertex(v) => TemplatePoint::Vertex(of.iter().position(|w| w == v).unwrap() as u32),
+        other => *other,
+    };
+    let landmarks = face.landmarks.iter().map(|(name, point)| (name.clone(), vertex(point))).collect();
+    (Face::new(mesh, landmarks), of)
+}
+
+#[test]
+fn a_mesh_that_was_cut_moves_as_the_whole_one() {
+    let whole =
+        Face { regions: Regions::of_groups(&FACE.mesh), ..Face::new(FACE.mesh.clone(), FACE.landmarks.clone()) };
+    let (cut, of) = cut(&whole);
+    for model in ["direct", "arap"] {
+        let recipe = format!(
+            "[[step]]\nmodel = \"{model}\"\nmask = [{{ parts = [\"nose\", \"cheeks\"], displacement = [0, 0, 4] }}]\n\
+             protect = [{{ parts = [\"cheeks\"] }}]\n"
+        );
+        let [one, other] = [&whole, &cut].map(|face| face.morph(&recipe).pop().unwrap());
+        let apart = (0..of.len()).map(|v| (other.positions[v] - one.positions[of[v] as usize]).norm());
+        let apart = apart.fold(0.0, f64::max);
+        assert!(apart < 1e-6, "{model}: {apart} mm");
+        let moved = |v: usize| other.positions[v] != cut.mesh.positions[v];
+        assert!(
+            (0..of.len()).any(moved) && !cut.regions.vertices("cheeks").unwrap().iter().any(|&v| moved(v as usize))
+        );
+        assert!((one.report.change.largest_jump - other.report.change.largest_jump).abs() < 1e-6, "{model}");
+    }
+}
+
 fn presets() -> impl Iterator<Item = (&'static str, Recipe)> {
     preset_names().into_iter().map(|name| (name, preset(name).unwrap().unwrap()))
 }
