@@ -287,8 +287,9 @@ fn evaluate_scan<'py>(
         let on_scan = ScanDistance::new(&surface, normals).map_err(input)?;
         let on_result = ScanDistance::new(&result.triangulate(), None).map_err(input)?;
         let to_scan: Vec<f64> = result.positions.iter().map(|p| on_scan.of(p)).collect();
-        let to_result: Vec<f64> = surface.positions.iter().map(|p| on_result.of(p)).collect();
-        let distances = SurfaceDistances::from_distances(&to_scan, &to_result, WITHIN_MM);
+        let to_result: Vec<f64> = surface.surface_points().iter().map(|p| on_result.of(p)).collect();
+        let counted = to_scan.iter().zip(result.on_surface()).filter(|(_, on)| *on).map(|(d, _)| *d);
+        let distances = SurfaceDistances::from_distances(&counted.collect::<Vec<_>>(), &to_result, WITHIN_MM);
         let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
         Ok((serde_json::to_string(&Measured { distances, mesh }).map_err(value)?, to_scan))
     })?;

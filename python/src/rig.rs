@@ -308,7 +308,7 @@ impl Rig {
             let names = basis.shapes().iter().map(|s| s.name.clone()).collect();
             let options = WeightFitOptions { bounds, pose, ..WeightFitOptions::default() };
             let neutral = neutral.as_deref().unwrap_or(self.rig.neutral());
-            let mut fitter = WeightFitter::new(neutral, basis, &options).map_err(input)?;
+            let mut fitter = WeightFitter::new(neutral, self.rig.mesh(), basis, &options).map_err(input)?;
             let fit = |frame: &Vec<Vec3>| -> PyResult<Frame> {
                 let fitted = fitter.fit(frame).map_err(|e| match e {
                     rig::RigError::Fit { .. } => computation(e),

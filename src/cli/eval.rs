@@ -220,7 +220,9 @@ fn against_scan(
     let on_result = ScanDistance::new(&result.triangulate(), None).map_err(Failure::computation)?;
     let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
     let of_scan = surface_points(&scan.positions, scan.triangles.as_flattened().iter().copied());
-    let fit = SurfaceDistances::from_distances(&to_scan, &distances(&on_result, &of_scan), WITHIN_MM);
+    let counted = to_scan.iter().zip(result.on_surface()).filter(|(_, on)| *on).map(|(d, _)| *d);
+    let fit =
+        SurfaceDistances::from_distances(&counted.collect::<Vec<_>>(), &distances(&on_result, &of_scan), WITHIN_MM);
     let (forth, back) = (&fit.result_to_scan, &fit.scan_to_result);
     let text = format!(
         "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\

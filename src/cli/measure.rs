@@ -8,7 +8,7 @@ use clap::Args;
 use super::inputs::{open_rig, read_mask, rig_files};
 use super::units::{UnitArguments, Units};
 use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say, warn};
-use crate::io::{FilePlan, LengthUnit, write_atomically};
+use crate::io::{FilePlan, LengthUnit, write_atomically, write_json};
 use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
 use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
 use crate::rig::{Companions, Regions, Rig, check_order};
@@ -133,7 +133,9 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         odd.map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?.iter().for_each(warn);
     }
     for after in after.iter_mut().filter(|_| a.align) {
-        let pairs: Vec<(Vec3, Vec3)> = after.iter().copied().zip(mesh.positions.iter().copied()).collect();
+        let pairs = after.iter().copied().zip(mesh.positions.iter().copied());
+        let pairs: Vec<(Vec3, Vec3)> =
+            pairs.zip(mesh.on_surface()).filter(|(_, on)| *on).map(|(pair, _)| pair).collect();
         let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;
         after.iter_mut().for_each(|p| *p = pose.apply(*p));
     }
@@ -192,7 +194,7 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     };
     let measured = measured.map_err(failure)?;
     if let Some(path) = &a.json {
-        report::write_json(path, &measured).map_err(Failure::writing)?;
+        write_json(path, &measured).map_err(Failure::writing)?;
     }
     if let Some(path) = &a.csv {
         write_atomically(path, |file| file.write_all(measured.to_csv().as_bytes())).map_err(Failure::writing)?;

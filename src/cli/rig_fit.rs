@@ -8,8 +8,8 @@ use clap::Args;
 
 use super::inputs::{Align, RigInput, bounds, frames, rig_files};
 use super::units::UnitArguments;
-use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn, write_json};
-use crate::io::{FilePlan, write_atomically};
+use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn};
+use crate::io::{FilePlan, write_atomically, write_json};
 use crate::page::csv_text;
 use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter};
 
@@ -88,7 +88,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     };
     let shapes: Vec<String> = basis.shapes().iter().map(|s| s.name.clone()).collect();
     let options = WeightFitOptions { bounds: a.bounds, pose: a.align.pose(), ..WeightFitOptions::default() };
-    let mut fitter = WeightFitter::new(&neutral, basis, &options)
+    let mut fitter = WeightFitter::new(&neutral, rig.mesh(), basis, &options)
         .map_err(|e| Failure::loading(format!("{}: {e}", a.neutral.as_ref().unwrap_or(&a.rig.path).display())))?;
     let mut frames = Vec::with_capacity(files.len());
     for (name, path) in files {
@@ -110,7 +110,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     units.say();
     let sequence = Sequence { shapes, frames };
     if has_extension(&a.out, "json") {
-        write_json(&a.out, &sequence)?;
+        write_json(&a.out, &sequence).map_err(Failure::writing)?;
     } else {
         let text = csv(&sequence);
         write_atomically(&a.out, |w| w.write_all(text.as_bytes())).map_err(Failure::writing)?;

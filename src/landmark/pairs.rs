@@ -220,7 +220,7 @@ impl LandmarkSet {
                     let corners = mesh.triangles[closest.triangle as usize];
                     return Ok(TemplatePoint::Face { corners, weights: closest.barycentric });
                 }
-                match nearest_vertex(&template.positions, *p) {
+                match nearest_vertex(template, *p) {
                     Some(nearest) => Ok(TemplatePoint::Vertex(nearest)),
                     None => Err(ReadError::malformed(path, Place::File, "a template with vertices", "none")),
                 }
@@ -292,10 +292,11 @@ impl OffTemplate {
     }
 }
 
-/// The nearest vertex, the first of equals.
-pub(super) fn nearest_vertex(positions: &[Vec3], p: Vec3) -> Option<u32> {
-    let squared = positions.iter().map(|q| (q - p).norm_squared());
-    squared.zip(0..).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, v)| v)
+/// The nearest vertex of those on the surface, the first of equals.
+pub(super) fn nearest_vertex(mesh: &PolygonMesh, p: Vec3) -> Option<u32> {
+    let vertices = mesh.positions.iter().zip(mesh.on_surface()).zip(0..).filter(|((_, on), _)| *on);
+    let squared = vertices.map(|((q, _), v)| ((q - p).norm_squared(), v));
+    squared.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, v)| v)
 }
 
 /// Names, points in space and deviations of the landmarks of a scan.

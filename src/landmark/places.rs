@@ -51,7 +51,7 @@ impl LandmarkSet {
         for (landmark, p) in set.landmarks.iter_mut().zip(positions) {
             let place = match kind {
                 PlaceKind::Position => Some((LandmarkPlace::Position(*p), *p)),
-                PlaceKind::Vertex => nearest_vertex(&mesh.positions, *p)
+                PlaceKind::Vertex => nearest_vertex(mesh, *p)
                     .map(|v| (LandmarkPlace::Vertex(i64::from(v)), TemplatePoint::Vertex(v).position(&mesh.positions))),
                 PlaceKind::Face => surface.query(p).map(|c| {
                     let triangle = u64::from(c.triangle);

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::normals::{face_cross, unit};
-use super::{TriangleMesh, Vec3};
+use super::{TriangleMesh, Vec3, referenced};
 
 /// Vertices and polygons, with whatever an OBJ file says about them.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -71,6 +71,12 @@ impl ObjStatement {
 }
 
 impl PolygonMesh {
+    /// Which vertices are of a polygon; all where there is none.
+    #[must_use]
+    pub fn on_surface(&self) -> Vec<bool> {
+        referenced(self.positions.len(), self.corners.iter().copied())
+    }
+
     /// Number of polygons.
     #[must_use]
     pub fn polygon_count(&self) -> usize {

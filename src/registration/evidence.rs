@@ -14,7 +14,7 @@ use crate::landmark::Landmark;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
-use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, referenced, rms_size, surface_points};
+use crate::mesh::{MeshError, PoseKind, TriangleMesh, Vec3, closest_pose, rms_size, surface_points};
 
 /// Signs of right and wrong. Lengths are shares of the result's size (root mean square distance from its centroid), so that they
 /// mean the same for any subject; zero where something does not apply.
@@ -122,7 +122,7 @@ impl Seen {
         let mut mesh = input.template.triangulate();
         mesh.positions.copy_from_slice(positions);
         let size = rms_size(&surface_points(positions, input.template.corners.iter().copied()));
-        let used = referenced(positions.len(), input.template.corners.iter().copied());
+        let used = input.template.on_surface();
         let masks = VertexMasks::new(input.mask, input.free_mask, vec![false; positions.len()]);
         let masks = masks.without(|v| !used[v] || hidden[v]);
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);

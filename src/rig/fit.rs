@@ -13,7 +13,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Rotation3};
 
 use super::{RigError, ShapeBasis, Unlike, likeness};
-use crate::mesh::{Pose, PoseError, PoseKind, Vec3, closest_pose};
+use crate::mesh::{PolygonMesh, Pose, PoseError, PoseKind, Vec3, closest_pose};
 use crate::nlls::{BlockStructure, BorderBounds, Minimizer, NormalEquations, Options, Problem, StopReason, Workspace};
 
 /// How to fit weights.
@@ -54,6 +54,10 @@ pub struct FittedFrame {
 /// Fits the frames of a sequence one after the other; what depends on the rig alone is computed once.
 #[derive(Debug)]
 pub struct WeightFitter {
+    /// Vertices of a frame, those of no polygon included.
+    vertex_count: usize,
+    /// Those that count.
+    vertices: Vec<u32>,
     problem: Fit,
     minimizer: Minimizer,
     workspace: Workspace,
@@ -62,11 +66,16 @@ pub struct WeightFitter {
 }
 
 impl WeightFitter {
-    /// A fitter of these shapes on a neutral.
+    /// A fitter of these shapes on a neutral. Where `mesh` says what is surface, vertices of no polygon do not count.
     ///
     /// # Errors
     /// When there are no shapes, the neutral has another number of vertices than they have, or the bounds are not in order.
-    pub fn new(neutral: &[Vec3], basis: ShapeBasis, options: &WeightFitOptions) -> Result<Self, RigError> {
+    pub fn new(
+        neutral: &[Vec3],
+        mesh: Option<&PolygonMesh>,
+        basis: ShapeBasis,
+        options: &WeightFitOptions,
+    ) -> Result<Self, RigError> {
         let (found, expected) = (neutral.len(), basis.vertex_count());
         if basis.is_empty() || found != expected {
             return Err(RigError::VertexCount { what: "the neutral of the shapes to fit".into(), found, expected });
@@ -78,7 +87,15 @@ impl WeightFitter {
         }
         let solver = Options { gradient_tolerance: 0.0, damping_floor: 1e-14, ..Options::default() };
         let minimizer = Minimizer::new(solver).expect("proven: the defaults are within bounds");
-        Ok(Self { problem: Fit::new(neutral, basis, options), minimizer, workspace: Workspace::new(), x: None })
+        let on_surface = mesh.map_or_else(|| vec![true; found], PolygonMesh::on_surface);
+        let vertices: Vec<u32> = (0..).zip(on_surface).filter(|(_, on)| *on).map(|(v, _)| v).collect();
+        let problem = if vertices.len() == found {
+            Fit::new(neutral, basis, options)
+        } else {
+            Fit::new(&chosen(neutral, &vertices), basis.masked(&vertices, &vec![1.0; vertices.len()]), options)
+        };
+        let (vertex_count, workspace) = (found, Workspace::new());
+        Ok(Self { vertex_count, vertices, problem, minimizer, workspace, x: None })
     }
 
     /// Fits the next frame, vertices in millimetres; it starts where the last one ended.
@@ -88,13 +105,14 @@ impl WeightFitter {
     /// ([`Unlike`](super::Unlike)), or the minimiser fails.
     pub fn fit(&mut self, frame: &[Vec3]) -> Result<FittedFrame, RigError> {
         let problem = &mut self.problem;
-        let (found, expected) = (frame.len(), problem.neutral.len());
+        let (found, expected) = (frame.len(), self.vertex_count);
         if found != expected {
             return Err(RigError::VertexCount { what: "the frame".into(), found, expected });
         }
         if let Some(vertex) = frame.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
             return Err(RigError::NotFinite { what: "the frame".into(), vertex });
         }
+        let frame = &chosen(frame, &self.vertices)[..];
         let unlike = |why| RigError::Unlike { what: "the frame", why };
         let mut doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?.doubts;
         doubts.retain(|doubt| !matches!(doubt, Unlike::Far { .. })); // expressions are: what the fit leaves counts
@@ -128,6 +146,10 @@ impl WeightFitter {
         self.x = Some(x);
         Ok(fitted)
     }
+}
+
+fn chosen(points: &[Vec3], vertices: &[u32]) -> Vec<Vec3> {
+    vertices.iter().map(|&v| points[v as usize]).collect()
 }
 
 /// Scale, rotation by columns and translation, ahead of the weights in `x`.
@@ -315,7 +337,26 @@ mod tests {
     }
 
     fn fitter(rig: &Rig, options: &WeightFitOptions) -> WeightFitter {
-        WeightFitter::new(rig.neutral(), rig.select(ShapeSelection::default()).unwrap(), options).unwrap()
+        WeightFitter::new(rig.neutral(), rig.mesh(), rig.select(ShapeSelection::default()).unwrap(), options).unwrap()
+    }
+
+    #[test]
+    fn vertices_of_no_polygon_do_not_count() {
+        let mesh = PolygonMesh::from(sheet(8, 6, |x, y| Vec3::new(10.0 * x, 10.0 * y, 4.0 * (x * y).sin())));
+        let mut with_strays = mesh.clone();
+        with_strays.positions.extend([Vec3::zeros(); 5]);
+        let n = with_strays.positions.len();
+        let shapes = (0..3).map(|k| Shape { name: format!("s{k}"), family: Family::Expression }).collect();
+        let surface = 3 * mesh.positions.len();
+        let deltas = (0..3 * 3 * n).map(|i| if i % (3 * n) < surface { 5.0 * noise(i) as f32 } else { 0.0 }).collect();
+        let (rig, _) = Rig::new(with_strays.positions.clone(), Some(with_strays), shapes, deltas).unwrap();
+        let weights = [0.2, 0.7, 0.4];
+        let pose = Pose::rigid(Vec3::new(0.1, -0.2, 0.3), Vec3::new(300.0, 20.0, -7.0));
+        let mut frame = blended(&rig, &weights, &pose);
+        frame[n - 5..].fill(Vec3::zeros());
+        let fitted = fitter(&rig, &WeightFitOptions::default()).fit(&frame).unwrap();
+        assert!(fitted.weights.iter().zip(weights).all(|(f, w)| (f - w).abs() < 1e-4), "{fitted:?}");
+        assert!(fitted.max < 1e-3 && fitted.doubts.is_empty(), "{fitted:?}");
     }
 
     #[test]
@@ -376,7 +417,7 @@ mod tests {
         let basis = || rig.select(ShapeSelection::default()).unwrap();
         let new = |neutral: &[Vec3], basis, bounds| {
             let options = WeightFitOptions { bounds, ..WeightFitOptions::default() };
-            WeightFitter::new(neutral, basis, &options).unwrap_err().to_string()
+            WeightFitter::new(neutral, None, basis, &options).unwrap_err().to_string()
         };
         assert!(new(&rig.neutral()[1..], basis(), [0.0, 1.0]).contains("found 47 vertices, expected 48"));
         assert!(new(rig.neutral(), ShapeBasis::none(), [0.0, 1.0]).contains("vertices"));

@@ -38,7 +38,7 @@ pub const COMPONENT_FILES: [&str; 2] = ["components.npy", "standard_deviations.n
 
 impl ShapePca {
     /// The first `components` principal components of a population. Differences of pose are variance like any other: see
-    /// [`Population::align`].
+    /// [`Population::align`]. Vertices of no polygon stay at their mean.
     ///
     /// Time `O(V N min(N, 3 V))`, memory two matrices of `3 V x N`.
     ///
@@ -54,8 +54,10 @@ impl ShapePca {
         }
         let mean = mean_shape(samples);
         let mut centred = Vec::with_capacity(width * count);
+        let on_surface = population.on_surface();
         for sample in samples {
-            centred.extend(sample.iter().zip(&mean).flat_map(|(p, m)| <[f64; 3]>::from(p - m)));
+            let of = |((p, m), on): ((&Vec3, &Vec3), &bool)| if *on { p - m } else { Vec3::zeros() };
+            centred.extend(sample.iter().zip(&mean).zip(&on_surface).flat_map(|each| <[f64; 3]>::from(of(each))));
         }
         let (singular_values, mut left) =
             thin_svd(&centred, width, count).map_err(|_| PopulationError::Decomposition { samples: count })?;
@@ -253,8 +255,9 @@ fn fix_sign(component: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::write_npy;
     use crate::mesh::PoseKind;
-    use crate::mesh::testing::noise;
+    use crate::mesh::testing::{noise, sheet};
     use nalgebra::Rotation3;
 
     fn vectors(numbers: &[f64]) -> Vec<Vec3> {
@@ -468,6 +471,32 @@ mod tests {
             assert!((shift(&first) - shift(&found.samples()[0])).norm() < 1e-9);
             let far = first.iter().zip(&found.samples()[0]).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             assert!(scaled || far < 3.0, "{far}");
+        }
+    }
+
+    #[test]
+    fn vertices_of_no_polygon_have_no_say() {
+        let folder = tempfile::tempdir().unwrap();
+        let (_, _, population) = known(60, 9, &[12.0, 4.0]);
+        let mesh = |vertices: usize| {
+            let sheet = PolygonMesh::from(sheet(10, 6, |x, y| Vec3::new(x, y, 0.0)));
+            PolygonMesh { positions: vec![Vec3::zeros(); vertices], ..sheet }
+        };
+        let read = |strays: usize| {
+            let path = folder.path().join("shapes.npy");
+            let far = |i: usize| vec![Vec3::new(400.0 * noise(i), 0.0, 500.0); strays];
+            let samples = population.samples().iter().enumerate().map(|(i, s)| [&s[..], &far(i)].concat());
+            let numbers: Vec<f64> = samples.flatten().flat_map(<[f64; 3]>::from).collect();
+            write_npy(&path, &[9, 60 + strays, 3], &numbers).unwrap();
+            let mut population = Population::read_npy(&path, mesh(60 + strays)).unwrap();
+            population.align(PoseKind::Rigid).unwrap();
+            ShapePca::fit(&population, 2).unwrap()
+        };
+        let (without, with) = (read(0), read(4));
+        for k in 0..2 {
+            assert_eq!(with.standard_deviations()[k], without.standard_deviations()[k]);
+            let apart = with.component(k)[..180].iter().zip(without.component(k)).map(|(a, b)| (a - b).abs());
+            assert!(apart.fold(0.0, f64::max) < 1e-12 && with.component(k)[180..].iter().all(|c| *c == 0.0));
         }
     }
 

@@ -256,8 +256,8 @@ impl Population {
         Ok(compared.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
-    /// Moves every shape by the rigid motion or similarity that brings it closest to the mean of all, and returns how many
-    /// rounds it took: generalised Procrustes analysis, Gower 1975. Shapes that came from scans lie as the scans did; what
+    /// Moves every shape by the rigid motion or similarity that brings it closest to the mean of all, by the vertices that are of a
+    /// polygon, and returns how many rounds it took: generalised Procrustes analysis, Gower 1975. Shapes that came from scans lie as the scans did; what
     /// is left after this is shape alone.
     ///
     /// The result lies where the first shape does. A similarity also takes out size: every shape gets the scale that is
@@ -268,12 +268,15 @@ impl Population {
     /// When a shape lies on a line, or the mean does not come to rest; the population is then of no use any more.
     pub fn align(&mut self, kind: PoseKind) -> Result<usize, PopulationError> {
         // About the origin, so that where the scans stood does not cost digits.
-        let centroids: Vec<Vec3> = self.samples.par_iter().map(|s| mean_of(s.iter())).collect();
+        let on_surface = self.on_surface();
+        let chosen = |s: &[Vec3]| s.iter().zip(&on_surface).filter(|(_, on)| **on).map(|(p, _)| *p).collect::<Vec<_>>();
+        let rms = |s: &[Vec3]| rms(&chosen(s));
+        let centroids: Vec<Vec3> = self.samples.par_iter().map(|s| mean_of(chosen(s).iter())).collect();
         self.samples.par_iter_mut().zip(&centroids).for_each(|(s, c)| s.iter_mut().for_each(|p| *p -= c));
         let size = self.samples.iter().map(|s| rms(s)).sum::<f64>() / self.samples.len() as f64;
         let mut mean = self.samples[0].clone();
         for round in 1..=MOST_ROUNDS {
-            let mut poses = self.poses_onto(&mean, kind)?;
+            let mut poses = self.poses_onto(&mean, &on_surface, kind)?;
             let vertices = (0..mean.len()).into_par_iter();
             let at = |v: usize| {
                 let moved = poses.iter().zip(&self.samples).map(|(pose, s)| pose.apply(s[v]));
@@ -300,9 +303,17 @@ impl Population {
         Err(PopulationError::NotSettled { rounds: MOST_ROUNDS })
     }
 
+    /// Which vertices count: those of a polygon, or all where nothing is known of polygons.
+    pub(super) fn on_surface(&self) -> Vec<bool> {
+        self.mesh.as_ref().map_or_else(|| vec![true; self.vertex_count()], PolygonMesh::on_surface)
+    }
+
     /// For each shape the pose that brings it closest to `target`.
-    fn poses_onto(&self, target: &[Vec3], kind: PoseKind) -> Result<Vec<Pose>, PopulationError> {
-        let pose = |s: &Vec<Vec3>| weighted_closest_pose(s.iter().zip(target).map(|(&p, &q)| (p, q, 1.0)), kind);
+    fn poses_onto(&self, target: &[Vec3], on: &[bool], kind: PoseKind) -> Result<Vec<Pose>, PopulationError> {
+        let pose = |s: &Vec<Vec3>| {
+            let pairs = s.iter().zip(target).zip(on);
+            weighted_closest_pose(pairs.map(|((&p, &q), on)| (p, q, f64::from(u8::from(*on)))), kind)
+        };
         let poses: Vec<Result<Pose, PoseError>> = self.samples.par_iter().map(pose).collect();
         let named = |(pose, name): (Result<Pose, PoseError>, &String)| {
             pose.map_err(|source| PopulationError::Pose { name: name.clone(), source })

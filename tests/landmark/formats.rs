@@ -192,6 +192,11 @@ fn places_on_a_mesh_survive_where_the_format_has_them() {
     write_landmark_set(&path, &vertices, LandmarkFormat::Points).unwrap();
     let fixed = read_template_landmarks(&path, &mesh).unwrap();
     assert_eq!(fixed[0], ("v".to_owned(), TemplatePoint::Vertex(2)));
+    // a vertex of no polygon is no place on the mesh
+    let mut stray = mesh.clone();
+    stray.positions.push(Vec3::new(0.5, 0.2, 0.3));
+    let (vertices, _) = set.placed_as(PlaceKind::Vertex, &at, &stray).unwrap();
+    assert_eq!(vertices.landmarks[2].place, LandmarkPlace::Vertex(0));
 }
 
 #[test]
