@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Rotation3, SymmetricEigen};
 
 use super::{Rig, RigError, RigWarning, ShapeBasis, ShapeSelection};
 use crate::mesh::normals::face_cross;
-use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, closest_pose, spikes};
+use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, closest_pose, rms_size, spikes};
 
 /// Root mean square distance from the posed neutral, as a share of the size, above which a mesh is doubtful, and is refused.
 const FAR: [f64; 2] = [0.2, 0.6];
@@ -27,6 +27,10 @@ const LEAST_AREA: f64 = 1e-4;
 const FOLDED: [f64; 2] = [0.02, 0.25];
 /// How far a vertex stands out at least, as a share of the size, to be a [spike](spikes).
 const SPIKE: f64 = 0.15;
+/// A shift, as a share of the size, beyond which a shape stands beside the neutral, if what it moves besides is less than this share of
+/// the shift.
+const BESIDE: f64 = 0.5;
+const APART: f64 = 0.25;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
 const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
@@ -80,6 +84,11 @@ pub enum Unlike {
         /// How many.
         vertices: usize,
     },
+    /// It stands beside the neutral, as targets that are set out in a row do.
+    Beside {
+        /// Distance of their middles, millimetres.
+        shift: f64,
+    },
     /// It is of another size.
     Size {
         /// Times the neutral's.
@@ -120,6 +129,9 @@ impl fmt::Display for Unlike {
             }
             Self::Spiked { vertices } => {
                 write!(f, "{vertices} of its vertices stand out from their neighbours like spikes; look at the mesh")
+            }
+            Self::Beside { shift } => {
+                write!(f, "it stands {shift:.1} mm beside the neutral, as a whole: move it to where the neutral is")
             }
             Self::Size { factor } => {
                 write!(f, "it is {factor:.2} times as large as the neutral; if that is not so, state its unit")
@@ -192,6 +204,17 @@ pub(super) fn compare(neutral: &[Vec3], triangles: &[[u32; 3]], points: &[Vec3])
         doubts.push(Unlike::Size { factor: size / neutral_size });
     }
     Ok(Likeness { doubts, pose: Some(pose) })
+}
+
+/// That a shape stands beside the neutral: its middle is far away, and what it moves apart from that is little. Shapes that move
+/// the whole of a face by so much there are none.
+pub(super) fn beside(neutral: &[Vec3], shape: &[Vec3]) -> Option<Unlike> {
+    let count = neutral.len().max(1) as f64;
+    let moves = || shape.iter().zip(neutral).map(|(p, n)| p - n);
+    let shift = moves().sum::<Vec3>() / count;
+    let rest = (moves().map(|d| (d - shift).norm_squared()).sum::<f64>() / count).sqrt();
+    let shift = shift.norm();
+    (shift > BESIDE * rms_size(neutral) && rest < APART * shift).then_some(Unlike::Beside { shift })
 }
 
 /// A subject that is turned by more than this against the neutral has the rig's shapes turned with it, radians. People of one pose

@@ -283,6 +283,10 @@ fn files_of(folder: &Path, formats: &[&str]) -> Result<Vec<(String, PathBuf)>, R
     let mut files: Vec<(String, PathBuf)> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
+        // macOS leaves `._NAME` beside each file on other disks
+        if path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b".")) {
+            continue;
+        }
         let unpacked = unpacked_name(&path);
         if let (true, Some(stem)) = (formats.contains(&&*extension(&unpacked)), unpacked.file_stem()) {
             files.push((stem.to_string_lossy().into_owned(), path));
@@ -299,7 +303,7 @@ fn files_of(folder: &Path, formats: &[&str]) -> Result<Vec<(String, PathBuf)>, R
 /// What is odd about a shape as one of the neutral's, whose displacements are given.
 ///
 /// # Errors
-/// When it can be none: its vertices are in another order or in another unit, or fall together.
+/// When it can be none: its vertices are in another order or in another unit, or fall together, or it stands beside the neutral.
 fn odd_shape(
     name: &str,
     neutral: &[Vec3],
@@ -310,6 +314,9 @@ fn odd_shape(
     let moved = |(n, d): (&Vec3, &[f32; 3])| n + Vec3::from(d.map(f64::from));
     let shape: Vec<Vec3> = neutral.iter().zip(each).map(moved).collect();
     let of_shape = |why| RigError::ShapeUnlike { name: name.to_owned(), why };
+    if let Some(beside) = likeness::beside(neutral, &shape) {
+        return Err(of_shape(beside));
+    }
     let doubts = match likeness::compare(neutral, triangles, &shape) {
         Ok(likeness) => likeness.doubts,
         // what turns by more than a right angle faces backwards

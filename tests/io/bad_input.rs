@@ -322,11 +322,14 @@ fn a_mesh_of_a_folder_that_is_no_shape_of_its_neutral_is_refused() {
         write_obj(&folder.path().join("jawOpen.obj"), &mesh(positions)).unwrap();
         Rig::read(folder.path(), &RigReadOptions::default()).map(|(_, odd)| odd).map_err(|e| e.to_string())
     };
+    write(folder.path(), "._jawOpen.obj", b"what macOS keeps beside a file on other disks");
     assert_eq!(read(&shape).unwrap(), []);
+    let beside: Vec<Vec3> = shape.iter().map(|p| p + Vec3::new(250.0, 0.0, 0.0)).collect();
     let in_metres: Vec<Vec3> = shape.iter().map(|p| p / 1000.0).collect();
     let mut reversed = shape.clone();
     reversed.reverse();
     for (what, positions, hint) in [
+        ("beside", beside, "250.0 mm beside the neutral"),
         ("in metres", in_metres, "0.00 times as large"),
         ("in another order", reversed, "the rig's vertices in the rig's order"),
         ("differences", displacements, "{\"kind\": \"delta\"}"),
