@@ -59,7 +59,8 @@ fn check_span(path: &Path, set: &LandmarkSet, scan: &TriangleMesh) -> Result<(),
         return Ok(());
     }
     let message = format!("{}: the landmarks span {span:.4} mm, their mesh {whole:.1} mm", path.display());
-    Err(Failure::loading(format!("{message}: state their unit, such as --unit landmarks=mm")))
+    let unit = if span < whole { "m" } else { "mm" };
+    Err(Failure::loading(format!("{message}: state their unit, such as --unit landmarks={unit}")))
 }
 
 /// The rig and which of its shapes to use.

@@ -395,6 +395,10 @@ impl Run {
         }
         let (energy_before, energy) = (summary.initial_energy, summary.final_energy);
         let moved = problem.vertices(x);
+        // what has no weight is not in the energy
+        if !moved.iter().all(|p| p.iter().all(|c| c.is_finite())) {
+            return Err(RegistrationError::Diverged { level, step: number });
+        }
         let pairs = moved.iter().zip(&self.vertices).zip(&self.template.used);
         let motion = pairs.filter(|p| *p.1).map(|((a, b), _)| (a - b).norm()).fold(0.0, f64::max);
         self.vertices.copy_from_slice(moved);

@@ -96,7 +96,8 @@ fn log_odds(
     pairs: &[(usize, usize)],
     size: f64,
 ) -> Option<f64> {
-    if pairs.len() < 50 {
+    // without shapes nothing says how people differ
+    if pairs.len() < 50 || input.shapes.is_empty() {
         return None;
     }
     let count = input.shapes.len();

@@ -40,7 +40,7 @@ pub struct StartOptions {
     /// [`StartSearch::rival`] above which a pose is no start, except the given one, which then wins.
     pub greatest_rival: f64,
     /// Prior standard deviation of the logarithm of the size. A rigid start keeps its own size unless the scan's is evidently
-    /// another, as a child's; 0 keeps it always.
+    /// another, as a child's, or landmarks say so of an unknown subject and there are no shapes of identity; 0 keeps it always.
     pub scale_sigma: f64,
     /// Weight of the expression that moves most, as an open mouth does, in a second start where fewer than 16 landmarks pull; the start is
     /// taken whose shape covers the scan better after two levels, at no more energy unless it leaves less than half of what rest
@@ -126,6 +126,8 @@ pub struct LandmarkStart {
     pub scatter: f64,
     /// Whether a search found a better pose than the landmarks alone, which it tries where they say little.
     pub searched: bool,
+    /// Share of the landmarks that lie off the scan by more than [`OFF_SCAN`].
+    pub off_scan: f64,
 }
 
 impl LandmarkStart {
@@ -154,9 +156,20 @@ impl LandmarkStart {
                 self.trust()
             ));
         }
+        if self.off_scan > MOST_OFF_SCAN {
+            remarks.push(format!(
+                "{:.0} % of the landmarks lie far off the scan: are they another scan's, or was it moved after they were placed?",
+                100.0 * self.off_scan
+            ));
+        }
         remarks
     }
 }
+
+/// A landmark farther from the scan than this is on none of it, millimetres on a face: a hole, or what the scan lacks of a nose, is less.
+pub(super) const OFF_SCAN: f64 = 15.0;
+/// Share of the landmarks that may be off the scan without a word: parts that it lacks.
+const MOST_OFF_SCAN: f64 = 0.3;
 
 /// Scatter that landmarks may have without counting less.
 const PLAUSIBLE: f64 = 2.0;
@@ -182,6 +195,8 @@ pub(super) struct StartInput<'a> {
     pub unit: f64,
     /// Shapes on the template's vertices, or none.
     pub shapes: &'a ShapeBasis,
+    /// Whether the subject may be of another size than the template and no shape says so.
+    pub size_is_open: bool,
     /// The scan and its own normals.
     pub scan: &'a TriangleMesh,
     pub scan_normals: Option<&'a [Vec3]>,
@@ -277,7 +292,7 @@ pub(super) fn find_start(
     };
     let searched = start.search.as_ref().is_some_and(|search| !search.given);
     let suspects = suspects.iter().map(named).collect();
-    start.by_landmarks = Some(LandmarkStart { rms, std_dev: deviation, suspects, scatter, searched });
+    start.by_landmarks = Some(LandmarkStart { rms, std_dev: deviation, suspects, scatter, searched, off_scan: 0.0 });
     Ok(start)
 }
 

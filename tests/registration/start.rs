@@ -339,6 +339,51 @@ fn faces_of_other_sizes_start_at_their_size() {
     }
 }
 
+#[test]
+fn landmarks_tell_the_size_where_no_shape_does() {
+    let rig = rig();
+    let scan = rig.mesh.triangulate();
+    let identities = rig.to_rig().unwrap();
+    let identities = identities.select(ShapeSelection { names: Some(&[]), identity_modes: 8 }).unwrap();
+    let none = ShapeBasis::none();
+    let started = |scale: f64, shapes: &ShapeBasis, known: bool| {
+        let scan = moved(&scan, &Pose { scale, ..Pose::rigid(Vec3::new(0.1, 0.3, 0.0), Vec3::new(5.0, 60.0, 9.0)) });
+        let marks: Vec<Landmark> =
+            rig.landmarks.iter().step_by(6).map(|l| landmark(l.vertex, scan.positions[l.vertex as usize])).collect();
+        let neutral = known.then_some(&rig.mesh.positions[..]);
+        let input =
+            RegistrationInput { landmarks: &marks, shapes, neutral, ..RegistrationInput::new(&rig.mesh, &scan) };
+        find_start(&input, &schedule(PoseKind::Rigid)).unwrap().0.scale
+    };
+    for scale in [0.8, 0.92, 1.09] {
+        let found = started(scale, &none, false);
+        assert!((found / scale).ln().abs() < 0.01, "{found} for {scale}");
+    }
+    // no more than people's proportions differ, the subject's own shape, and shapes that may explain it
+    assert_eq!([started(1.01, &none, false), started(0.92, &none, true), started(0.92, &identities, false)], [1.0; 3]);
+}
+
+#[test]
+fn landmarks_off_the_scan_and_of_the_other_side_are_said() {
+    let rig = rig();
+    let case = case(&rig, 55);
+    let remarks = |marks: &[Landmark]| register_by(&rig, &case.scan, marks).unwrap().remarks();
+    let right = case.landmark_pairs();
+    let off = |remarks: Vec<String>| remarks.iter().any(|r| r.contains("far off the scan"));
+    assert!(!off(remarks(&right)));
+    let moved =
+        |l: &Landmark| Landmark { target: l.target + case.pose.rotation * Vec3::new(0.0, 0.0, 60.0), ..l.clone() };
+    assert!(off(remarks(&right.iter().map(moved).collect::<Vec<_>>())));
+
+    // corners of eyes and mouth with each other's names; the tip of the nose is right
+    let at = |k: usize| rig.landmarks[k].vertex;
+    let swapped: Vec<Landmark> = [(36, 45), (45, 36), (39, 42), (42, 39), (48, 54), (54, 48), (30, 30)]
+        .iter()
+        .map(|&(named, placed)| landmark(at(named), case.truth[at(placed) as usize]))
+        .collect();
+    assert!(matches!(register_by(&rig, &case.scan, &swapped), Err(RegistrationError::Mirrored { .. })));
+}
+
 /// The part of a scan that lies over a plane through it.
 fn upper(scan: &TriangleMesh, share: f64) -> TriangleMesh {
     let mut heights: Vec<f64> = scan.positions.iter().map(|p| p.y).collect();

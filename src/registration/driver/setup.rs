@@ -15,7 +15,7 @@ use crate::registration::one_surface::OneSurface;
 use crate::registration::rest::Rest;
 use crate::registration::start::{self, Start, StartInput};
 use crate::registration::{RegistrationError, RegistrationInput, ScanFacing, Schedule, StartSearch, WarmStart};
-use crate::rig::{Regions, ShapeBasis};
+use crate::rig::{Family, Regions, ShapeBasis};
 use crate::term::{RegistrationTerm, TermFactory, TermInput, TermLandmark};
 
 /// Where [`register`](super::register) starts: by three or more landmarks in closed form, otherwise by a search, which then says what it found.
@@ -64,6 +64,7 @@ fn start_of(
         centre: rest.centre,
         unit: rest.unit,
         shapes: input.shapes,
+        size_is_open: input.neutral.is_none() && input.shapes.shapes().iter().all(|s| s.family != Family::Identity),
         scan,
         scan_normals: scan_normals.as_deref(),
         landmarks: &landmarks,
@@ -140,9 +141,17 @@ impl Placed {
         let (faced, facing) = agreeing(input);
         let start = || start_of(input, &faced, template, schedule, cancel);
         let (start, scan) = rayon::join(start, || surface(&faced, &schedule.scan));
-        let start = start?;
+        let (mut start, scan) = (start?, scan?);
         cancel.check()?;
-        Ok(Self::new(scan?, facing, start, schedule.scan.flip))
+        if let Some(by_landmarks) = &mut start.by_landmarks {
+            let reach = start::OFF_SCAN * template.unit * start.pose.scale;
+            let off = |l: &&Landmark| {
+                let closest = scan.closest(&l.target, None, reach * reach);
+                closest.is_none_or(|hit| (hit.point - l.target).norm() > reach)
+            };
+            by_landmarks.off_scan = input.landmarks.iter().filter(off).count() as f64 / input.landmarks.len() as f64;
+        }
+        Ok(Self::new(scan, facing, start, schedule.scan.flip))
     }
 
     /// By a start that is known.

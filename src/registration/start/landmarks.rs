@@ -1,4 +1,5 @@
-//! The pose by landmarks: closed form, without the landmarks that stray, and of another size only where no expression explains it.
+//! The pose by landmarks: closed form, without the landmarks that stray, and of another size only where no expression explains it and,
+//! if shapes may make the subject of another size, it is far from the template's.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 
@@ -46,6 +47,10 @@ pub(super) fn landmark_pose(
     let fit = |kept: &[usize], kind: PoseKind, sigma: f64| {
         weighted_closest_pose(kept.iter().map(|&i| (all[i].0, all[i].1.target, all[i].1.weight(sigma))), kind)
     };
+    let of_scale = |scale: f64, kept: &[usize]| -> Result<Pose, RegistrationError> {
+        let pairs = kept.iter().map(|&i| (all[i].0 * scale, all[i].1.target, all[i].1.weight(scale * input.sigma)));
+        Ok(Pose { scale, ..weighted_closest_pose(pairs, PoseKind::Rigid)? })
+    };
     // What is closed, such as a body, may bend at joints.
     let bends = EdgeGraph::of(input.template).is_closed();
     let by_kind = |kept: &[usize]| -> Result<Pose, RegistrationError> {
@@ -56,14 +61,13 @@ pub(super) fn landmark_pose(
         let bent = (bends && rms > BENT * spread * similar.scale).then(|| size_by_lengths(input, kept)).flatten();
         let (mut free, spread) = match bent {
             None => (similar, spread),
-            Some((scale, length)) => {
-                let pairs =
-                    kept.iter().map(|&i| (all[i].0 * scale, all[i].1.target, all[i].1.weight(scale * input.sigma)));
-                (Pose { scale, ..weighted_closest_pose(pairs, PoseKind::Rigid)? }, length / std::f64::consts::SQRT_2)
-            }
+            Some((scale, length)) => (of_scale(scale, kept)?, length / std::f64::consts::SQRT_2),
         };
         let doubt = MISMATCH * input.unit / (spread.max(f64::MIN_POSITIVE) * (kept.len() as f64).sqrt());
-        let other_size = |pose: &Pose| options.scale_sigma > 0.0 && pose.scale.ln().abs() > OTHER_SIZE.max(3.0 * doubt);
+        // Without shapes of identity nothing else makes a template larger or smaller: its vertices slide over the scan instead.
+        let is_open = input.size_is_open && !bends;
+        let least = if is_open { 2.0 * doubt } else { OTHER_SIZE.max(3.0 * doubt) };
+        let other_size = |pose: &Pose| options.scale_sigma > 0.0 && pose.scale.ln().abs() > least;
         if kind == PoseKind::Similarity && bent.is_none() {
             return Ok(fit(kept, kind, free.scale * input.sigma)?);
         }
@@ -79,10 +83,41 @@ pub(super) fn landmark_pose(
                 free = expressive;
             }
         }
-        Ok(if other_size(&free) { free } else { fit(kept, kind, input.sigma)? })
+        if !other_size(&free) {
+            return Ok(fit(kept, kind, input.sigma)?);
+        }
+        if !is_open {
+            return Ok(free);
+        }
+        // the mean of the prior times what the landmarks say
+        let [prior, found] = [options.scale_sigma, doubt].map(|sigma| sigma * sigma);
+        of_scale(free.scale.powf(prior / (prior + found)), kept)
+    };
+    // Of the mirrored template, turned about: whatever the plane.
+    let check_mirrored = |kept: &[usize], pose: &Pose| -> Result<(), RegistrationError> {
+        let rms = |pose: &Pose, sign: f64| {
+            let away = |&i: &usize| {
+                let p = Vec3::new(sign * all[i].0.x, all[i].0.y, all[i].0.z);
+                (pose.apply(p) - all[i].1.target).norm_squared()
+            };
+            (kept.iter().map(away).sum::<f64>() / kept.len() as f64).sqrt()
+        };
+        let mirrored = kept.iter().map(|&i| {
+            let p = all[i].0;
+            (Vec3::new(-p.x, p.y, p.z), all[i].1.target, all[i].1.weight(input.sigma))
+        });
+        if let (true, Ok(mirrored)) = (kept.len() > 3, weighted_closest_pose(mirrored, PoseKind::Similarity)) {
+            let (rms, reflected) = (rms(pose, 1.0), rms(&mirrored, -1.0));
+            if rms > MIRRORED * reflected && rms > MIRRORED_RMS * input.unit * pose.scale {
+                return Err(RegistrationError::Mirrored { rms, reflected });
+            }
+        }
+        Ok(())
     };
     let mut kept: Vec<usize> = (0..all.len()).collect();
     let mut pose = by_kind(&kept)?;
+    // Of few landmarks with the other side's names, those of the midline seem to stray.
+    check_mirrored(&kept, &pose)?;
     let mut suspects = Vec::new();
     while let Some((i, _)) = stray(input, &kept, &pose, bends) {
         kept.retain(|k| *k != i);
@@ -94,24 +129,7 @@ pub(super) fn landmark_pose(
         }
         pose = by_kind(&kept)?;
     }
-    // Of the mirrored template, turned about: whatever the plane.
-    let rms = |pose: &Pose, sign: f64| {
-        let away = |&i: &usize| {
-            let p = Vec3::new(sign * all[i].0.x, all[i].0.y, all[i].0.z);
-            (pose.apply(p) - all[i].1.target).norm_squared()
-        };
-        (kept.iter().map(away).sum::<f64>() / kept.len() as f64).sqrt()
-    };
-    let mirrored = kept.iter().map(|&i| {
-        let p = all[i].0;
-        (Vec3::new(-p.x, p.y, p.z), all[i].1.target, all[i].1.weight(input.sigma))
-    });
-    if let (true, Ok(mirrored)) = (kept.len() > 3, weighted_closest_pose(mirrored, PoseKind::Similarity)) {
-        let (rms, reflected) = (rms(&pose, 1.0), rms(&mirrored, -1.0));
-        if rms > MIRRORED * reflected && rms > MIRRORED_RMS * input.unit * pose.scale {
-            return Err(RegistrationError::Mirrored { rms, reflected });
-        }
-    }
+    check_mirrored(&kept, &pose)?;
     let mut suspects: Vec<(usize, f64)> =
         suspects.into_iter().map(|i| (i, (pose.apply(all[i].0) - all[i].1.target).norm())).collect();
     suspects.sort_by(|a, b| b.1.total_cmp(&a.1));
