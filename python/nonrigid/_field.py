@@ -256,7 +256,7 @@ def read_morphable(path: PathLike, *, identity_modes: int | None = None, express
                 basis = basis * sigma
             elif not np.allclose(lengths, sigma, rtol=1e-3):  # before version 0.9, statismo has the deviations in the basis
                 raise ValueError(f"{file}: {group}model/pcaBasis: columns of neither unit length nor that of the standard deviations")
-            return mean.reshape(-1, 3), np.moveaxis(basis.reshape(-1, 3, len(sigma)), 2, 0)
+            return mean.reshape(-1, 3), np.moveaxis(basis.reshape(len(mean) // 3, 3, len(sigma)), 2, 0)
 
         neutral, identity = modes(prefix, identity_modes)
         names = [f"identity{k:03}" for k in range(len(identity))]
