@@ -126,8 +126,7 @@ fn gradients_pass_the_derivative_checker_for_every_model_term_and_kernel() {
     for Specimen { name, model, .. } in zoo.models() {
         let (mut problem, x, positions) = anywhere(model, &zoo, &mut rng);
         each_choice_of_terms(&mut problem, &positions, &mut rng, |problem, terms| {
-            // Shorter than the default: kernels of half a millimetre curve within the reach of a turn.
-            let report = check_gradient(problem, &x, GradientCheck { step: 3e-5, ..GradientCheck::default() });
+            let report = check_gradient(problem, &x, GradientCheck::default());
             assert!(report.passed(), "{name}, {terms}:\n{report}");
         });
     }
@@ -142,7 +141,7 @@ fn gradients_pass_the_derivative_checker_at_rest() {
         let mut problem = Deformation::new(model, zoo.samples());
         let x = problem.model.rest_parameters();
         each_choice_of_terms(&mut problem, &zoo.resting(), &mut rng, |problem, terms| {
-            let report = check_gradient(problem, &x, GradientCheck { step: 3e-5, ..GradientCheck::default() });
+            let report = check_gradient(problem, &x, GradientCheck::default());
             assert!(report.passed(), "{name}, {terms}:\n{report}");
         });
     }
