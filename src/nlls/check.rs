@@ -120,7 +120,8 @@ pub fn check_gradient<P: Problem + ?Sized>(problem: &mut P, x: &[f64], options: 
     // Residuals are differences of terms of about this size, |J x|, and known to rounding of it; of all coordinates, if some are checked.
     let squares: f64 = coordinates.iter().map(|&(i, size)| equations.diagonal(i) * size * size).sum();
     let terms = (squares * n as f64 / count as f64).sqrt();
-    let rounding = |square: f64| ROUNDING * (square + 2.0 * square.sqrt() * terms);
+    // an energy that leaves out a constant may be negative
+    let rounding = |energy: f64| ROUNDING * (energy.abs() + 2.0 * energy.abs().sqrt() * terms);
     let mut entries: Vec<GradientEntry> = coordinates
         .iter()
         .map(|&(i, size)| {
