@@ -29,7 +29,7 @@ const FOLDED: [f64; 2] = [0.02, 0.25];
 const SPIKE: f64 = 0.15;
 /// A shift, as a share of the size, beyond which a shape stands beside the neutral, if what it moves besides is less than this share of
 /// the shift.
-const BESIDE: f64 = 0.5;
+const BESIDE: f64 = 1.5;
 const APART: f64 = 0.25;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
 const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
