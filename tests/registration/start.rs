@@ -355,12 +355,12 @@ fn landmarks_tell_the_size_where_no_shape_does() {
             RegistrationInput { landmarks: &marks, shapes, neutral, ..RegistrationInput::new(&rig.mesh, &scan) };
         find_start(&input, &schedule(PoseKind::Rigid)).unwrap().0.scale
     };
-    for scale in [0.8, 0.92, 1.09] {
+    for scale in [0.8, 0.92, 1.1] {
         let found = started(scale, &none, false);
         assert!((found / scale).ln().abs() < 0.01, "{found} for {scale}");
     }
     // no more than people's proportions differ, the subject's own shape, and shapes that may explain it
-    assert_eq!([started(1.01, &none, false), started(0.92, &none, true), started(0.92, &identities, false)], [1.0; 3]);
+    assert_eq!([started(1.05, &none, false), started(0.92, &none, true), started(0.92, &identities, false)], [1.0; 3]);
 }
 
 #[test]
@@ -372,7 +372,7 @@ fn landmarks_off_the_scan_and_of_the_other_side_are_said() {
     let off = |remarks: Vec<String>| remarks.iter().any(|r| r.contains("far off the scan"));
     assert!(!off(remarks(&right)));
     let moved =
-        |l: &Landmark| Landmark { target: l.target + case.pose.rotation * Vec3::new(0.0, 0.0, 60.0), ..l.clone() };
+        |l: &Landmark| Landmark { target: l.target + case.pose.rotation * Vec3::new(0.0, 0.0, 25.0), ..l.clone() };
     assert!(off(remarks(&right.iter().map(moved).collect::<Vec<_>>())));
 
     // corners of eyes and mouth with each other's names; the tip of the nose is right

@@ -13,6 +13,11 @@ use crate::rig::Family;
 
 /// By how much a template differs from another person at a landmark, millimetres.
 const MISMATCH: f64 = 4.0;
+/// By how much the size of some landmarks differs from that of the whole face, in its logarithm: people's proportions differ, however
+/// many landmarks there are.
+const UNLIKE_SIZE: f64 = 0.03;
+/// Landmarks that a similarity leaves off by more than this share of their spread say nothing of a size.
+const NO_FACE: f64 = 0.2;
 /// A landmark is suspect if its way differs from that of each of its nearest ones by so many millimetres and so much of their distance.
 /// What is closed, such as a body, may bend at joints: there the lengths between landmarks are compared, and not their ways.
 const STRAY: f64 = 25.0;
@@ -65,8 +70,14 @@ pub(super) fn landmark_pose(
         };
         let doubt = MISMATCH * input.unit / (spread.max(f64::MIN_POSITIVE) * (kept.len() as f64).sqrt());
         // Without shapes of identity nothing else makes a template larger or smaller: its vertices slide over the scan instead.
-        let is_open = input.size_is_open && !bends;
-        let least = if is_open { 2.0 * doubt } else { OTHER_SIZE.max(3.0 * doubt) };
+        let is_open = input.size_is_open && !bends && {
+            let weight = |&i: &usize| all[i].1.weight(input.sigma);
+            let total: f64 = kept.iter().map(weight).sum();
+            let mean = |of: &dyn Fn(&usize) -> f64| kept.iter().map(|i| weight(i) * of(i)).sum::<f64>() / total;
+            let centre = kept.iter().map(|i| all[*i].0 * weight(i)).sum::<Vec3>() / total;
+            mean(&square).sqrt() <= NO_FACE * similar.scale * mean(&|&i| (all[i].0 - centre).norm_squared()).sqrt()
+        };
+        let least = if is_open { 2.0 * doubt.max(UNLIKE_SIZE) } else { OTHER_SIZE.max(3.0 * doubt) };
         let other_size = |pose: &Pose| options.scale_sigma > 0.0 && pose.scale.ln().abs() > least;
         if kind == PoseKind::Similarity && bent.is_none() {
             return Ok(fit(kept, kind, free.scale * input.sigma)?);
@@ -90,7 +101,7 @@ pub(super) fn landmark_pose(
             return Ok(free);
         }
         // the mean of the prior times what the landmarks say
-        let [prior, found] = [options.scale_sigma, doubt].map(|sigma| sigma * sigma);
+        let [prior, found] = [options.scale_sigma, UNLIKE_SIZE].map(|sigma| sigma * sigma);
         of_scale(free.scale.powf(prior / (prior + found)), kept)
     };
     // Of the mirrored template, turned about: whatever the plane.
