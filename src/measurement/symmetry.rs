@@ -234,7 +234,9 @@ impl Search<'_> {
             }
         }
         let of = |m: &Option<Match>| m.as_ref().map_or(self.size, |m| m.offset().abs());
-        let offsets: Vec<f64> = self.matches(&plane, self.step).iter().map(of).collect();
+        let matches = self.matches(&plane, self.step);
+        let of_surface = matches.iter().zip(self.areas.iter().step_by(self.step)).filter(|(_, area)| **area > 0.0);
+        let offsets: Vec<f64> = of_surface.map(|(m, _)| of(m)).collect();
         (plane, converged, percentile(&offsets, 50.0).unwrap_or(f64::INFINITY))
     }
 

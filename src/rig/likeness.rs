@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Rotation3, SymmetricEigen};
 
 use super::{Rig, RigError, RigWarning, ShapeBasis, ShapeSelection};
 use crate::mesh::normals::face_cross;
-use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, closest_pose, rms_size, spikes};
+use crate::mesh::{PolygonMesh, Pose, PoseKind, Vec3, bounding_box_diagonal, closest_pose, spikes};
 
 /// Root mean square distance from the posed neutral, as a share of the size, above which a mesh is doubtful, and is refused.
 const FAR: [f64; 2] = [0.2, 0.6];
@@ -27,9 +27,9 @@ const LEAST_AREA: f64 = 1e-4;
 const FOLDED: [f64; 2] = [0.02, 0.25];
 /// How far a vertex stands out at least, as a share of the size, to be a [spike](spikes).
 const SPIKE: f64 = 0.15;
-/// A shift, as a share of the size, beyond which a shape stands beside the neutral, if what it moves besides is less than this share of
+/// A shift, as a share of the bounding box's diagonal, beyond which a shape stands beside the neutral, if what it moves besides is less than this share of
 /// the shift.
-const BESIDE: f64 = 1.5;
+const BESIDE: f64 = 0.5;
 const APART: f64 = 0.25;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.
 const SIZES: std::ops::RangeInclusive<f64> = 0.5..=2.0;
@@ -214,7 +214,7 @@ pub(super) fn beside(neutral: &[Vec3], shape: &[Vec3]) -> Option<Unlike> {
     let shift = moves().sum::<Vec3>() / count;
     let rest = (moves().map(|d| (d - shift).norm_squared()).sum::<f64>() / count).sqrt();
     let shift = shift.norm();
-    (shift > BESIDE * rms_size(neutral) && rest < APART * shift).then_some(Unlike::Beside { shift })
+    (shift > BESIDE * bounding_box_diagonal(neutral) && rest < APART * shift).then_some(Unlike::Beside { shift })
 }
 
 /// A subject that is turned by more than this against the neutral has the rig's shapes turned with it, radians. People of one pose

@@ -35,10 +35,11 @@ fn marks(mesh: &PolygonMesh, sigmas: &[Option<f64>]) -> Vec<Landmark> {
     sigmas.iter().enumerate().map(mark).collect()
 }
 
-/// Landmarks alone against the Laplacian of free vertices.
+/// Landmarks alone against the Laplacian of free vertices. A rigid start keeps the template's size, with which deviations would grow that
+/// landmarks do not state.
 fn schedule(start: &str, weight: f64) -> Schedule {
     let text = format!(
-        "start = \"{start}\"\nreference_size = 67.0\nreference_vertices = 81\n[model]\nweights = \"uniform\"\n[[level]]\n\
+        "start = \"{start}\"\nreference_size = 67.0\nreference_vertices = 81\n[search]\nscale_sigma = 0.0\n[model]\nweights = \"uniform\"\n[[level]]\n\
          steps = 2\nmodel = {{ lambda_smooth = 0.7 }}\nterms.point_to_plane = {{ weight = 0.0 }}\n\
          terms.landmarks = {{ weight = {weight:?} }}\nkernel = \"none\"\ndistance_cap = 50.0\nnormal_angle = 80.0\n"
     );
