@@ -126,7 +126,7 @@ pub struct LandmarkStart {
     pub scatter: f64,
     /// Whether a search found a better pose than the landmarks alone, which it tries where they say little.
     pub searched: bool,
-    /// Share of the landmarks that lie off the scan by more than [`OFF_SCAN`].
+    /// Share of the landmarks that lie off the scan, by more than 15 mm on a face.
     pub off_scan: f64,
 }
 
