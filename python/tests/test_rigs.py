@@ -246,7 +246,8 @@ def test_morphable_models(tmp_path: Path, basel: bool, scaled: bool) -> None:
     neutral = face.neutral + (shift.reshape(-1, 3) if basel else 0)
     assert np.allclose(rig.neutral, neutral) and rig.mesh is not None and np.array_equal(rig.mesh.triangles, face.mesh.triangles)
     assert np.allclose(rig.deltas[expressions], 30 * bases[0][:, 0].reshape(-1, 3), atol=1e-5)
-    assert Rig.read(tmp_path / "model.h5", identity_modes=0).families == ["expression"] * expressions
+    if basel:
+        assert Rig.read(tmp_path / "model.h5", identity_modes=0).families == ["expression"] * expressions
     with pytest.raises(ValueError, match="no model/mean"):
         with h5py.File(tmp_path / "empty.h5", "w") as file:
             file["a"] = [1]
