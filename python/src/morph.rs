@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use nonrigid::correspondence::ScanError;
-use nonrigid::evaluation::{MeshQuality, ScanDistance, SurfaceDistances, TruthErrors};
+use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::io::LengthUnit;
 use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint};
 use nonrigid::measurement::{self, NamedRegion};
@@ -284,12 +284,7 @@ fn evaluate_scan<'py>(
         if surface.triangles.is_empty() && !normals.iter().copied().flatten().any(|n| n.norm_squared() > 0.0) {
             return Err(input(ScanError::Empty));
         }
-        let on_scan = ScanDistance::new(&surface, normals).map_err(input)?;
-        let on_result = ScanDistance::new(&result.triangulate(), None).map_err(input)?;
-        let to_scan: Vec<f64> = result.positions.iter().map(|p| on_scan.of(p)).collect();
-        let to_result: Vec<f64> = surface.surface_points().iter().map(|p| on_result.of(p)).collect();
-        let counted = to_scan.iter().zip(result.on_surface()).filter(|(_, on)| *on).map(|(d, _)| *d);
-        let distances = SurfaceDistances::from_distances(&counted.collect::<Vec<_>>(), &to_result, WITHIN_MM);
+        let (distances, to_scan) = SurfaceDistances::between(&result, &surface, normals, WITHIN_MM).map_err(input)?;
         let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
         Ok((serde_json::to_string(&Measured { distances, mesh }).map_err(value)?, to_scan))
     })?;

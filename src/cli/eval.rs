@@ -9,11 +9,9 @@ use super::inputs::{LANDMARKS, TEMPLATE_LANDMARKS, read_landmarks};
 use super::units::{UnitArguments, Units};
 use super::{Failure, Stage, check_output, check_plan, meshes, say, warn};
 use crate::correspondence::ScanError;
-use crate::evaluation::{
-    DistanceSummary, EvaluationError, LandmarkErrors, MeshQuality, ScanDistance, SurfaceDistances, TruthErrors,
-};
+use crate::evaluation::{DistanceSummary, EvaluationError, LandmarkErrors, MeshQuality, SurfaceDistances, TruthErrors};
 use crate::io::{self, FilePlan, Inputs, Scan};
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::registration::WITHIN_MM;
 use crate::render::{ColourScale, View, error_sheet, save_png};
 use crate::rig::check_order;
@@ -216,13 +214,7 @@ fn against_scan(
     scan: &TriangleMesh,
     normals: Option<&[Vec3]>,
 ) -> Result<Compared<SurfaceDistances>, Failure> {
-    let on_scan = ScanDistance::new(scan, normals).map_err(Failure::computation)?;
-    let on_result = ScanDistance::new(&result.triangulate(), None).map_err(Failure::computation)?;
-    let to_scan: Vec<f64> = distances(&on_scan, &result.positions);
-    let of_scan = surface_points(&scan.positions, scan.triangles.as_flattened().iter().copied());
-    let counted = to_scan.iter().zip(result.on_surface()).filter(|(_, on)| *on).map(|(d, _)| *d);
-    let fit =
-        SurfaceDistances::from_distances(&counted.collect::<Vec<_>>(), &distances(&on_result, &of_scan), WITHIN_MM);
+    let (fit, to_scan) = SurfaceDistances::between(result, scan, normals, WITHIN_MM).map_err(Failure::computation)?;
     let (forth, back) = (&fit.result_to_scan, &fit.scan_to_result);
     let text = format!(
         "result to scan: median {:.4} mm, p95 {:.4}, max {:.4}, {:.1} % within {WITHIN_MM} mm\n\
@@ -236,10 +228,6 @@ fn against_scan(
         back.max
     );
     Ok(Compared { text, distances: fit, per_vertex: to_scan, label: "distance to the scan" })
-}
-
-fn distances(surface: &ScanDistance, points: &[Vec3]) -> Vec<f64> {
-    points.iter().map(|p| surface.of(p)).collect()
 }
 
 fn same_count(what: &str, found: usize, template: &PolygonMesh) -> Result<(), Failure> {

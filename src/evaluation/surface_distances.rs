@@ -3,8 +3,9 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::ScanDistance;
 use super::percentile::of_sorted;
-use crate::mesh::Vec3;
+use crate::mesh::{MeshError, PolygonMesh, TriangleMesh, Vec3};
 
 /// Percentiles of one set of distances, millimetres; all 0 when `count` is 0.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
@@ -77,6 +78,25 @@ pub struct SurfaceDistances {
 }
 
 impl SurfaceDistances {
+    /// Between a result and a scan, whose own normals are needed only where it has no triangles; and the distance of each of the result's
+    /// vertices to the scan. Vertices of no polygon are not summarised.
+    ///
+    /// # Errors
+    /// As [`ScanDistance::new`].
+    pub fn between(
+        result: &PolygonMesh,
+        scan: &TriangleMesh,
+        normals: Option<&[Vec3]>,
+        within: f64,
+    ) -> Result<(Self, Vec<f64>), MeshError> {
+        let on_scan = ScanDistance::new(scan, normals)?;
+        let on_result = ScanDistance::new(&result.triangulate(), None)?;
+        let forth: Vec<f64> = result.positions.iter().map(|p| on_scan.of(p)).collect();
+        let back: Vec<f64> = scan.surface_points().iter().map(|p| on_result.of(p)).collect();
+        let counted = forth.iter().zip(result.on_surface()).filter(|(_, on)| *on).map(|(d, _)| *d);
+        Ok((Self::from_distances(&counted.collect::<Vec<_>>(), &back, within), forth))
+    }
+
     /// Summarises distances that were measured already, one per vertex; NaN for a vertex that is not to count.
     #[must_use]
     pub fn from_distances(result_to_scan: &[f64], scan_to_result: &[f64], within: f64) -> Self {

@@ -205,7 +205,7 @@ impl LandmarkSet {
         let broken =
             |e: crate::mesh::MeshError| ReadError::malformed(path, Place::File, "a sound template", e.to_string());
         let surface = if to_surface { Some(ClosestPoint::new(&mesh).map_err(broken)?) } else { None };
-        let vertices = template.positions.len();
+        let (vertices, on_surface) = (template.positions.len(), template.on_surface());
         let place = |name: &str, place: &LandmarkPlace| match place {
             LandmarkPlace::Vertex(v) => match u32::try_from(*v) {
                 Ok(vertex) if (vertex as usize) < vertices => Ok(TemplatePoint::Vertex(vertex)),
@@ -220,7 +220,7 @@ impl LandmarkSet {
                     let corners = mesh.triangles[closest.triangle as usize];
                     return Ok(TemplatePoint::Face { corners, weights: closest.barycentric });
                 }
-                match nearest_vertex(template, *p) {
+                match nearest_vertex(&template.positions, &on_surface, *p) {
                     Some(nearest) => Ok(TemplatePoint::Vertex(nearest)),
                     None => Err(ReadError::malformed(path, Place::File, "a template with vertices", "none")),
                 }
@@ -293,8 +293,8 @@ impl OffTemplate {
 }
 
 /// The nearest vertex of those on the surface, the first of equals.
-pub(super) fn nearest_vertex(mesh: &PolygonMesh, p: Vec3) -> Option<u32> {
-    let vertices = mesh.positions.iter().zip(mesh.on_surface()).zip(0..).filter(|((_, on), _)| *on);
+pub(super) fn nearest_vertex(positions: &[Vec3], on_surface: &[bool], p: Vec3) -> Option<u32> {
+    let vertices = positions.iter().zip(on_surface).zip(0..).filter(|((_, on), _)| **on);
     let squared = vertices.map(|((q, _), v)| ((q - p).norm_squared(), v));
     squared.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, v)| v)
 }

@@ -47,11 +47,11 @@ impl LandmarkSet {
         if kind == PlaceKind::Position {
             set.unit.get_or_insert(LengthUnit::Millimetre); // as meshes that were read
         }
-        let mut farthest = 0.0_f64;
+        let (on_surface, mut farthest) = (mesh.on_surface(), 0.0_f64);
         for (landmark, p) in set.landmarks.iter_mut().zip(positions) {
             let place = match kind {
                 PlaceKind::Position => Some((LandmarkPlace::Position(*p), *p)),
-                PlaceKind::Vertex => nearest_vertex(mesh, *p)
+                PlaceKind::Vertex => nearest_vertex(&mesh.positions, &on_surface, *p)
                     .map(|v| (LandmarkPlace::Vertex(i64::from(v)), TemplatePoint::Vertex(v).position(&mesh.positions))),
                 PlaceKind::Face => surface.query(p).map(|c| {
                     let triangle = u64::from(c.triangle);

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::landmark::TemplatePoint;
 use crate::mesh::adjacency::middle_of_parts;
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, sewn_unless_opened};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::render::Projection;
 use crate::rig::{Regions, ShapeBasis};
 
@@ -26,15 +26,6 @@ pub struct Subject<'a> {
     pub regions: &'a Regions,
     /// For models that use them; bounds hold.
     pub shapes: &'a ShapeBasis,
-}
-
-impl Subject<'_> {
-    /// The first of the vertices with which each is one point, along [seams](crate::mesh::sewn) that no shape opens. A mask takes all of
-    /// them that it takes one of, so that the surface stays whole.
-    fn seams(&self) -> Vec<u32> {
-        let shapes = self.shapes;
-        sewn_unless_opened(&self.mesh.triangulate(), shapes.len(), |k, v| shapes.displacement(v as usize, k))
-    }
 }
 
 /// How much of a recipe, and how strongly.
@@ -132,7 +123,7 @@ pub fn replay(
     let mut positions = subject.mesh.positions.clone();
     let amount = options.amount.unwrap_or(recipe.amount);
     let mut outcomes = Vec::new();
-    let first = subject.seams();
+    let first = subject.shapes.seams(&subject.mesh.triangulate());
     for step in recipe.step.iter().take(options.until.unwrap_or(usize::MAX)) {
         let mesh = subject.mesh.with_positions(positions);
         let amount = amount * step.get_ref().amount;
@@ -163,8 +154,9 @@ impl LiveStep {
         let Some(step) = recipe.step.first() else { return Ok(None) };
         let amount = recipe.amount * step.get_ref().amount;
         let (mesh, model) = (subject.mesh, step.get_ref().model);
-        let first = &subject.seams();
-        let stage = Stage { recipe, subject, first, amount, triangles: mesh.triangulate(), mesh, step };
+        let triangles = mesh.triangulate();
+        let first = &subject.shapes.seams(&triangles);
+        let stage = Stage { recipe, subject, first, amount, triangles, mesh, step };
         let drawn = stage.drawn()?;
         let options = step.get_ref().energy;
         let options = EnergyOptions { max_iterations: options.max_iterations.min(iterations), ..options };
@@ -270,7 +262,8 @@ fn vector(d: [f64; 3], frame: Option<&LandmarkFrame>, amount: f64) -> Vec3 {
 struct Stage<'a> {
     recipe: &'a Recipe,
     subject: &'a Subject<'a>,
-    /// [`Subject::seams`].
+    /// Of each vertex the first that is the same point, along [seams](ShapeBasis::seams). A mask takes all that it takes one of, so that
+    /// the surface stays whole.
     first: &'a [u32],
     amount: f64,
     mesh: &'a PolygonMesh,

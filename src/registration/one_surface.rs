@@ -12,7 +12,7 @@ use super::{RegistrationInput, RegistrationObserver, RegistrationResult, StepRec
 use crate::landmark::{Landmark, TemplatePoint};
 #[cfg(doc)]
 use crate::mesh::sewn;
-use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, sewn_unless_opened};
+use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::nlls::NormalEquations;
 use crate::rig::{Regions, ShapeBasis};
 
@@ -150,7 +150,7 @@ pub(super) fn facing_one_way(input: &RegistrationInput<'_>) -> PolygonMesh {
 fn repaired(input: &RegistrationInput<'_>) -> (Vec<u32>, Vec<[u32; 3]>, usize) {
     let mut rest = input.template.triangulate();
     rest.positions.copy_from_slice(input.rest_positions());
-    let first = seams_of(&rest, input.shapes);
+    let first = input.shapes.seams(&rest);
     let own = rest.triangles.clone();
     rest.triangles.iter_mut().for_each(|t| *t = t.map(|v| first[v as usize]));
     let (facing, count) = turned(Cow::Borrowed(&rest));
@@ -161,12 +161,7 @@ fn repaired(input: &RegistrationInput<'_>) -> (Vec<u32>, Vec<[u32; 3]>, usize) {
 
 /// The first of the vertices with which each of the template's is one point.
 pub(super) fn seams(input: &RegistrationInput<'_>) -> Vec<u32> {
-    let rest = TriangleMesh { positions: input.rest_positions().to_vec(), ..input.template.triangulate() };
-    seams_of(&rest, input.shapes)
-}
-
-fn seams_of(rest: &TriangleMesh, shapes: &ShapeBasis) -> Vec<u32> {
-    sewn_unless_opened(rest, shapes.len(), |k, v| shapes.displacement(v as usize, k))
+    input.shapes.seams(&TriangleMesh { positions: input.rest_positions().to_vec(), ..input.template.triangulate() })
 }
 
 struct OfVertices<'a> {

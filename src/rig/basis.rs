@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 use super::{Family, Shape};
-use crate::mesh::{TriangleMesh, Vec3};
+use crate::mesh::{TriangleMesh, Vec3, sewn_unless_opened};
 
 /// Linear shapes `b_i(w) = n_i + sum_k w_k delta_ik`, eq. (4) of Klimov 2020, with a prior of standard deviation
 /// `sigma_k` on each weight, eq. (5), and optional bounds of the weights. Cloning shares the displacements.
@@ -243,6 +243,12 @@ impl ShapeBasis {
     pub fn displacement(&self, i: usize, k: usize) -> Vec3 {
         let (shapes, rows) = self.vertex(i).find(|piece| piece.0.contains(&k)).expect("the shape is one of these");
         Vec3::from_fn(|a, _| rows[a * shapes.len() + k - shapes.start].into())
+    }
+
+    /// The first of the vertices with which each one is a point of the surface: itself, but along [seams](crate::mesh::sewn) of the rest
+    /// shape that none of these opens.
+    pub(crate) fn seams(&self, rest: &TriangleMesh) -> Vec<u32> {
+        sewn_unless_opened(rest, self.len(), |k, v| self.displacement(v as usize, k))
     }
 
     /// `b_i(w)` for vertex `i` at rest in `rest`.

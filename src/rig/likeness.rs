@@ -27,8 +27,8 @@ const LEAST_AREA: f64 = 1e-4;
 const FOLDED: [f64; 2] = [0.02, 0.25];
 /// How far a vertex stands out at least, as a share of the size, to be a [spike](spikes).
 const SPIKE: f64 = 0.15;
-/// A shift, as a share of the bounding box's diagonal, beyond which a shape stands beside the neutral, if what it moves besides is less than this share of
-/// the shift.
+/// A shift, as a share of the bounding box's diagonal, beyond which a shape stands beside the neutral, if what it moves besides is less
+/// than a share of the shift.
 const BESIDE: f64 = 0.5;
 const APART: f64 = 0.25;
 /// Sizes, as a share of the neutral's, beyond which a unit is likely to be wrong.

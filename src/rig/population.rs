@@ -257,8 +257,8 @@ impl Population {
     }
 
     /// Moves every shape by the rigid motion or similarity that brings it closest to the mean of all, by the vertices that are of a
-    /// polygon, and returns how many rounds it took: generalised Procrustes analysis, Gower 1975. Shapes that came from scans lie as the scans did; what
-    /// is left after this is shape alone.
+    /// polygon, and returns how many rounds it took: generalised Procrustes analysis, Gower 1975. Shapes that came from scans lie
+    /// as the scans did; what is left after this is shape alone.
     ///
     /// The result lies where the first shape does. A similarity also takes out size: every shape gets the scale that is
     /// best for the mean, whose size (root mean square distance of the vertices from their centroid) is kept at the average
@@ -267,11 +267,10 @@ impl Population {
     /// # Errors
     /// When a shape lies on a line, or the mean does not come to rest; the population is then of no use any more.
     pub fn align(&mut self, kind: PoseKind) -> Result<usize, PopulationError> {
-        // About the origin, so that where the scans stood does not cost digits.
         let on_surface = self.on_surface();
-        let chosen = |s: &[Vec3]| s.iter().zip(&on_surface).filter(|(_, on)| **on).map(|(p, _)| *p).collect::<Vec<_>>();
-        let rms = |s: &[Vec3]| rms(&chosen(s));
-        let centroids: Vec<Vec3> = self.samples.par_iter().map(|s| mean_of(chosen(s).iter())).collect();
+        let rms = |s: &[Vec3]| rms(chosen(s, &on_surface));
+        // About the origin, so that where the scans stood does not cost digits.
+        let centroids: Vec<Vec3> = self.samples.par_iter().map(|s| mean_of(chosen(s, &on_surface))).collect();
         self.samples.par_iter_mut().zip(&centroids).for_each(|(s, c)| s.iter_mut().for_each(|p| *p -= c));
         let size = self.samples.iter().map(|s| rms(s)).sum::<f64>() / self.samples.len() as f64;
         let mut mean = self.samples[0].clone();
@@ -342,12 +341,17 @@ fn same_topology(first: Named<'_, &PolygonMesh>, other: Named<'_, &PolygonMesh>)
     Err(PopulationError::Polygon { name: name.clone(), polygon, found, expected, first: first_name.clone() })
 }
 
-fn mean_of<'a>(points: impl ExactSizeIterator<Item = &'a Vec3>) -> Vec3 {
-    let count = points.len().max(1) as f64;
-    points.sum::<Vec3>() / count
+fn chosen<'a>(points: &'a [Vec3], which: &'a [bool]) -> impl Iterator<Item = &'a Vec3> {
+    points.iter().zip(which).filter(|(_, chosen)| **chosen).map(|(p, _)| p)
+}
+
+fn mean_of<'a>(points: impl Iterator<Item = &'a Vec3>) -> Vec3 {
+    let (sum, count) = points.fold((Vec3::zeros(), 0usize), |(sum, count), p| (sum + p, count + 1));
+    sum / count.max(1) as f64
 }
 
 /// Root mean square of the lengths.
-fn rms(vectors: &[Vec3]) -> f64 {
-    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
+fn rms<'a>(vectors: impl Iterator<Item = &'a Vec3>) -> f64 {
+    let (sum, count) = vectors.fold((0.0, 0usize), |(sum, count), v| (sum + v.norm_squared(), count + 1));
+    (sum / count.max(1) as f64).sqrt()
 }
