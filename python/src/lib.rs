@@ -1,7 +1,7 @@
 //! The native part of the Python package `nonrigid`, module `nonrigid._nonrigid`: what the package's own modules call. Arguments arrive
 //! here as the package has brought them into form: arrays of 64-bit numbers, objects of these classes, text.
 //!
-//! Whatever computes gives up the interpreter's lock and has threads of its own ([`errors::compute`]): nothing runs in rayon's global
+//! Whatever computes gives up the interpreter's lock and has threads of its own (`errors::compute`): nothing runs in rayon's global
 //! pool, whose threads a forked process would wait for in vain.
 #![cfg(feature = "extension-module")]
 #![allow(clippy::too_many_arguments, clippy::type_complexity)] // functions of Python have named arguments, and tuples
