@@ -7,7 +7,7 @@ mod setup;
 use std::ops::ControlFlow;
 
 pub use setup::find_start;
-use setup::{Placed, build_terms, first_parameters, landmark_samples, model_input, warm_pose};
+use setup::{Placed, build_model, build_terms, first_parameters, landmark_samples, warm_pose};
 
 use super::input::check_input;
 use super::one_surface::{OneSurface, TemplateRepair};
@@ -123,6 +123,7 @@ struct Run {
     level_names: Vec<String>,
     levels_done: usize,
     history: Vec<StepRecord>,
+    stalled_steps: usize,
     /// Parameters at the end of the first stage, and its weights, once there is another stage.
     first_stage: Option<(Vec<f64>, Vec<NamedWeight>)>,
     stop: RegistrationStop,
@@ -132,6 +133,12 @@ struct Run {
 struct At<'a> {
     level: &'a str,
     step: usize,
+}
+
+impl At<'_> {
+    fn diverged(&self, what: &str) -> RegistrationError {
+        RegistrationError::Diverged { what: what.to_owned(), level: self.level.to_owned(), step: self.step }
+    }
 }
 
 /// The error of a level that asks for what model or terms do not know.
@@ -155,8 +162,8 @@ impl Run {
         let mut samples = Samples::vertices(template.mesh.positions.len());
         let on_template = landmark_samples(input.landmarks, &mut samples)?;
         let of_model = || -> Result<_, RegistrationError> {
-            let model_input = model_input(&template, &shapes, input.regions, schedule);
-            let mut problem = RegistrationProblem::new(model.build(&model_input)?, samples);
+            let built = build_model(model, &template, &shapes, input.regions, schedule)?;
+            let mut problem = RegistrationProblem::new(built, samples);
             let x = first_parameters(&mut problem, model.name(), input.warm_start)?;
             Ok((problem, x))
         };
@@ -202,6 +209,7 @@ impl Run {
             level_names: schedule.levels_by_name().map(|l| l.0).collect(),
             levels_done: 0,
             history: Vec::new(),
+            stalled_steps: 0,
             first_stage: None,
             stop: RegistrationStop::Finished,
         })
@@ -226,7 +234,7 @@ impl Run {
             let Self { problem, x, workspace, first_stage, .. } = &mut *self;
             first_stage.get_or_insert_with(|| (x.clone(), weights(problem, x, workspace)));
             self.template.mesh.positions.copy_from_slice(&self.vertices);
-            let model = model.build(&model_input(&self.template, &ShapeBasis::none(), regions, schedule))?;
+            let model = build_model(model, &self.template, &ShapeBasis::none(), regions, schedule)?;
             let terms = std::mem::take(&mut self.problem.terms);
             self.problem = Deformation::new(model, self.problem.samples().clone());
             self.problem.terms = terms;
@@ -378,26 +386,31 @@ impl Run {
             predictions: &self.predictions,
         };
         let told = self.problem.terms.iter_mut().try_for_each(|t| t.update(&step));
-        told.map_err(|_| RegistrationError::Diverged { level: at.level.to_owned(), step: at.step })
+        told.map_err(|_| at.diverged("a vertex"))
     }
 
     /// One step of the solver at fixed correspondences; `step` counts within the level, from 0.
     fn step(&mut self, step: usize, solver: &SolverOptions, at: &At<'_>) -> Result<StepRecord, RegistrationError> {
         let (problem, x) = (&mut self.problem, &mut self.x[..]);
         let summary = minimizer(solver, step > 0).minimize_with(problem, x, &mut self.workspace, &mut one_step);
-        let (level, number) = (at.level.to_owned(), at.step);
         match &summary.stop {
             StopReason::LinearSolverFailed(reason) => {
-                return Err(RegistrationError::Solver { level, step: number, reason: reason.to_string() });
+                let (level, reason) = (at.level.to_owned(), reason.to_string());
+                return Err(RegistrationError::Solver { level, step: at.step, reason });
             }
-            StopReason::NonFinite => return Err(RegistrationError::Diverged { level, step: number }),
+            StopReason::NonFinite => {
+                let energies = problem.energies(x);
+                let named = energies.iter().find(|(_, energy)| !energy.is_finite());
+                return Err(at.diverged(&named.map_or("the energy".to_owned(), |(n, _)| format!("the energy {n:?}"))));
+            }
+            StopReason::NoDecrease => self.stalled_steps += 1,
             _ => {}
         }
         let (energy_before, energy) = (summary.initial_energy, summary.final_energy);
         let moved = problem.vertices(x);
         // what has no weight is not in the energy
         if !moved.iter().all(|p| p.iter().all(|c| c.is_finite())) {
-            return Err(RegistrationError::Diverged { level, step: number });
+            return Err(at.diverged("a vertex"));
         }
         let pairs = moved.iter().zip(&self.vertices).zip(&self.template.used);
         let motion = pairs.filter(|p| *p.1).map(|((a, b), _)| (a - b).norm()).fold(0.0, f64::max);
@@ -446,6 +459,7 @@ impl Run {
             hidden: self.template.hidden,
             unobserved_directions: unobserved.unwrap_or_else(|| self.workspace.summary().unobserved_directions()),
             history: self.history,
+            stalled_steps: self.stalled_steps,
             stop: self.stop,
             schedule,
         }

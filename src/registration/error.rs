@@ -188,9 +188,11 @@ pub enum RegistrationError {
         /// What the linear solver said.
         reason: String,
     },
-    /// The energy became infinite or NaN.
-    #[error("{level}, step {step}: the energy is no longer finite")]
+    /// Something became infinite or NaN.
+    #[error("{level}, step {step}: {what} is no longer finite")]
     Diverged {
+        /// What: a vertex, or the energy, of a term or regulariser where one alone is at fault.
+        what: String,
         /// Level, as schedules' messages name it.
         level: String,
         /// Step, from 1.

@@ -27,7 +27,8 @@ pub struct StepRecord {
     pub energies: Vec<(String, f64)>,
     /// Share of the template's vertices with an accepted correspondence.
     pub inliers: f64,
-    /// Largest motion of a vertex in this step, millimetres.
+    /// Largest motion of a vertex in this step, in the schedule's millimetres: those of a subject of its
+    /// [`reference_size`](Schedule::reference_size).
     pub motion: f64,
 }
 
@@ -144,6 +145,8 @@ pub struct RegistrationResult {
     pub unobserved_directions: usize,
     /// Every step.
     pub history: Vec<StepRecord>,
+    /// Steps along which the energy did not fall however short they were, though its derivatives say that it does: some derivative is wrong.
+    pub stalled_steps: usize,
     /// Why it ended.
     pub stop: RegistrationStop,
     /// The schedule as it was used.
@@ -164,6 +167,12 @@ impl RegistrationResult {
             );
         }
         remarks.extend(self.start_landmarks.iter().flat_map(LandmarkStart::remarks));
+        if self.stalled_steps > 0 {
+            remarks.push(format!(
+                "steps that should have lowered the energy and did not: {}; the derivatives of a model or term may be wrong",
+                self.stalled_steps
+            ));
+        }
         remarks
     }
 }

@@ -18,6 +18,7 @@ mod sheets;
 mod doubts;
 mod laws;
 mod one_surface;
+mod own_parts;
 mod random;
 mod self_test;
 mod start;

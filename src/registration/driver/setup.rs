@@ -7,7 +7,7 @@ use crate::correspondence::{ScanFlip, ScanOptions, ScanSurface};
 use crate::energy::{DeformationModel as _, Options, Samples};
 use crate::landmark::{Landmark, TemplatePoint};
 use crate::mesh::{Pose, Vec3};
-use crate::model::ModelInput;
+use crate::model::{ModelFactory, ModelInput, RegistrationModel};
 use crate::nlls::Problem as _;
 use crate::registration::facing::{self, Faced};
 use crate::registration::input::check_geometry;
@@ -86,14 +86,19 @@ pub(super) fn landmark_samples(landmarks: &[Landmark], samples: &mut Samples) ->
     landmarks.iter().map(sample).collect()
 }
 
-pub(super) fn model_input<'a>(
-    template: &'a Rest,
-    shapes: &'a ShapeBasis,
-    regions: Option<&'a Regions>,
-    schedule: &'a Schedule,
-) -> ModelInput<'a> {
+/// The model of the template; one of the caller's own may be of another mesh.
+pub(super) fn build_model(
+    model: &dyn ModelFactory,
+    template: &Rest,
+    shapes: &ShapeBasis,
+    regions: Option<&Regions>,
+    schedule: &Schedule,
+) -> Result<Box<dyn RegistrationModel>, RegistrationError> {
     let (options, reference_vertices) = (&schedule.model, schedule.reference_vertices);
-    ModelInput { rest: &template.mesh, shapes, regions, options, reference_vertices, unit: template.unit }
+    let rest = &template.mesh;
+    let model = model.build(&ModelInput { rest, shapes, regions, options, reference_vertices, unit: template.unit })?;
+    let (found, template) = (model.vertex_count(), rest.positions.len());
+    if found == template { Ok(model) } else { Err(RegistrationError::VertexCount { what: "model", found, template }) }
 }
 
 /// The parameters to start with: of rest, or of a warm start, within bounds.
