@@ -140,7 +140,15 @@ impl Options {
     /// # Errors
     /// For an unknown key, with the nearest known one, a wrong type, or a value out of bounds.
     pub fn read<T: OptionTable>(&self) -> Result<T, OptionsError> {
-        let table = Value::Table(self.0.clone()).try_into::<T>().map_err(|e| OptionsError::table(e.message()))?;
+        let parse = |table: Table| Value::Table(table).try_into::<T>();
+        let table = parse(self.0.clone()).map_err(|e| {
+            // messages of a wrong type do not say whose
+            let is_wrong = |(key, value): &(&String, &Value)| {
+                parse(Table::from_iter([((*key).clone(), (*value).clone())])).is_err()
+            };
+            let wrong = self.0.iter().find(is_wrong).filter(|_| !e.message().starts_with("unknown field"));
+            OptionsError::table(&wrong.map_or(e.message().to_owned(), |(key, _)| format!("{key}: {}", e.message())))
+        })?;
         table.check()?;
         Ok(table)
     }
@@ -255,7 +263,9 @@ mod tests {
         assert!(message.contains("`wieght`") && message.ends_with("did you mean `weight`?"), "{message}");
         assert_eq!(wrong("weight", (-1.0).into()), "weight = -1, but it must be zero or positive, and finite");
         assert_eq!(wrong("weight", f64::NAN.into()), "weight = NaN, but it must be zero or positive, and finite");
-        assert!(wrong("nodes", "many".into()).contains("many"));
+        assert!(
+            wrong("nodes", "many".into()).starts_with("nodes: ") && wrong("nodes", 2.5.into()).starts_with("nodes: ")
+        );
         assert!(Options::new().with("anything", 1).read::<NoOptions>().is_err());
     }
 

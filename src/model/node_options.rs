@@ -71,10 +71,16 @@ impl Default for GraphOptions {
     }
 }
 
+/// Nodes that move a vertex at most: the equations grow with its square.
+const MOST_INFLUENCES: usize = 64;
+
 impl OptionTable for GraphOptions {
     fn check(&self) -> Result<(), OptionsError> {
         OptionsError::count("nodes", self.nodes)?;
         OptionsError::count("influences", self.influences)?;
+        if self.influences > MOST_INFLUENCES {
+            return Err(OptionsError::Conflict { key: "influences", reason: "it must be at most 64" });
+        }
         OptionsError::not_negative("lambda_unseen", self.lambda_unseen)?;
         OptionsError::not_negative("proportions", self.proportions)?;
         OptionsError::not_negative("distrust", self.distrust)?;

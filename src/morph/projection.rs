@@ -38,15 +38,20 @@ pub enum Visibility {
     /// by default, which only lets the copies of a vertex along a seam be seen.
     Visible {
         /// Millimetres, not negative.
+        #[serde(default = "tolerance")]
         tolerance: f64,
     },
     /// All, as the paper does: the mask goes through the head.
     Through,
 }
 
+fn tolerance() -> f64 {
+    0.001
+}
+
 impl Default for Visibility {
     fn default() -> Self {
-        Self::Visible { tolerance: 0.001 }
+        Self::Visible { tolerance: tolerance() }
     }
 }
 

@@ -107,7 +107,7 @@ pub struct ClosedSubject {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// The model; one without blendshapes, for these have had their turn.
+    /// The model: `{ name = "graph" }`, with what its `[model]` may say; one without blendshapes, for these have had their turn.
     pub model: StageModel,
     /// The levels, stiff to soft.
     #[serde(rename = "level", default)]
@@ -135,6 +135,8 @@ fn reference_vertices() -> f64 {
     6706.0
 }
 
+/// Rounds of smoothing at most: more make all normals alike, slowly.
+const MOST_ROUNDS: usize = 1000;
 /// Greatest count that a schedule may ask for.
 const MOST: usize = 1_000_000;
 
@@ -189,7 +191,8 @@ impl Schedule {
         count("search.rotations".into(), self.search.rotations)?;
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;
-        count("scan.normal_smoothing".into(), self.scan.normal_smoothing)?;
+        let rounds = self.scan.normal_smoothing;
+        check("scan.normal_smoothing".into(), rounds as f64, rounds <= MOST_ROUNDS, "at most 1000")?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
@@ -217,16 +220,14 @@ impl Schedule {
                 "above 0 and at most 180 degrees",
             )?;
         }
-        if let Some(closed) = self.of_closed() {
-            closed.validate().map_err(|e| ScheduleError::Closed(Box::new(e)))?;
-        }
         for (k, stage) in self.later_stages().enumerate() {
             let model = stage.model.name;
             if model.uses_shapes() {
                 return Err(ScheduleError::StageModel { field: "then.".repeat(k + 1) + "model", model });
             }
         }
-        Ok(())
+        // last, since it has all else of the schedule
+        self.of_closed().map_or(Ok(()), |closed| closed.validate()).map_err(|e| ScheduleError::Closed(Box::new(e)))
     }
 
     /// The schedule with all that `model`, the models of later stages, and `terms` are told, checked by them and their defaults
@@ -241,11 +242,6 @@ impl Schedule {
         }
         let place = |error, place: String| ScheduleError::Options { place, error };
         let mut resolved = self.clone();
-        if let (Some(closed), Some(resolved)) = (self.of_closed(), &mut resolved.closed) {
-            let Self { model, bend, levels, .. } =
-                closed.resolved(model, terms).map_err(|e| ScheduleError::Closed(Box::new(e)))?;
-            **resolved = ClosedSubject { model, bend, levels };
-        }
         resolved.model = model.options(&self.model).map_err(|e| place(e, "model".into()))?;
         for term in terms {
             let given = self.terms.get(term.name()).cloned().unwrap_or_default();
@@ -263,6 +259,11 @@ impl Schedule {
             resolve_levels(&mut next.levels, &prefix, name, terms)?;
             prefix += "then.";
             stage = next.then.as_deref_mut();
+        }
+        if let (Some(closed), Some(resolved)) = (self.of_closed(), &mut resolved.closed) {
+            let Self { model, bend, levels, .. } =
+                closed.resolved(model, terms).map_err(|e| ScheduleError::Closed(Box::new(e)))?;
+            **resolved = ClosedSubject { model, bend, levels };
         }
         Ok(resolved)
     }
@@ -394,6 +395,20 @@ mod tests {
         let last = text.rfind("steps = 3").unwrap();
         let error = Schedule::from_toml(&format!("{}steps = 0{}", &text[..last], &text[last + 9..])).unwrap_err();
         assert!(error.to_string().starts_with("closed: level 6: steps"), "{error}");
+        // And what is wrong everywhere is not.
+        let with = |line: &str, more: &str| Schedule::from_toml(&text.replacen(line, &format!("{line}\n{more}"), 1));
+        let resolved =
+            with("untangle = true", "[terms.seam]\nwidth = -1.0").unwrap().resolved(&ModelKind::Hybrid, &TERMS);
+        assert!(resolved.unwrap_err().to_string().starts_with("terms.seam.width"));
+        let error = with("[scan]", "normal_smoothing = 100000").unwrap_err();
+        assert!(
+            error.to_string().starts_with("scan.normal_smoothing = 100000, but it must be at most 1000"),
+            "{error}"
+        );
+        let then =
+            "[then.model]\nname = \"blendshape\"\n[[then.level]]\nsteps = 1\ndistance_cap = 1.0\nkernel = \"none\"";
+        let error = with("untangle = true", then).unwrap_err();
+        assert!(error.to_string().starts_with("then.model"), "{error}");
     }
 
     #[test]
