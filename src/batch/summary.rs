@@ -154,7 +154,7 @@ impl SummaryRow {
             if lost && self.status == "done" {
                 self.status = "doubtful".into();
             }
-            self.note = [self.note, note].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
+            self.note = [self.note, note].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ");
         }
         self
     }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Family, Rig, ShapePca};
 use crate::io::{MaterialFiles, WriteError, read_file, write_json, write_obj};
+use crate::mesh::ObjStatement;
 
 /// Files of a rig's folder that no [`Rig`] holds: vertices by the names of landmarks, as `measure` and `register` read them.
 pub const NAMED_LANDMARKS: [&str; 2] = ["landmarks.json", "landmarks_anthropometric.json"];
@@ -120,6 +121,12 @@ impl Companions {
         }
         if form == RigForm::Npz && rig.mesh().is_some_and(|m| !m.metadata.statements.is_empty()) {
             lost("groups and materials".to_owned());
+        }
+        let is_material = |(_, statement): &(u32, ObjStatement)| matches!(statement, ObjStatement::Material(_));
+        let has_materials = rig.mesh().is_some_and(|mesh| mesh.metadata.statements.iter().any(is_material));
+        let has_files = !self.mesh.as_os_str().is_empty();
+        if has_materials && form != RigForm::Npz && has_files == (form == RigForm::Gltf) {
+            lost("colours and images of materials, their names alone".to_owned());
         }
         if let Some(file) = form.mesh_in(path) {
             bring_materials(rig, &file, materials)?;
