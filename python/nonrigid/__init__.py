@@ -8,8 +8,8 @@ from ._field import read_flame, read_ict, read_morphable
 from ._mesh import Mesh, NonrigidWarning
 from ._morph import Evaluation, Measurements, Morph, MorphStep, Preset, evaluate, glossary, measure, morph, presets
 from ._nonrigid import ComputationError, Step, __version__
-from ._registration import Registration, Weight, register
-from ._rig import FittedFrame, Rig
+from ._registration import Registration, register
+from ._rig import FittedFrame, Rig, Weight
 from ._schedule import Schedule
 
 __all__ = [

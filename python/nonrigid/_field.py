@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from . import _nonrigid
-from ._mesh import Mesh, PathLike, count_or_none, indices, points, warn
+from ._mesh import Mesh, PathLike, count_or_none, indices, load, points, warn
 from ._rig import Rig
 
 ICT_NEUTRAL = "generic_neutral_mesh.obj"
@@ -20,6 +20,14 @@ SMPL_SHAPES = 10
 """SMPL has identity modes alone."""
 ICT_FACE = (9409, 9230)
 """Vertices and polygons of ICT-FaceKit's face: the first ones. Eyes, teeth and neck follow."""
+
+
+def _whole_indices(what: str, values: Any) -> Any:
+    """Indices that some programs keep as floating-point numbers."""
+    array = np.asarray(values)
+    if array.dtype.kind == "f" and np.array_equal(array, np.trunc(array)):
+        array = array.astype(np.int64)
+    return indices(what, array)
 
 
 def _is_flame(path: Path) -> bool:
@@ -155,8 +163,8 @@ def _encode(text: str, encoding: str = "utf-8") -> bytes:
 
 def _flame_arrays(path: Path) -> dict[str, Any]:
     if path.suffix.lower() == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: archive[key] for key in ("v_template", "shapedirs", "f") if key in archive.files}
+        arrays = load(path)
+        return {key: arrays[key] for key in ("v_template", "shapedirs", "f") if isinstance(arrays, dict) and key in arrays}
     with open(path, "rb") as file:
         reader = _Numbers(file, encoding="latin1")
         reader.path = str(path)
@@ -214,7 +222,7 @@ def read_flame(
     names = [f"expression{k - identities:03}" for k in chosen_expressions] + [f"identity{k:03}" for k in chosen]
     families = ["expression"] * len(chosen_expressions) + ["identity"] * len(chosen)
     deltas = np.moveaxis(shapes[:, :, chosen_expressions + chosen], 2, 0)
-    mesh = Mesh(neutral, indices(f"{file}: f", np.asarray(arrays["f"]).astype(np.int64)))
+    mesh = Mesh(neutral, _whole_indices(f"{file}: f", arrays["f"]))
     return _rig(mesh, names, families, deltas, path, "m" if unit == "auto" else unit, [str(file)])
 
 
@@ -235,7 +243,11 @@ def read_morphable(path: PathLike, *, identity_modes: int | None = None, express
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(2, "no such model", str(file))
-    with h5py.File(file, "r") as data:
+    try:
+        opened = h5py.File(file, "r")
+    except OSError as error:
+        raise OSError(f"{file}: is no HDF5 file that can be read: {error}") from None
+    with opened as data:
         prefix = "shape/" if "shape/model" in data else ""
 
         def array(name: str) -> Any:
@@ -274,5 +286,5 @@ def read_morphable(path: PathLike, *, identity_modes: int | None = None, express
     if cells is None:
         raise ValueError(f"{file}: no {prefix}representer/cells, so its triangles are not known")
     faces = cells.T if cells.shape[0] == 3 and cells.shape[1] != 3 else cells
-    mesh = Mesh(neutral, indices(f"{file}: cells", faces.astype(np.int64)))
+    mesh = Mesh(neutral, _whole_indices(f"{file}: cells", faces))
     return _rig(mesh, names, families, np.concatenate(deltas), path, unit, [str(file)])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import operator
 import os
+import sys
 import warnings
+import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -23,9 +25,12 @@ class NonrigidWarning(UserWarning):
 
 
 def warn(note: str | None) -> None:
-    """Says what a user should know."""
+    """Says what a user should know, of the line that called this package."""
     if note:
-        warnings.warn(note, NonrigidWarning, stacklevel=3)
+        frame, level = sys._getframe(), 1
+        while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] == "nonrigid":
+            frame, level = frame.f_back, level + 1
+        warnings.warn(note, NonrigidWarning, stacklevel=level)
 
 
 def is_path(thing: object) -> bool:
@@ -34,6 +39,22 @@ def is_path(thing: object) -> bool:
 
 def is_npy(path: PathLike) -> bool:
     return os.fspath(path).lower().endswith(".npy")
+
+
+def load(path: PathLike) -> Any:
+    """What numpy has written; what is none is an error that names the file."""
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        return loaded if isinstance(loaded, np.ndarray) else {key: loaded[key] for key in loaded.files}
+    except (ValueError, EOFError, zipfile.BadZipFile):
+        raise ValueError(f"{os.fspath(path)}: is no file of arrays that numpy has written, or not all of it") from None
+
+
+def ending(what: str, path: PathLike, expected: str) -> str:
+    """A path whose name ends as it must."""
+    if not os.fspath(path).lower().endswith(expected):
+        raise ValueError(f"{what}: {os.fspath(path)}: give a name that ends in {expected}")
+    return os.fspath(path)
 
 
 def count(what: str, value: Any, least: int = 0, most: int = 2**32 - 1) -> int:
@@ -55,7 +76,10 @@ def bounds_of(what: str, given: Any) -> tuple[float, float] | None:
     """Smallest and largest weight."""
     if given is None:
         return None
-    lower, upper = (float(x) for x in given)
+    try:
+        lower, upper = (float(x) for x in given)
+    except (TypeError, ValueError):
+        raise TypeError(f"{what}: expected the smallest and the largest weight, found {given!r}") from None
     if not (lower <= upper and lower < math.inf and upper > -math.inf):
         raise ValueError(f"{what}: no weight lies between {lower:g} and {upper:g}")
     return lower, upper
@@ -267,9 +291,9 @@ class Mesh:
         return self._of(self._native.with_positions(array, painted))
 
     def write(self, path: PathLike) -> None:
-        """Writes .obj (everything; materials and images of the OBJ file that it was read from beside it), .glb (everything, 32 bits), .usda
-        (32 bits) or .ply (vertices and normals in 64 bits, polygons, texture coordinates, colours): the whole file or none. Warns of
-        materials that are not where the OBJ file names them, and of a point cloud's normals, which .ply alone holds.
+        """Writes .obj (everything but given normals; materials and images of the OBJ file that it was read from beside it), .glb (the same in
+        32 bits), .usda (32 bits) or .ply (vertices and normals in 64 bits, polygons, texture coordinates, colours): the whole file or none.
+        Warns of materials that are not where the OBJ file names them, and of a point cloud's normals, which .ply alone holds.
 
         Raises OSError if it cannot be written, ValueError for another extension or where it would overwrite the file it was read from.
         """
@@ -368,12 +392,15 @@ def _parts(thing: Any) -> tuple[Any, Any, Any, Any]:
         colors = np.asarray(thing.colors) if thing.has_colors() else None
         return np.asarray(thing.points), None, normals, colors
     if hasattr(thing, "point_data") and hasattr(thing, "extract_surface"):  # PyVista
-        if not hasattr(thing, "verts"):  # a volume
+        is_cloud = hasattr(thing, "cast_to_polydata")  # a PointSet
+        if not is_cloud and not hasattr(thing, "verts"):  # a volume
             thing = thing.extract_surface()
+        if getattr(thing, "n_strips", 0):
+            thing = thing.triangulate()
         data = thing.point_data
         normals = data["Normals"] if "Normals" in data else None
         colors = next((data[key] for key in ("RGB", "RGBA", "colors") if key in data), None)
-        return np.asarray(thing.points), _flat_faces(thing.faces), normals, colors
+        return np.asarray(thing.points), None if is_cloud else _flat_faces(thing.faces), normals, colors
     if hasattr(thing, "point_data") and hasattr(thing, "cells_dict"):  # meshio.Mesh
         return _of_meshio(thing)
     if hasattr(thing, "vertices"):  # trimesh, and what is like it

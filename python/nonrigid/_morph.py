@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, warn, whole
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, load, names_of, warn, whole
 from ._registration import _landmarks
 from ._rig import Rig, _vertices
 
@@ -42,7 +42,7 @@ def presets() -> dict[str, Preset]:
     return {row[0]: Preset(row[0], row[1], None if row[2] is None else (row[2][0], row[2][1]), row[3], row[4]) for row in _nonrigid.presets()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MorphStep:
     """What one step of a recipe did."""
 
@@ -52,7 +52,7 @@ class MorphStep:
     """(V,) of each mask by its name, or number: the weights G, 0 to 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Morph:
     """A changed face."""
 
@@ -262,7 +262,7 @@ def evaluate(
         return _evaluated(json.loads(text), distances)
     seen = None
     if observed is not None:
-        flags = np.load(observed) if is_path(observed) and is_npy(observed) else whole("observed", observed)  # type: ignore[arg-type]
+        flags = load(observed) if is_path(observed) and is_npy(observed) else whole("observed", observed)  # type: ignore[arg-type]
         if flags.dtype != np.bool_ or flags.shape != (len(positions),):
             raise ValueError(f"observed: expected {len(positions)} truth values, found {flags.dtype} of {flags.shape}")
         seen = np.ascontiguousarray(flags)

@@ -81,7 +81,7 @@ class Step:
         """Share of the template's vertices with an accepted correspondence, 0 to 1."""
     @property
     def motion(self) -> float:
-        """Largest motion of a vertex in this step, millimetres."""
+        """Largest motion of a vertex in this step, in the schedule's millimetres: those of a subject of its reference size, such as a face."""
 
 @final
 class Mesh:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, points, warn, whole
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, ending, indices, is_npy, is_path, names_of, points, warn, whole
 from ._nonrigid import Step
-from ._rig import Rig
+from ._rig import Rig, Weight
 from ._schedule import Schedule
 
 if TYPE_CHECKING:
@@ -40,18 +41,6 @@ Model = Literal[
     "rigid",
     "similarity",
 ]
-
-
-class Weight(NamedTuple):
-    """A blendshape's weight."""
-
-    value: float
-    """w_k."""
-    std_dev: float | None
-    """Its standard deviation, with correspondences and model taken as right: a lower bound. None at a bound, or where nothing
-    determines it."""
-    at_bound: bool
-    """Whether a bound holds it."""
 
 
 class Registration:
@@ -116,7 +105,7 @@ class Registration:
         from scipy.sparse import csc_matrix
 
         pointers, rows, values, gradient = self._equations
-        return csc_matrix((values, rows, pointers), shape=(len(gradient), len(gradient))), gradient
+        return csc_matrix((values, rows, pointers), shape=(len(gradient), len(gradient)), copy=True), gradient.copy()
 
     def save(self, path: PathLike, *, report: PathLike | None = None, state: PathLike | None = None) -> None:
         """Writes what `nonrigid register` writes, the same bytes: the mesh (.obj, .ply, .glb), `finer` if there is one, and, where asked
@@ -124,7 +113,8 @@ class Registration:
 
         Raises OSError if a file cannot be written, ValueError if it must not be.
         """
-        texts = [(os.fspath(file), text) for file, text in ((report, self.report_json), (state, self.state_json)) if file is not None]
+        given = (("report", report, self.report_json), ("state", state, self.state_json))
+        texts = [(ending(what, file, ".json"), text) for what, file, text in given if file is not None]
         _nonrigid.check_plan(self._reads, [os.fspath(path), *(file for file, _ in texts)])
         written = self.mesh if self.finer is None else self.finer
         for note in written._native.write(os.fspath(path), self._reads):
@@ -141,10 +131,10 @@ class Registration:
         if shown is None:
             raise ValueError("a pickle does not hold the scan; give it: picture(path, scan=...)")
         parts = (self.template._native, shown._native, self.mesh._native)
-        _nonrigid.picture(os.fspath(path), self._title, *parts, self._facing, self._reads)
+        _nonrigid.picture(ending("picture", path, ".png"), self._title, *parts, self._facing, self._reads)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_reads": list(map(os.path.abspath, self._reads)), "_scan": None, "_equations": None}
+        return {**self.__dict__, "_scan": None, "_equations": None}
 
     def __repr__(self) -> str:
         unfinished = "" if self.finished else ", stopped before its end"
@@ -160,6 +150,9 @@ def _landmarks(what: str, given: Any, scan: bool, unit: str | None) -> _nonrigid
         if vertices.shape != (len(places),):
             raise ValueError(f"{what}: expected vertex indices (L,) and points (L, 3), found {vertices.shape} and {places.shape}")
         given = dict(zip(vertices.tolist(), places))
+        if len(given) < len(vertices):
+            twice = next(v for v, uses in Counter(vertices.tolist()).items() if uses > 1)
+            raise ValueError(f"{what}: expected every vertex once, found {twice} more often")
     if not isinstance(given, Mapping):
         raise TypeError(f"{what}: expected a path, {{vertex or name: point}}, or (vertices, points), found {type(given).__qualname__}")
     entries: list[dict[str, Any]] = []

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,19 @@ from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indi
 Align = Literal["rigid", "similarity", "none"]
 
 
-@dataclass(frozen=True)
+class Weight(NamedTuple):
+    """A blendshape's weight."""
+
+    value: float
+    """w_k."""
+    std_dev: float | None
+    """Its standard deviation, with correspondences and model taken as right: a lower bound. None at a bound, or where nothing
+    determines it."""
+    at_bound: bool
+    """Whether a bound holds it."""
+
+
+@dataclass(frozen=True, eq=False)
 class FittedFrame:
     """What the weights of a rig's shapes make of one mesh: y = scale rotation b(w) + translation."""
 
@@ -213,14 +225,20 @@ class Rig:
         """Unit of the file that it was read from, and how that is known; None for arrays. Everything is in millimetres."""
         return self._native.unit
 
-    def blend(self, weights: Mapping[str, float]) -> Mesh:
-        """The mesh at these weights, by name; others are 0. Raises KeyError for a name that there is not."""
+    def blend(self, weights: Mapping[str, float | Weight]) -> Mesh:
+        """The mesh at these weights, by name, such as those of a `Registration`; others are 0. Raises KeyError for a name that there is
+        not, TypeError or ValueError for what is no finite number."""
         rest, names = self.neutral, self.names
         deltas = self.deltas
         for name, weight in weights.items():
             if name not in names:
                 raise KeyError(f"no shape {name!r}; there are {', '.join(names)}")
-            rest += weight * deltas[names.index(name)].astype(np.float64)
+            value = np.asarray(weight.value if isinstance(weight, Weight) else weight)
+            if value.ndim != 0 or value.dtype.kind not in "fiub":
+                raise TypeError(f"weight of {name!r}: expected a number, found {weight!r}")
+            if not np.isfinite(value):
+                raise ValueError(f"weight of {name!r} is not finite")
+            rest += float(value) * deltas[names.index(name)].astype(np.float64)
         mesh = self.mesh
         return Mesh(rest) if mesh is None else mesh.with_vertices(rest)
 

@@ -31,7 +31,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from . import _nonrigid
+from ._field import reader_of
 from ._mesh import PathLike, count, count_or_none
 from ._program import how
 
@@ -420,14 +423,18 @@ def _options(given: Mapping[str, Any], known: list[str], paths: frozenset[str]) 
         if value is None:
             continue
         if name in paths:
-            text = _local(os.fspath(value))
+            text = _local(os.fsdecode(value))
+            if name == "rig" and reader_of(Path(text)) is not None:
+                raise ValueError(f'rig: {text}: for many scans, write it once as a rig of ours: nonrigid.Rig.read(...).write("rig")')
             options.append((name, text if _url(text) else os.path.abspath(text)))
         elif name == "unit" and isinstance(value, Mapping):
             options.append((name, ",".join(f"{of.replace('_', '-')}={unit}" for of, unit in value.items())))
         elif isinstance(value, Mapping):
             raise TypeError(f"{key}: expected text, a number or a list, found {value!r}")
-        elif isinstance(value, (list, tuple, set)):
-            options.append((name, ",".join(str(item) for item in value)))
+        elif isinstance(value, (list, tuple, set, frozenset, np.ndarray)):
+            # a set has another order in every process
+            items = sorted(value) if isinstance(value, (set, frozenset)) else value.tolist() if isinstance(value, np.ndarray) else value
+            options.append((name, ",".join(map(str, items))))
         else:
             options.append((name, str(value)))
     return options
@@ -471,8 +478,9 @@ def run(
     that fails is a row of the summary; so is one whose workers were lost too often. A folder is locked while a batch writes there; at a URL,
     where no lock holds, two batches must not write at once.
 
-    Raises ValueError for a manifest or options that make no sense, and where something that is read, or is no result, would be
-    overwritten; OSError; ComputationError if another batch has the folder.
+    Raises ValueError for a manifest or arguments that make no sense, and where something that is read, or is no result, would be
+    overwritten; OSError; ComputationError if another batch has the folder. What `options` of a registration are worth its scans say: a model
+    that there is not, or a template that is not there, is a row that failed.
     """
     clock = time.monotonic()
     storage = dict(storage_options or {})
@@ -481,18 +489,19 @@ def run(
     threads, fps, retries = count("threads", threads, 1, 1024), count("fps", fps, 1, 1000), count("retries", retries, -1)
     chunk, jobs = count_or_none("chunk", chunk, 1), count_or_none("jobs", jobs, 1)
     for what, flag in (("pictures", pictures), ("again", again)):
-        if not isinstance(flag, bool):
+        if not isinstance(flag, (bool, np.bool_)):
             raise TypeError(f"{what}: expected True or False, found {flag!r}")
-    if smooth is not None and not isinstance(smooth, (int, float)):
+    if smooth is not None and not isinstance(smooth, (int, float, np.number)):
         raise TypeError(f"smooth: expected a frequency in Hz, or None, found {smooth!r}")
+    pictures, again, smooth = bool(pictures), bool(again), None if smooth is None else float(smooth)
     common = _options(options, known, paths)
-    listed = _local(os.fspath(manifest))
+    listed = _local(os.fsdecode(manifest))
     if _url(listed):
         fs, path = _filesystem(listed, storage)
         rows = _nonrigid.Rows(listed, fs.cat_file(path).decode())
     else:
         rows = _nonrigid.Rows(os.path.abspath(listed))
-    folder = _local(os.fspath(out))
+    folder = _local(os.fsdecode(out))
     away = _url(folder) is not None
     folder = folder.rstrip("/") if away else os.path.abspath(folder)
     setting = {

@@ -49,7 +49,7 @@ def _arguments(options: Mapping[str, Any]) -> list[str]:
     return arguments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
     """One scan, and what is true of it."""
 
@@ -106,4 +106,4 @@ def write(out: PathLike, *, threads: int | None = None, **options: Any) -> None:
 
     Raises ValueError for an option that makes no sense, OSError where it cannot be written.
     """
-    _nonrigid.write_data([f"--out={os.fspath(out)}", *_arguments(options)], count_or_none("threads", threads))
+    _nonrigid.write_data([f"--out={os.fsdecode(out)}", *_arguments(options)], count_or_none("threads", threads))

@@ -190,8 +190,18 @@ impl Schedule {
     }
 }
 
+/// Lists and dicts within each other: what is deeper holds itself.
+const DEPTH: usize = 32;
+
 /// A value of Python as TOML has it; `None` is a key that is not there.
 pub fn to_toml(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<toml::Value>> {
+    nested(what, value, DEPTH)
+}
+
+fn nested(what: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Option<toml::Value>> {
+    let Some(depth) = depth.checked_sub(1) else {
+        return Err(crate::errors::value(format!("{what}: lists and dicts in more than {DEPTH} others")));
+    };
     if value.is_none() {
         return Ok(None);
     }
@@ -205,14 +215,14 @@ pub fn to_toml(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<toml::Va
         let mut table = toml::Table::new();
         for (key, item) in keys {
             let key: String = key.extract().map_err(|_| crate::errors::value(format!("{what}: keys must be text")))?;
-            if let Some(item) = to_toml(&format!("{what}.{key}"), &item)? {
+            if let Some(item) = nested(&format!("{what}.{key}"), &item, depth)? {
                 table.insert(key, item);
             }
         }
         return Ok(Some(toml::Value::Table(table)));
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
-        let items = value.try_iter()?.map(|item| to_toml(what, &item?));
+        let items = value.try_iter()?.map(|item| nested(what, &item?, depth));
         return Ok(Some(toml::Value::Array(items.filter_map(Result::transpose).collect::<PyResult<_>>()?)));
     }
     if !value.is_instance_of::<PyFloat>()

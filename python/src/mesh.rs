@@ -5,8 +5,8 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nonrigid::io::{
-    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MaterialFiles, MeshFile, UnitSource, face_extent,
-    read_mesh_file, write_atomically,
+    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MaterialFiles, MeshFile, UnitSource, absolute,
+    face_extent, read_mesh_file, write_atomically,
 };
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3, surface_points};
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArrayMethods as _, PyReadonlyArray1, PyReadonlyArray2};
@@ -97,7 +97,7 @@ impl Mesh {
 }
 
 /// Where a mesh comes from, for a copy or a pickle: path, the file whose materials go along, files with their SHA-256, unit and how it is
-/// known. Paths hold wherever it is loaded.
+/// known.
 type Source = (OsString, OsString, Files, Option<(String, String)>);
 /// Files and their SHA-256.
 pub type Files = Vec<(OsString, String)>;
@@ -122,14 +122,9 @@ pub fn unit_of_names((unit, by): (String, String)) -> PyResult<KnownUnit> {
     Ok(KnownUnit { unit: unit.parse().map_err(value)?, by: source.1 })
 }
 
-/// A path that holds in any working folder; an empty one stays empty.
-pub fn anywhere(path: &Path) -> OsString {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).into()
-}
-
 /// Files as a pickle has them.
 pub fn files_out(files: &[Input]) -> Files {
-    files.iter().map(|file| (anywhere(&file.path), file.sha256.clone())).collect()
+    files.iter().map(|file| (file.path.clone().into(), file.sha256.clone())).collect()
 }
 
 /// [`files_out`], the other way.
@@ -166,6 +161,7 @@ impl Mesh {
             let Measured { known, factor, note } = measured(&path, &points, asked)?;
             drop(points);
             file.mesh.positions.iter_mut().for_each(|p| *p *= factor);
+            let path = absolute(&path);
             Ok(Self { file, known: Some(known), files: inputs.files(), materials: path.clone(), path, note })
         })
     }
@@ -181,7 +177,7 @@ impl Mesh {
             let Measured { known, factor, note } = measured(&path, &positions, asked)?;
             positions.iter_mut().for_each(|p| *p *= factor);
             let file = MeshFile { mesh: PolygonMesh { positions, ..PolygonMesh::default() }, ..MeshFile::default() };
-            Ok(Self { known: Some(known), files: inputs.files(), path, note, ..Self::of_arrays(file) })
+            Ok(Self { known: Some(known), files: inputs.files(), path: absolute(&path), note, ..Self::of_arrays(file) })
         })
     }
 
@@ -251,7 +247,7 @@ impl Mesh {
     #[getter]
     fn source(&self) -> Source {
         let known = self.known.and_then(names_of_unit);
-        (anywhere(&self.path), anywhere(&self.materials), files_out(&self.files), known)
+        (self.path.clone().into(), self.materials.clone().into(), files_out(&self.files), known)
     }
 
     #[getter]
@@ -444,7 +440,7 @@ fn unit_of(path: PathBuf, points: PyReadonlyArray2<'_, f64>, unit: Option<&str>)
 pub fn hashed(files: Vec<PathBuf>) -> PyResult<Vec<Input>> {
     let hashed = files.into_iter().map(|path| {
         let sha256 = io::sha256_of_file(&path)?;
-        Ok(Input { role: String::new(), path, sha256 })
+        Ok(Input { role: String::new(), path: absolute(&path), sha256 })
     });
     hashed.collect::<std::io::Result<_>>().map_err(input)
 }

@@ -2,8 +2,9 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
-use nonrigid::io::{Input, Inputs, KnownUnit, LengthUnit};
+use nonrigid::io::{Input, Inputs, KnownUnit, LengthUnit, absolute};
 use nonrigid::mesh::{PoseKind, Vec3};
 use nonrigid::rig::{
     self, COMPONENT_FILES, Companions, Family, NAMED_LANDMARKS, Population, RIG_FILES, Regions, RigForm,
@@ -14,9 +15,9 @@ use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _,
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{computation, compute, guarded, input, value};
+use crate::errors::{computation, compute, guarded, input, interruptible, value};
 use crate::mesh::{
-    Files, Measured, Mesh, anywhere, check_plan, files_in, files_out, hashed, measured, names_of_unit, refuse_beside,
+    Files, Measured, Mesh, check_plan, files_in, files_out, hashed, measured, names_of_unit, refuse_beside,
     unit_of_names,
 };
 
@@ -105,7 +106,7 @@ impl Rig {
             let Measured { known, factor, note } = measured(&path, &rig.surface_points(), asked)?;
             rig.scale(factor);
             let notes = warnings.iter().map(ToString::to_string).chain(note).collect();
-            let companions = Companions::of(&path);
+            let companions = Companions::of(&absolute(&path));
             Ok(Self { known: Some(known), files: inputs.files(), companions, ..Self::of_rig(rig, notes) })
         })
     }
@@ -163,14 +164,15 @@ impl Rig {
     /// For a copy or a pickle.
     #[getter]
     fn kept<'py>(&self, py: Python<'py>) -> Kept<'py> {
-        let landmarks = self.companions.landmarks.iter().map(|(path, text)| (anywhere(path), text.clone())).collect();
+        let landmarks =
+            self.companions.landmarks.iter().map(|(path, text)| (path.clone().into(), text.clone())).collect();
         let pca = self.pca.as_ref().map(|pca| {
             let components = pca.components().to_vec().into_pyarray(py);
             (components, pca.standard_deviations().to_vec(), pca.total_variance())
         });
-        let made_of = self.made_of.iter().map(|path| anywhere(path)).collect();
+        let made_of = self.made_of.iter().map(|path| path.clone().into()).collect();
         let known = self.known.and_then(names_of_unit);
-        (files_out(&self.files), made_of, known, anywhere(&self.companions.mesh), landmarks, pca)
+        (files_out(&self.files), made_of, known, self.companions.mesh.clone().into(), landmarks, pca)
     }
 
     #[getter]
@@ -302,7 +304,7 @@ impl Rig {
         let frames = frames.iter().map(|f| arrays::points("meshes", f)).collect::<PyResult<Vec<_>>>()?;
         let neutral = neutral.map(|n| arrays::points("neutral", &n)).transpose()?;
         let pose = pose_kind(align)?;
-        compute(py, None, || {
+        interruptible(py, None, |stop| {
             let selection = ShapeSelection { names: names.as_deref(), identity_modes: 0 };
             let basis = self.rig.select(selection).map_err(input)?;
             let names = basis.shapes().iter().map(|s| s.name.clone()).collect();
@@ -310,6 +312,9 @@ impl Rig {
             let neutral = neutral.as_deref().unwrap_or(self.rig.neutral());
             let mut fitter = WeightFitter::new(neutral, self.rig.mesh(), basis, &options).map_err(input)?;
             let fit = |frame: &Vec<Vec3>| -> PyResult<Frame> {
+                if stop.load(Ordering::Relaxed) {
+                    return Err(value("stopped"));
+                }
                 let fitted = fitter.fit(frame).map_err(|e| match e {
                     rig::RigError::Fit { .. } => computation(e),
                     _ => input(e),

@@ -129,6 +129,7 @@ def test_what_makes_no_sense(data: Data, tmp_path: Path) -> None:
         ({"jobs": -1}, ValueError, "jobs"),
         ({"scheduler": "slurm"}, TypeError, "scheduler"),
         ({"regions": {"lips": 1}}, TypeError, "regions"),
+        ({"rig": "flame.pkl"}, ValueError, "write it once as a rig of ours"),
     ]:
         with pytest.raises(error, match=words):
             run(**options)

@@ -183,6 +183,8 @@ def test_pyvista() -> None:
     assert np.array_equal(Mesh.of(pyvista.PolyData(SQUARE)).vertices, SQUARE)
     ball = pyvista.Sphere().compute_normals(cell_normals=False)
     assert Mesh.of(ball).normals is not None
+    assert len(Mesh.of(pyvista.Sphere().strip()).triangles) == pyvista.Sphere().n_cells
+    assert Mesh.of(pyvista.PointSet(SQUARE)) == Mesh(SQUARE)
     grid = pyvista.ImageData(dimensions=(2, 2, 2)).cast_to_unstructured_grid()
     assert len(Mesh.of(grid).faces) == 6
 

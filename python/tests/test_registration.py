@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,6 +119,12 @@ def test_other_threads_run_meanwhile(face: data_gen.Face, case: data_gen.Case) -
     assert all(np.array_equal(r, results[0]) for r in results)
 
 
+def within_itself() -> dict[str, Any]:
+    keys: dict[str, Any] = {}
+    keys["model"] = keys
+    return keys
+
+
 def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tmp_path: Path) -> None:
     mesh, marks = face.rig.mesh, case.landmarks
     with pytest.raises(FileNotFoundError, match="missing.ply"):
@@ -134,6 +142,8 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         ({"schedule": {"levels": []}}, "level"),
         ({"landmarks": {"99999": (0, 0, 0)}}, "99999"),
         ({"landmarks": {0: (0, 0)}}, "x, y, z"),
+        ({"landmarks": ([3, 3, 9], np.zeros((3, 3)))}, "found 3 more often"),
+        ({"schedule": within_itself()}, "in more than 32 others"),
         ({"mask": [0.5]}, "one for each template vertex"),
         ({"mask": np.full(len(mesh.vertices), 2.0)}, "from 0 to 1"),
         ({"threads": 0}, "threads"),
@@ -200,6 +210,32 @@ def test_saving(registered: nonrigid.Registration, data: Data, tmp_path: Path) -
     assert data.scan().read_bytes() == scan and not (tmp_path / "e.obj").exists() and not (tmp_path / "c.obj").exists()
 
 
+def test_what_was_read_is_kept_in_any_working_folder(data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(data.folder, tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    case = Path("data/cases/same_open")
+    found = nonrigid.register("data/rig/template.obj", case / "scan.ply", rig="data/rig", landmarks=case / "landmarks.json", model="rigid")
+    rig = nonrigid.Rig.read("data/rig")
+    monkeypatch.chdir(case)
+    scan = Path("scan.ply").read_bytes()
+    with pytest.raises(ValueError, match="would overwrite"):
+        found.save("scan.ply")
+    with pytest.raises(ValueError, match="would overwrite"):
+        found.save("a.obj", report="landmarks.json")
+    with pytest.raises(ValueError, match="would overwrite"):
+        pickle.loads(pickle.dumps(found)).save("scan.ply")
+    with pytest.raises(ValueError, match="give another folder"):
+        rig.write("../../rig")
+    assert Path("scan.ply").read_bytes() == scan
+    found.save("a.obj")
+    assert Path("a.mtl").exists()
+    for wrong in ({"report": "a.txt"}, {"state": "a.ply"}):
+        with pytest.raises(ValueError, match="ends in .json"):
+            found.save("b.obj", **wrong)
+    with pytest.raises(ValueError, match="ends in .png"):
+        found.picture("a.jpg")
+
+
 def test_pickles(registered: nonrigid.Registration, case: data_gen.Case, tmp_path: Path) -> None:
     again = pickle.loads(pickle.dumps(registered))
     assert np.array_equal(again.positions, registered.positions) and again.report == registered.report
@@ -228,12 +264,19 @@ def test_weights_have_standard_deviations(registered: nonrigid.Registration, fac
     assert all(w.std_dev is None or w.std_dev > 0 for w in registered.weights.values())
     assert registered.accepted.dtype == bool and registered.accepted.mean() > 0.5
     assert 0 <= registered.error_probability <= 1
+    values = {name: weight.value for name, weight in registered.weights.items()}
+    assert face.rig.blend(registered.weights) == face.rig.blend(values)
+    for wrong, error in (((1.0, 2.0, 3.0), TypeError), ("1", TypeError), (np.nan, ValueError)):
+        with pytest.raises(error, match="jawOpen"):
+            face.rig.blend({"jawOpen": wrong})
 
 
 def test_normal_equations(face: data_gen.Face, case: data_gen.Case, registered: nonrigid.Registration) -> None:
     sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
     found = nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, identity_modes=4, landmarks=case.landmarks, equations=True)
     assert np.array_equal(found.positions, registered.positions), "keeping the equations changes nothing"
+    hessian, gradient = found.normal_equations()
+    gradient[:] = hessian.data[:] = 0
     hessian, gradient = found.normal_equations()
     # Weights of 58 shapes, and of the three proportions.
     assert sparse.issparse(hessian) and hessian.shape == (len(gradient), len(gradient)) and (len(gradient) - 61) % 6 == 0

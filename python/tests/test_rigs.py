@@ -218,6 +218,15 @@ def test_a_pickle_runs_nothing(tmp_path: Path) -> None:
     (tmp_path / "other.pkl").write_bytes(pickle.dumps({"v_template": arrays["v_template"]}))
     with pytest.raises(ValueError, match="no shapedirs, f"):
         Rig.read(tmp_path / "other.pkl")
+    (tmp_path / "floats.pkl").write_bytes(pickle.dumps({**arrays, "f": arrays["f"].astype(np.float64)}))
+    check_flame(Rig.read(tmp_path / "floats.pkl"), arrays)
+    (tmp_path / "halves.pkl").write_bytes(pickle.dumps({**arrays, "f": arrays["f"] + 0.5}))
+    with pytest.raises(TypeError, match="halves.pkl: f: expected whole numbers"):
+        Rig.read(tmp_path / "halves.pkl")
+    np.savez(tmp_path / "whole.npz", **arrays)
+    (tmp_path / "half.npz").write_bytes((tmp_path / "whole.npz").read_bytes()[:-3000])
+    with pytest.raises(ValueError, match="half.npz"):
+        nonrigid.read_flame(tmp_path / "half.npz")
 
 
 @pytest.mark.parametrize("basel", [False, True])
@@ -252,3 +261,6 @@ def test_morphable_models(tmp_path: Path, basel: bool, scaled: bool) -> None:
         with h5py.File(tmp_path / "empty.h5", "w") as file:
             file["a"] = [1]
         Rig.read(tmp_path / "empty.h5")
+    (tmp_path / "text.h5").write_text("no model")
+    with pytest.raises(OSError, match="text.h5"):
+        Rig.read(tmp_path / "text.h5")

@@ -21,7 +21,7 @@ thread_local! {
 pub struct Input {
     /// What it was read as.
     pub role: String,
-    /// As it was opened.
+    /// Where it is, in whatever folder one works later.
     pub path: PathBuf,
     /// SHA-256 of its bytes, hexadecimal.
     pub sha256: String,
@@ -94,7 +94,7 @@ impl Noting {
     }
 
     fn note(&self, path: &Path, sha256: String) {
-        let input = Input { role: self.role.clone(), path: path.to_owned(), sha256 };
+        let input = Input { role: self.role.clone(), path: absolute(path), sha256 };
         self.inputs.0.lock().unwrap_or_else(PoisonError::into_inner).push(input);
     }
 }
@@ -108,7 +108,7 @@ pub(crate) struct OpenFile {
 
 /// Opens a file, to be read from its start to its end.
 pub(crate) fn open(path: &Path) -> io::Result<OpenFile> {
-    let noted = Noting::here().map(|noting| (noting, path.to_owned(), Sha256::new()));
+    let noted = Noting::here().map(|noting| (noting, absolute(path), Sha256::new()));
     Ok(OpenFile { file: File::open(path)?, noted })
 }
 
@@ -118,6 +118,12 @@ pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
     let bytes = std::fs::read(path)?;
     noting.note(path, sha256(&bytes));
     Ok(bytes)
+}
+
+/// A path that holds in any working folder; an empty one stays empty.
+#[must_use]
+pub fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 /// SHA-256, hexadecimal.

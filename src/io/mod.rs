@@ -33,7 +33,7 @@ pub(crate) use folder::replace;
 pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub(crate) use gzip::unpacked_name;
-pub use inputs::{Input, Inputs, Noting, sha256, sha256_of_file};
+pub use inputs::{Input, Inputs, Noting, absolute, sha256, sha256_of_file};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
 pub use material_files::{Copied, MaterialFiles};
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};
