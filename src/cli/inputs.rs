@@ -72,7 +72,7 @@ pub struct RigArguments {
     /// Expression shapes to use, by name [default: all]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig", value_parser = NonEmptyStringValueParser::new())]
     pub shapes: Option<Vec<String>>,
-    /// Identity modes to use, from the first [default: 60 or as many as there are for an unknown subject, none beside its own neutral]
+    /// Identity modes to use, from the first [default: 60 or as many as there are for an unknown subject, none beside its own neutral, such as the mesh of a morph]
     #[arg(long, value_name = "K", requires = "rig")]
     pub identity_modes: Option<usize>,
     /// What a folder of .obj/.ply shapes holds [default: what its rig.json says, or else full shapes]

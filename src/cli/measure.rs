@@ -16,8 +16,9 @@ use crate::rig::{Companions, Regions, Rig, check_order};
 /// Arguments of `nonrigid measure`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Landmarks are {\"name\": vertex, ...} with the names that --list prints, or the 68 numbered ones of Multi-PIE/iBUG, which have\n\
-    neither trichion nor glabella. A measurement whose landmarks are not given has no value, and says which are missing.\n\n\
+    after_help = "Landmarks are {\"name\": vertex, ...} with the names that --list prints, or the 68 numbered ones of Multi-PIE/iBUG, which\n\
+    lack trichion, glabella, zygion, gonion, alare, sublabiale and pogonion. A measurement whose landmarks are not given has no value, and\n\
+    says which are missing.\n\n\
     A face after is measured along the axes of the face before, carried along by the motion of the head: the rigid motion that leaves the\n\
     least sum of displacements. So it does not matter how a head is held, and where nothing moves nothing changes.\n\n\
     A group of an .obj is its polygons; of a region of vertices a triangle counts by a third for each corner in it. So parts add up.\n\n\

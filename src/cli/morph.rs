@@ -74,7 +74,7 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Result (.obj, .ply or .glb)
+    /// Result (.obj, .ply, .glb or .usda)
     #[arg(long, value_name = "MESH", required_unless_present_any = ["list", "print"])]
     out: Option<PathBuf>,
     /// Folder for every mask: its texture (.png), where it has one, and its weights (.npy); made if it is not there

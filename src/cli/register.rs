@@ -40,10 +40,10 @@ use crate::texture::{BakeInput, Baked};
     nonrigid register --template face.obj --target scan.ply --rig rig \\\n      \
     --landmarks landmarks.json --out own.obj")]
 pub struct Arguments {
-    /// Template mesh (.obj, .ply, .stl or .off, also .gz); the result keeps its vertex order, polygons, UVs, groups and materials
+    /// Template mesh (.obj, .ply, .stl or .off, also .gz, .glb or .gltf); the result keeps its vertex order, polygons, UVs, groups and materials
     #[arg(long, value_name = "MESH")]
     template: PathBuf,
-    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz): a mesh, or a point cloud with normals (.ply, .off, .xyz)
+    /// Scan (.obj, .ply, .stl, .off or .xyz, also .gz, .glb or .gltf): a mesh, or a point cloud with normals (.ply, .off, .xyz)
     #[arg(long, value_name = "MESH")]
     target: PathBuf,
     /// The subject's own neutral: one position per template vertex (.npy N x 3, .obj or .ply) [default: the template]
@@ -87,7 +87,7 @@ pub struct Arguments {
     /// Result (.obj, .ply, .glb or .usda), with the scan's colours at its vertices if the scan has any
     #[arg(long, value_name = "MESH")]
     out: PathBuf,
-    /// Divide the result N times by Catmull and Clark's rules, each polygon of k corners into k quads, and let its vertices go on to
+    /// Divide the result N times (1 to 3) by Catmull and Clark's rules, each polygon of k corners into k quads, and let its vertices go on to
     /// the scan by themselves: for wrinkles that the template is too coarse for
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=MOST_ROUNDS as i64))]
     subdivide: Option<u8>,

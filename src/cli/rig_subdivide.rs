@@ -19,7 +19,7 @@ use crate::registration::MOST_ROUNDS;
 pub struct Arguments {
     #[command(flatten)]
     rig: RigInput,
-    /// How often: each makes four quads of one
+    /// How often, 1 to 3: each makes four quads of one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=MOST_ROUNDS as i64))]
     rounds: u8,
     #[command(flatten)]

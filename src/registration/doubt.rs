@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::evidence::intersections_grown;
 use super::{Evidence, Quality, RegistrationInput, RegistrationResult, Risk};
+use crate::landmark::Landmark;
 
 /// A reason to look at a result before it is used. Distances are millimetres, shares from 0 to 1.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -131,11 +132,12 @@ impl Doubt {
         quality: &Quality,
     ) -> Self {
         let size = evidence.size;
+        let of_schedule = size / result.schedule.reference_size;
         match risk {
             Risk::StartLoss | Risk::StartRival => Self::Start {
                 tried: result.start_search.as_ref().map_or(0, |s| s.tried),
                 share: evidence.start_share,
-                residual: result.start_search.as_ref().map_or(0.0, |s| s.fit.residual),
+                residual: result.start_search.as_ref().map_or(0.0, |s| s.fit.residual * of_schedule),
                 rival: evidence.start_rival,
             },
             Risk::Unseen => Self::LittleSeen { share: 1.0 - evidence.coverage.unseen },
@@ -143,13 +145,14 @@ impl Doubt {
             Risk::ScanMissed => Self::ScanMissed { share: evidence.coverage.scan_missed },
             Risk::Distance | Risk::DistanceSpread => Self::HighResidual { median: evidence.coverage.distance * size },
             Risk::LandmarkRms | Risk::LandmarkWorst | Risk::LandmarkSuspects => {
-                let distance =
-                    |l: &&crate::landmark::Landmark| (l.template.position(&result.positions) - l.target).norm();
-                let worst = input.landmarks.iter().max_by(|a, b| distance(a).total_cmp(&distance(b)));
+                let distance = |l: &Landmark| (l.template.position(&result.positions) - l.target).norm();
+                let sigma = result.schedule.sigma.landmark * of_schedule;
+                let counted = |l: &Landmark| l.weight(sigma).sqrt() * distance(l);
+                let worst = input.landmarks.iter().max_by(|a, b| counted(a).total_cmp(&counted(b)));
                 Self::Landmarks {
                     rms: evidence.landmark_rms * size,
                     worst: worst.map(|l| l.name.clone()).unwrap_or_default(),
-                    distance: evidence.landmark_worst * size,
+                    distance: worst.map_or(0.0, distance),
                 }
             }
             Risk::FewLandmarks | Risk::LandmarkFreedom => Self::FewLandmarks { count: evidence.landmarks },

@@ -72,7 +72,7 @@ pub struct StartFit {
     pub loss: f64,
     /// Share of the template's surface with a match.
     pub share: f64,
-    /// Root mean square distance of the matched part along the scan's normals, millimetres on the template.
+    /// Root mean square distance of the matched part along the scan's normals, in the schedule's millimetres.
     pub residual: f64,
 }
 

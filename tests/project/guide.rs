@@ -59,7 +59,7 @@ fn the_chapter_on_reports_names_every_field_and_no_other() {
     let colors = vec![[180, 140, 120]; bench.case.scan.positions.len()];
     let options = PlyOptions { colors: Some(&colors), ..PlyOptions::default() };
     write_ply(&bench.path("scan.ply"), &bench.case.scan, options).unwrap();
-    bench.done("register --template rig/template.obj --target scan.ply --rig rig --out r.obj --report r.json --bake-texture 64");
+    bench.done("register --template rig/template.obj --target scan.ply --rig rig --out r.obj --report r.json --subdivide 1 --bake-texture 64");
     let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
     let chapter = text("docs/src/reference/report.md");
     let said = table(&chapter, "Every field").iter().flat_map(|row| paths(&row[0])).collect::<Vec<_>>();
@@ -71,6 +71,8 @@ fn the_chapter_on_reports_names_every_field_and_no_other() {
         "doubts[]",
         "history[].energies",
         "evidence.handedness",
+        "detail.before",
+        "detail.quality",
     ];
     fields(&report, "", &opaque, &mut found);
     // What has fields of its own is not said once more unless it can be null.
