@@ -32,6 +32,12 @@ struct Document {
     history: Option<History>,
 }
 
+/// Its format, before anything else is understood.
+#[derive(Deserialize)]
+struct Format {
+    format: u32,
+}
+
 fn packed(error: ZipError) -> Problem {
     match error {
         ZipError::Io(error) => error.into(),
@@ -148,10 +154,12 @@ pub fn import(vault: &Vault, path: &Path) -> Result<u32, Problem> {
             budget.checked_sub(read).ok_or_else(|| no_case("it unpacks to more than a case can have".to_owned()))?;
     }
     let document = document.ok_or_else(|| no_case("there is no case.json in it".to_owned()))?;
-    let Document { format, case, history } = serde_json::from_slice(&document).map_err(|e| no_case(e.to_string()))?;
+    let unreadable = |e: serde_json::Error| no_case(e.to_string());
+    let Format { format } = serde_json::from_slice(&document).map_err(unreadable)?;
     if !(1..=FORMAT).contains(&format) {
         return Err(no_case(format!("its format is {format}, this program knows 1 to {FORMAT}")));
     }
+    let Document { case, history, .. } = serde_json::from_slice(&document).map_err(unreadable)?;
     let history = history.unwrap_or_else(|| History::of(case.clone()));
     if !history.is_sound() || *history.at_head() != case {
         return Err(no_case("its history does not lead to the case".to_owned()));
