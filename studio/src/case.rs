@@ -129,6 +129,15 @@ impl Default for WrapSettings {
     }
 }
 
+/// Landmarks on a scan that is not in work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, TS)]
+pub struct Places {
+    /// The scan.
+    pub scan: Source,
+    /// Pairs that have a place on it.
+    pub pairs: Vec<Pair>,
+}
+
 /// A template that was wrapped onto a scan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, TS)]
 pub struct Wrapped {
@@ -149,12 +158,17 @@ pub struct Wrapped {
 }
 
 impl Wrapped {
-    /// Whether it was wrapped onto this scan in its unit, by its file and not by its name: many scans are called `scan.ply`.
+    /// Whether it was made of a case's template and scan in work in their units, by their files and not by their names: many scans are
+    /// called `scan.ply`.
     #[must_use]
-    pub fn is_of(&self, scan: &Source) -> bool {
-        let target = format!("asset:{}/{}", scan.at.asset, scan.at.file);
-        let unit = format!("target={}", scan.unit.name());
-        self.command.contains(&target) && self.command.iter().any(|word| word.split(',').any(|part| part == unit))
+    pub fn is_of(&self, case: &Case) -> bool {
+        let made_of = |role: &str, source: &Source| {
+            let file = format!("asset:{}/{}", source.at.asset, source.at.file);
+            let unit = format!("{role}={}", source.unit.name());
+            self.command.contains(&file) && self.command.iter().any(|word| word.split(',').any(|part| part == unit))
+        };
+        let sources = [("template", case.template.as_ref()), ("target", case.scan_in_work())];
+        sources.into_iter().all(|(role, source)| source.is_some_and(|source| made_of(role, source)))
     }
 }
 
@@ -199,7 +213,6 @@ pub struct Photo {
 
 /// All of a client's case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, TS)]
-#[serde(default)]
 pub struct Case {
     /// The client's name.
     pub name: String,
@@ -215,6 +228,9 @@ pub struct Case {
     pub scans: Vec<Source>,
     /// The one in work.
     pub scan: Option<u32>,
+    /// Landmarks on the other ones.
+    #[serde(default)]
+    pub places: Vec<Places>,
     /// How it is wrapped.
     pub wrap: WrapSettings,
     /// The last result.
@@ -237,6 +253,7 @@ impl Default for Case {
             rig: None,
             scans: Vec::new(),
             scan: None,
+            places: Vec::new(),
             wrap: WrapSettings::default(),
             wrapped: None,
             plans: vec![Plan { id: 1, name: "Plan A".to_owned(), recipe: plan::empty("Plan A") }],
@@ -521,23 +538,19 @@ impl Case {
             }
             Edit::UseScan { index } => {
                 self.scans.get(*index as usize).ok_or_else(|| gone("scan"))?;
-                if self.scan != Some(*index) {
-                    self.scan = Some(*index);
-                    // places on the other scan mean nothing on this one
-                    self.wrap.pairs.iter_mut().for_each(|pair| (pair.target, pair.doubt) = (None, None));
-                }
+                self.use_scan(Some(*index));
             }
             Edit::RemoveScan { index } => {
                 let index = *index as usize;
                 self.scans.get(index).ok_or_else(|| gone("scan"))?;
-                self.scans.remove(index);
                 match self.scan {
-                    Some(at) if at as usize == index => {
-                        self.scan = None;
-                        self.wrap.pairs.iter_mut().for_each(|pair| (pair.target, pair.doubt) = (None, None));
-                    }
+                    Some(at) if at as usize == index => self.use_scan(None),
                     Some(at) if at as usize > index => self.scan = Some(at - 1),
                     _ => {}
+                }
+                let removed = self.scans.remove(index);
+                if !self.scans.contains(&removed) {
+                    self.places.retain(|places| places.scan != removed);
                 }
             }
             Edit::RemovePhoto { index } => {
@@ -556,8 +569,12 @@ impl Case {
                 if self.wrap.pairs.iter().any(|pair| pair.name == to) {
                     return Err(problem(format!("there is a landmark {to:?} already; choose another name")));
                 }
-                let pair = self.wrap.pairs.iter_mut().find(|pair| pair.name == *name);
-                pair.ok_or_else(|| gone("landmark"))?.name = to;
+                if !self.wrap.pairs.iter().any(|pair| pair.name == *name) {
+                    return Err(gone("landmark"));
+                }
+                let elsewhere = self.places.iter_mut().flat_map(|places| &mut places.pairs);
+                let named = self.wrap.pairs.iter_mut().chain(elsewhere).filter(|pair| pair.name == *name);
+                named.for_each(|pair| pair.name.clone_from(&to));
             }
             Edit::RemovePair { name } => self.wrap.pairs.retain(|pair| pair.name != *name),
             Edit::SetPairs { pairs } => {
@@ -612,7 +629,30 @@ impl Case {
             Edit::MoveStep { from, to } => self.recipe(|text| plan::moved(text, *from as usize, *to as usize))?,
             Edit::RemoveStep { index } => self.recipe(|text| plan::without(text, *index as usize))?,
         }
+        // a landmark that is gone is gone from all scans
+        let pairs = &self.wrap.pairs;
+        let elsewhere = self.places.iter_mut();
+        elsewhere.for_each(|places| places.pairs.retain(|there| pairs.iter().any(|pair| pair.name == there.name)));
         self.check_counts()
+    }
+
+    /// Takes another scan, or none, in work: the landmarks on the one before are kept with it, and those on this one are there again.
+    fn use_scan(&mut self, index: Option<u32>) {
+        if self.scan == index {
+            return;
+        }
+        let placed: Vec<Pair> = self.wrap.pairs.iter().filter(|pair| pair.target.is_some()).cloned().collect();
+        if let Some(scan) = self.scan_in_work().cloned() {
+            self.places.retain(|places| places.scan != scan);
+            self.places.push(Places { scan, pairs: placed });
+        }
+        self.scan = index;
+        let known = self.scan_in_work().and_then(|scan| self.places.iter().find(|places| places.scan == *scan));
+        for pair in &mut self.wrap.pairs {
+            let there = known.and_then(|places| places.pairs.iter().find(|there| there.name == pair.name)).cloned();
+            (pair.target, pair.doubt, pair.by_hand) =
+                there.map_or((None, None, false), |there| (there.target, there.doubt, there.by_hand));
+        }
     }
 
     fn check_counts(&self) -> Result<(), Problem> {
@@ -633,6 +673,7 @@ impl Case {
         checked("the date", &self.date)?;
         checked("the notes", &self.notes)?;
         check_pairs(&self.wrap.pairs)?;
+        self.places.iter().try_for_each(|places| check_pairs(&places.pairs))?;
         check_settings(&self.wrap)?;
         for plan in &self.plans {
             named("a plan", &plan.name)?;
@@ -724,9 +765,46 @@ mod tests {
     }
 
     #[test]
+    fn landmarks_stay_with_their_scan() {
+        let source =
+            |name: &str| from_value(json!({ "at": { "asset": name, "file": "s.ply" }, "name": "s.ply", "unit": "mm" }));
+        let scans = ["a", "b"].map(|name| source(name).unwrap()).to_vec();
+        let mut case = Case { scans, scan: Some(0), ..Case::default() };
+        let placed = |case: &mut Case, name: &str, x: f64| {
+            let pair =
+                Pair { name: name.to_owned(), vertex: Some(1), target: Some([x; 3]), doubt: None, by_hand: true };
+            case.apply(&Edit::SetPair { pair }).unwrap();
+        };
+        let at = |case: &Case| case.wrap.pairs.iter().map(|p| p.target.map(|t| t[0])).collect::<Vec<_>>();
+        placed(&mut case, "nose", 1.0);
+        placed(&mut case, "chin", 2.0);
+        case.apply(&Edit::UseScan { index: 1 }).unwrap();
+        assert_eq!(at(&case), [None, None]);
+        placed(&mut case, "nose", 3.0);
+        // a landmark has its new name on both, and one that is removed is on neither
+        case.apply(&Edit::RenamePair { name: "nose".to_owned(), to: "tip".to_owned() }).unwrap();
+        case.apply(&Edit::RemovePair { name: "chin".to_owned() }).unwrap();
+        case.apply(&Edit::UseScan { index: 0 }).unwrap();
+        assert_eq!((at(&case), case.wrap.pairs[0].by_hand), (vec![Some(1.0)], true));
+        case.apply(&Edit::UseScan { index: 1 }).unwrap();
+        assert_eq!(at(&case), [Some(3.0)]);
+        case.check().unwrap();
+        case.apply(&Edit::RemoveScan { index: 1 }).unwrap();
+        assert_eq!((at(&case), case.places.len()), (vec![None], 1));
+    }
+
+    #[test]
     fn a_result_is_one_of_its_scan_in_its_unit() {
         let at = |asset: &str| json!({ "asset": asset, "file": "scan.ply" });
-        let command = ["register", "--target", "asset:a/scan.ply", "--unit", "template=cm,target=mm"];
+        let command = [
+            "register",
+            "--template",
+            "asset:t/scan.ply",
+            "--target",
+            "asset:a/scan.ply",
+            "--unit",
+            "template=cm,target=mm",
+        ];
         let summary =
             json!({ "within": 1, "median": 0, "p95": 0, "flipped": 0, "probability": 0, "steps": 1, "doubts": [] });
         let wrapped: Wrapped = from_value(json!({
@@ -734,8 +812,13 @@ mod tests {
             "summary": summary,
         }))
         .unwrap();
-        let scan = |at: Value, unit: &str| from_value(json!({ "at": at, "name": "scan.ply", "unit": unit })).unwrap();
-        assert!(wrapped.is_of(&scan(at("a"), "mm")));
-        assert!(!wrapped.is_of(&scan(at("c"), "mm")) && !wrapped.is_of(&scan(at("a"), "cm")));
+        let source = |at: Value, unit: &str| from_value(json!({ "at": at, "name": "scan.ply", "unit": unit })).unwrap();
+        let is_of = |scan, template| {
+            let (template, scans) = (Some(template), vec![scan]);
+            wrapped.is_of(&Case { template, scans, scan: Some(0), ..Case::default() })
+        };
+        let template = |unit: &str| source(at("t"), unit);
+        assert!(is_of(source(at("a"), "mm"), template("cm")) && !is_of(source(at("a"), "mm"), template("mm")));
+        assert!(!is_of(source(at("c"), "mm"), template("cm")) && !is_of(source(at("a"), "cm"), template("cm")));
     }
 }

@@ -12,7 +12,14 @@ pub fn problem(what: impl std::fmt::Display) -> Problem {
 
 impl From<rusqlite::Error> for Problem {
     fn from(error: rusqlite::Error) -> Self {
-        Self(format!("the vault's database says: {error}; is the disk full, or the vault of a newer version?"))
+        use rusqlite::ErrorCode::{CannotOpen, DatabaseCorrupt, DiskFull, NotADatabase, ReadOnly};
+        let advice = match error.sqlite_error_code() {
+            Some(ReadOnly | CannotOpen) => "; may vault.sqlite and its folder be written?",
+            Some(NotADatabase | DatabaseCorrupt) => "; put vault.sqlite back from a backup",
+            Some(DiskFull) => "; make room on the disk",
+            _ => "",
+        };
+        Self(format!("the vault's database says: {error}{advice}"))
     }
 }
 

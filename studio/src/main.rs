@@ -174,7 +174,8 @@ fn new_case(vault: &Vault, arguments: &Arguments) -> Result<u32, Failure> {
     }
     if let Some(path) = recipe {
         let recipe = nonrigid::io::read_text(path).map_err(Failure::loading)?;
-        case.apply(&Edit::SetRecipe { recipe }).map_err(Failure::loading)?;
+        let unusable = |e| Failure::loading(format!("{}: {e}", path.display()));
+        case.apply(&Edit::SetRecipe { recipe }).map_err(unusable)?;
     }
     case.scan = (!case.scans.is_empty()).then_some(0);
     let named = scan.first().or(template.as_ref()).or(rig.as_ref());

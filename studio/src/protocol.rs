@@ -370,6 +370,8 @@ pub enum ServerMessage {
         regions: Vec<String>,
         /// The `nonrigid register` line of the last result.
         command: Option<String>,
+        /// Whether that result is of the scan in work and the template, in their units.
+        current: bool,
     },
     /// No case is open any more.
     NoCase,
@@ -533,6 +535,7 @@ pub fn typescript() -> String {
         case::Source,
         case::Pair,
         case::WrapSettings,
+        case::Places,
         case::Wrapped,
         case::WrapSummary,
         case::Plan,

@@ -201,7 +201,10 @@ async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, reques
         response
     } else if !gate.knows(headers) {
         refused(StatusCode::UNAUTHORIZED, "Open the address that the program has printed, with its token.")
-    } else if !gate.own_origin(headers, request.method() != Method::GET || request.uri().path() == "/socket") {
+    } else if !gate.own_origin(
+        headers,
+        !matches!(*request.method(), Method::GET | Method::HEAD) || request.uri().path() == "/socket",
+    ) {
         refused(StatusCode::FORBIDDEN, "This request comes from another page.")
     } else {
         next.run(request).await
@@ -277,7 +280,15 @@ async fn download(State(gate): State<Arc<Gate>>, Path((asset, file)): Path<(Stri
     let kind = picture.unwrap_or("application/octet-stream");
     let ascii: String =
         file.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
-    let save = if picture.is_some() { "inline".to_owned() } else { format!("attachment; filename=\"{ascii}\"") };
+    // names beyond ASCII as RFC 6266 has them
+    let coded: String = file.bytes().fold(String::new(), |coded, byte| match byte {
+        b if b.is_ascii_alphanumeric() || b"-_.".contains(&b) => coded + &char::from(b).to_string(),
+        b => coded + &format!("%{b:02X}"),
+    });
+    let save = match picture {
+        Some(_) => "inline".to_owned(),
+        None => format!("attachment; filename=\"{ascii}\"; filename*=UTF-8''{coded}"),
+    };
     ([(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, save)], Body::from_stream(stream))
         .into_response()
 }
@@ -313,17 +324,26 @@ async fn receive(hub: &Arc<Hub>, name: &str, body: Body) -> Result<String, Probl
     Ok(hub.keep_upload(incoming))
 }
 
-async fn socket(State(gate): State<Arc<Gate>>, upgrade: WebSocketUpgrade) -> Response {
+#[derive(Deserialize)]
+struct Shown {
+    client: Option<u32>,
+}
+
+async fn socket(
+    State(gate): State<Arc<Gate>>,
+    Query(Shown { client }): Query<Shown>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
     upgrade
         .max_message_size(LARGEST_MESSAGE)
         .max_frame_size(LARGEST_MESSAGE)
-        .on_upgrade(move |socket| window(gate.hub.clone(), socket))
+        .on_upgrade(move |socket| window(gate.hub.clone(), socket, client))
 }
 
-async fn window(hub: Arc<Hub>, socket: WebSocket) {
+async fn window(hub: Arc<Hub>, socket: WebSocket, client: Option<u32>) {
     let (mut sink, mut stream) = socket.split();
     let (page, mut outgoing) = tokio::sync::mpsc::channel(WAITING);
-    let to_window = session::open(&hub, page.clone());
+    let to_window = session::open(&hub, page.clone(), client);
     let writer = tokio::spawn(async move {
         while let Some(message) = outgoing.recv().await {
             let message = match message {

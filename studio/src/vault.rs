@@ -77,7 +77,7 @@ impl History {
 }
 
 /// A case as the list shows it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, TS)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, TS)]
 pub struct CaseSummary {
     /// Its number.
     pub id: u32,
@@ -96,6 +96,8 @@ pub struct CaseSummary {
     pub wrapped: bool,
     /// Plans that have steps.
     pub plans: u32,
+    /// Why it cannot be read, where it cannot: nothing else is known of it then.
+    pub trouble: Option<String>,
 }
 
 /// A case at its newest revision.
@@ -145,15 +147,18 @@ impl Vault {
     /// # Errors
     /// When the folder cannot be made or written, or a newer program has written it.
     pub fn open(folder: &Path) -> Result<Self, Problem> {
-        let unusable = |error: &dyn std::fmt::Display| {
+        Self::opened(folder).map_err(|Problem(error)| {
             problem(format!("{}: cannot be a vault: {error}; choose another folder with --vault", folder.display()))
-        };
+        })
+    }
+
+    fn opened(folder: &Path) -> Result<Self, Problem> {
         for part in ["assets", "incoming"] {
-            fs::create_dir_all(folder.join(part)).map_err(|e| unusable(&e))?;
+            fs::create_dir_all(folder.join(part))?;
         }
         // a command that is copied elsewhere needs the whole path
-        let folder = folder.canonicalize().map_err(|e| unusable(&e))?;
-        let mut database = Connection::open(folder.join("vault.sqlite")).map_err(|e| unusable(&e))?;
+        let folder = folder.canonicalize()?;
+        let mut database = Connection::open(folder.join("vault.sqlite"))?;
         database.busy_timeout(Duration::from_secs(20))?;
         database.execute_batch(
             "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON; PRAGMA secure_delete = ON;",
@@ -163,7 +168,7 @@ impl Vault {
         if version > MIGRATIONS.len() {
             let message =
                 format!("its version is {version}, this program knows {}; use the newer one", MIGRATIONS.len());
-            return Err(unusable(&message));
+            return Err(problem(message));
         }
         for migration in &MIGRATIONS[version..] {
             change.execute_batch(migration)?;
@@ -208,7 +213,15 @@ impl Vault {
         let mut found = Vec::new();
         for row in rows {
             let (id, touched, document) = row?;
-            let case = parse(id, &document)?;
+            let case = match parse(id, &document) {
+                Ok(case) => case,
+                // listed whatever is looked for, and the others can be opened
+                Err(Problem(why)) => {
+                    let (name, trouble) = (format!("case {id}"), Some(why));
+                    found.push(CaseSummary { id, name, touched, trouble, ..CaseSummary::default() });
+                    continue;
+                }
+            };
             let plans = case.plans.iter().map(|p| p.name.as_str());
             let words: Vec<&str> = [&*case.name, &*case.date, &*case.notes].into_iter().chain(plans).collect();
             if words.join("\n").to_lowercase().contains(&query) {
@@ -221,6 +234,7 @@ impl Vault {
                     plans: case.plans.iter().filter(|p| !crate::plan::is_empty(&p.recipe)).count() as u32,
                     name: case.name,
                     date: case.date,
+                    trouble: None,
                 });
             }
         }
@@ -378,7 +392,8 @@ impl Vault {
     pub fn delete_case(&self, id: u32) -> Result<(), Problem> {
         let mut database = self.database();
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let mut own = assets_of(&transaction, "case_id = ?1", [id])?;
+        // What cannot be read names no files: those that it alone had are swept when no case has them.
+        let mut own = assets_of(&transaction, "case_id = ?1", [id]).unwrap_or_default();
         let mut rows = transaction.prepare("SELECT asset FROM leftovers WHERE case_id = ?1")?;
         own.extend(rows.query_map([id], |row| row.get::<_, String>(0))?.collect::<Result<Vec<_>, _>>()?);
         drop(rows);
@@ -484,7 +499,8 @@ impl Vault {
     /// # Errors
     /// When the name is not one of the vault's, or nothing is there.
     pub fn path(&self, at: &FileRef) -> Result<PathBuf, Problem> {
-        let missing = || problem(format!("the vault has no file {:?} any more; add it again", at.file));
+        let what = if at.file.is_empty() { "rig".to_owned() } else { format!("file {:?}", at.file) };
+        let missing = || problem(format!("the vault has no {what} any more; add it again"));
         if !is_hash(&at.asset) {
             return Err(missing());
         }
@@ -556,7 +572,8 @@ impl Vault {
 
     /// Removes what no case refers to and nobody can be writing any more.
     fn sweep(&self) -> Result<(), Problem> {
-        let used = assets(&self.database())?;
+        // Of a case that cannot be read, which the list of cases says, nobody knows which files are its own.
+        let Ok(used) = assets(&self.database()) else { return Ok(()) };
         for part in ["assets", "incoming"] {
             for entry in fs::read_dir(self.folder.join(part))? {
                 let entry = entry?;
@@ -605,7 +622,12 @@ fn insert_article(database: &Connection, article: &Article) -> Result<(), Proble
 }
 
 fn parse(id: u32, document: &str) -> Result<Case, Problem> {
-    serde_json::from_str(document).map_err(|e| problem(format!("case {id} in the vault cannot be read: {e}")))
+    serde_json::from_str(document).map_err(|e| {
+        problem(format!(
+            "case {id} in the vault cannot be read ({e}), so no file of the vault is removed: put vault.sqlite back from a backup, \
+             or delete this case"
+        ))
+    })
 }
 
 fn read(database: &Connection, id: u32) -> Result<OpenCase, Problem> {

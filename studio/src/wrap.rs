@@ -205,8 +205,7 @@ impl WrapJob {
             }
         }
         let mut state = None;
-        if let Some(wrapped) = case.wrapped.as_ref().filter(|w| warm && w.model == model.name() && w.is_of(scan_source))
-        {
+        if let Some(wrapped) = case.wrapped.as_ref().filter(|w| warm && w.model == model.name() && w.is_of(case)) {
             let text = io::read_text(&vault.path(&wrapped.state)?)?;
             let read: WarmStart = serde_json::from_str(&text).map_err(problem)?;
             state = Some(read);

@@ -8,7 +8,7 @@ mod drawn;
 use std::collections::HashSet;
 use std::path::Path;
 
-use nonrigid::morph::{FrameSpec, Recipe, preset_names, preset_text};
+use nonrigid::morph::{FrameSpec, MorphModel, Recipe, preset_names, preset_text};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use ts_rs::TS;
@@ -316,6 +316,7 @@ pub fn with_step(text: &str, drawn: &DrawnStep) -> Result<String, Problem> {
         }
         let mut step = Table::new();
         step.insert("name".to_owned(), drawn.name.as_str().into());
+        check_pins(&drawn.model, !drawn.pins.is_empty())?;
         step.insert("model".to_owned(), known_model(&drawn.model)?);
         step.insert("mask".to_owned(), Value::Array(vec![Value::Table(mask)]));
         let protect = protect_tables(&drawn.protect)?;
@@ -333,6 +334,14 @@ pub fn with_step(text: &str, drawn: &DrawnStep) -> Result<String, Problem> {
         steps.push(Value::Table(step));
         Ok(())
     })
+}
+
+/// Refuses pins of a model that cannot hold them.
+fn check_pins(model: &str, pins: bool) -> Result<(), Problem> {
+    if pins && model == MorphModel::Direct.name() {
+        return Err(problem("the direct model holds no pins: choose another model, such as arap, or no pins"));
+    }
+    Ok(())
 }
 
 fn step_at(steps: &mut [Value], index: usize) -> Result<&mut Table, Problem> {
@@ -360,6 +369,7 @@ pub fn with_change(text: &str, index: usize, change: &StepChange) -> Result<Stri
             step.insert("amount".to_owned(), amount.into());
         }
         if let Some(model) = &change.model {
+            check_pins(model, step.contains_key("pin"))?;
             step.insert("model".to_owned(), known_model(model)?);
         }
         if let Some(side) = change.side {
@@ -414,6 +424,30 @@ pub fn without(text: &str, index: usize) -> Result<String, Problem> {
         steps.remove(index);
         Ok(())
     })
+}
+
+/// A plan without the steps whose pins or goals are vertices by number, and the names of those.
+///
+/// # Errors
+/// When it is no recipe.
+pub fn without_vertices(text: &str) -> Result<(String, Vec<String>), Problem> {
+    let numbered = |step: &Value| {
+        let points = ["pin", "goal"].into_iter().filter_map(|key| step.get(key)?.as_array()).flatten();
+        points.into_iter().any(|point| point.get("vertex").is_some())
+    };
+    let mut names = Vec::new();
+    if !steps(&parse(text)?).iter().any(numbered) {
+        return Ok((text.to_owned(), names));
+    }
+    let text = edited(text, |_, steps| {
+        names.extend(steps.extract_if(.., |step| numbered(step)).map(|step| name_of(&step)));
+        Ok(())
+    })?;
+    Ok((text, names))
+}
+
+fn name_of(step: &Value) -> String {
+    step.get("name").and_then(Value::as_str).unwrap_or("a step without a name").to_owned()
 }
 
 /// The steps as the page lists them.
@@ -572,6 +606,11 @@ mod tests {
         let steps = view(&with_change(&plan, 0, &change).unwrap());
         assert_eq!((steps[0].soft, steps[0].side, steps[0].protects), (0.0, Side::Right, 1));
         assert!(with_change(&plan, 1, &change).is_err());
+        // what has no energy holds no pins
+        let direct = StepChange { model: Some("direct".to_owned()), ..StepChange::default() };
+        assert!(with_change(&plan, 0, &direct).unwrap_err().0.contains("pins"));
+        let pinned = DrawnStep { model: "direct".to_owned(), ..step.clone() };
+        assert!(with_step(&plan, &pinned).unwrap_err().0.contains("pins"));
         assert!(with_step(&plan, &DrawnStep { model: "magic".to_owned(), ..step }).is_err());
     }
 

@@ -83,11 +83,15 @@ impl Window {
                 let source = case.scan_in_work().ok_or_else(|| problem("add the scan before its landmarks"))?;
                 let scan = hub.store.scan(&hub.vault, source)?;
                 let places = wrap::scan_places(&at_file, source.unit, &scan)?;
+                let template =
+                    case.template.as_ref().map(|template| hub.store.mesh(&hub.vault, template)).transpose()?;
+                let vertices = template.map_or(0, |mesh| mesh.positions.len());
+                let numbered = |name: &str| name.parse().ok().filter(|v: &u32| (*v as usize) < vertices);
                 self.change(&format!("{} landmarks of {main}", places.len()), |case| {
                     for (name, target) in places {
                         let known = case.wrap.pairs.iter().find(|p| p.name == name);
                         // a name that is a number is a vertex of the template, unless a landmark has it
-                        let vertex = known.map_or_else(|| name.parse().ok(), |p| p.vertex);
+                        let vertex = known.map_or_else(|| numbered(&name), |p| p.vertex);
                         case.apply(&Edit::SetPair {
                             pair: Pair { name, vertex, target: Some(target), doubt: None, by_hand: true },
                         })?;
@@ -129,13 +133,19 @@ impl Window {
                     None => true,
                 };
                 let label = name.clone();
+                let mut taken_out = Vec::new();
                 let open = hub.vault.change(id, &label, |case| {
                     match role {
                         Role::Template => {
-                            // Vertices and mask of another template mean nothing on this one.
+                            // Vertices, as of pins, and mask of another template mean nothing on this one.
                             if !alike {
                                 case.wrap.mask = None;
                                 case.wrap.pairs.iter_mut().for_each(|pair| pair.vertex = None);
+                                for plan in &mut case.plans {
+                                    let (recipe, names) = plan::without_vertices(&plan.recipe)?;
+                                    plan.recipe = recipe;
+                                    taken_out.extend(names.into_iter().map(|name| format!("{name} ({})", plan.name)));
+                                }
                             }
                             (case.template, case.wrapped) = (Some(source), None);
                         }
@@ -154,7 +164,15 @@ impl Window {
                     }
                     Ok(())
                 })?;
-                self.made(open)?;
+                let outcome = self.made(open);
+                if !taken_out.is_empty() {
+                    let text = format!(
+                        "steps that hold or draw vertices of the template before were taken out, undo brings them back: {}",
+                        taken_out.join(", ")
+                    );
+                    self.say(ServerMessage::Note { text });
+                }
+                outcome?;
                 if matches!(role, Role::Template | Role::Scan) {
                     self.say_what_is_missing(&hub.vault.path(&at)?);
                 }

@@ -127,8 +127,8 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Opens a window: where its messages go.
-pub fn open(hub: &Arc<Hub>, page: ToPage) -> Sender<Inbox> {
+/// Opens a window, on the client that its page has shown before: where its messages go.
+pub fn open(hub: &Arc<Hub>, page: ToPage, client: Option<u32>) -> Sender<Inbox> {
     let (sender, inbox) = std::sync::mpsc::channel();
     let number = hub.counter.fetch_add(1, Ordering::Relaxed);
     lock(&hub.windows).push((number, sender.clone()));
@@ -145,7 +145,7 @@ pub fn open(hub: &Arc<Hub>, page: ToPage) -> Sender<Inbox> {
     };
     let hub = hub.clone();
     std::thread::spawn(move || {
-        window.run(&inbox);
+        window.run(client, &inbox);
         lock(&hub.windows).retain(|(n, _)| *n != number);
     });
     sender
@@ -182,8 +182,8 @@ struct Window {
 }
 
 impl Window {
-    fn run(mut self, inbox: &Receiver<Inbox>) {
-        self.guarded(Self::welcome);
+    fn run(mut self, client: Option<u32>, inbox: &Receiver<Inbox>) {
+        self.guarded(|window| window.welcome(client));
         let mut waiting = None;
         while let Some(message) = waiting.take().or_else(|| inbox.recv().ok()) {
             let mut message = message;
@@ -248,7 +248,7 @@ impl Window {
         outcome
     }
 
-    fn welcome(&mut self) -> Result<(), Problem> {
+    fn welcome(&mut self, client: Option<u32>) -> Result<(), Problem> {
         self.say(ServerMessage::Welcome {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             models: ModelKind::ALL.iter().map(ToString::to_string).collect(),
@@ -258,15 +258,21 @@ impl Window {
         });
         let cases = self.hub.vault.cases("")?;
         let first = *lock(&self.hub.first_case);
-        let id = first.filter(|id| cases.iter().any(|c| c.id == *id)).or_else(|| cases.first().map(|c| c.id));
+        let there = |id: &u32| cases.iter().any(|c| c.id == *id);
+        let readable = || cases.iter().find(|c| c.trouble.is_none()).map(|c| c.id);
+        let id = client.map_or_else(|| first.filter(there).or_else(readable), |id| Some(id).filter(there));
         self.say(ServerMessage::Cases { cases });
-        match id {
-            Some(id) => self.open_case(id),
-            None => {
-                self.say(ServerMessage::NoCase);
-                Ok(())
-            }
+        let Some(id) = id else {
+            self.say(ServerMessage::NoCase);
+            // never another one in the place of the one that the page has shown
+            return client
+                .map_or(Ok(()), |_| Err(problem("the client of this window is not there any more: choose one")));
+        };
+        let outcome = self.open_case(id);
+        if self.open.is_none() {
+            self.say(ServerMessage::NoCase);
         }
+        outcome
     }
 
     fn case(&self) -> Result<&OpenCase, Problem> {
@@ -362,6 +368,7 @@ impl Window {
             redo,
             regions: regions.unwrap_or_default(),
             command,
+            current: case.wrapped.as_ref().is_some_and(|wrapped| wrapped.is_of(&case)),
         };
         self.say(message);
         if self.shown.template != case.template {
@@ -421,7 +428,7 @@ impl Window {
         let mesh = hub.store.face(&hub.vault, case)?;
         self.show(positions_frame("wrapped", &mesh.positions));
         // only on the scan that it was wrapped onto
-        if let Some(scan) = case.scan_in_work().filter(|scan| result.is_of(scan)) {
+        if let Some(scan) = case.scan_in_work().filter(|_| result.is_of(case)) {
             let scan = hub.store.scan(&hub.vault, scan)?;
             if let Some(surface) = &scan.surface {
                 let distance = |p: &Vec3| surface.query(p).map_or(f64::NAN, |c| c.squared_distance.sqrt());
@@ -463,7 +470,9 @@ impl Window {
             }
             ClientMessage::OpenCase { id } => self.busy("opening", |window| window.open_case(id)),
             ClientMessage::DeleteCase { id } => {
+                let name = hub.vault.cases("")?.into_iter().find(|case| case.id == id).map(|case| case.name);
                 hub.vault.delete_case(id)?;
+                self.say(ServerMessage::Note { text: format!("{} is deleted.", name.unwrap_or_default()) });
                 if self.open.as_ref().is_some_and(|open| open.id == id) {
                     self.open = None;
                     self.say(ServerMessage::NoCase);

@@ -142,15 +142,19 @@ impl Window {
     /// Replays a plan and shows it.
     pub(super) fn replay(&mut self, case: &Case, recipe: &str, preview: bool) -> Result<(), Problem> {
         let clock = Instant::now();
+        let steps = plan::view(recipe);
         if store::face_source(case).is_err() {
             self.show(clear_frame("plan"));
+            let (results, command) = (Vec::new(), String::new());
+            let message =
+                ServerMessage::Plan { preview, steps, results, frame: None, command, milliseconds: 0.0, error: None };
+            self.say(message);
             return Ok(());
         }
         let outcome = self.positions_while(preview, case, recipe);
         let milliseconds = 1e3 * clock.elapsed().as_secs_f64();
         let vault = &self.hub.vault;
         let command = if preview { String::new() } else { wrap::shell_line(vault, &morph_arguments(vault, case)?) };
-        let steps = plan::view(recipe);
         let (results, frame, error) = match outcome {
             Ok(Replayed { positions, results, frame }) => {
                 self.show(positions_frame("plan", &positions));

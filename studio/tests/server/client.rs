@@ -67,10 +67,14 @@ impl Running {
 
     /// Opens a WebSocket with these header lines.
     pub fn socket(&self, headers: &[(&str, &str)]) -> Result<Page, u16> {
+        self.socket_of("", headers)
+    }
+
+    fn socket_of(&self, query: &str, headers: &[(&str, &str)]) -> Result<Page, u16> {
         let stream = TcpStream::connect(&self.host).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
         let mut request = tungstenite::http::Request::builder()
-            .uri(format!("ws://{}/socket", self.host))
+            .uri(format!("ws://{}/socket{query}", self.host))
             .header("Host", &self.host)
             .header("Connection", "Upgrade")
             .header("Upgrade", "websocket")
@@ -89,9 +93,15 @@ impl Running {
     }
 
     pub fn page(&self) -> Page {
+        self.page_of("")
+    }
+
+    /// A page that has shown a client before, as its query says.
+    pub fn page_of(&self, query: &str) -> Page {
         let cookie = self.cookie();
         let cookie = cookie.trim().strip_prefix("Cookie: ").unwrap();
-        let mut page = self.socket(&[("Cookie", cookie), ("Origin", &format!("http://{}", self.host))]).unwrap();
+        let headers = [("Cookie", cookie), ("Origin", &format!("http://{}", self.host))];
+        let mut page = self.socket_of(query, &headers).unwrap();
         page.wait("cases");
         page
     }

@@ -38,11 +38,15 @@ fn each_failure_has_the_exit_code_of_its_stage() {
         (1, "--unit is for a new case", vec!["--vault", &vault, "--unit", "mm"]),
         (1, "choose another one with --port", vec!["--vault", &vault, "--template", &sheet, "--port", &port]),
         (3, "cannot be a vault", vec!["--vault", &inside]),
-        (4, "not a database", vec!["--vault", &broken]),
+        (
+            4,
+            "broken: cannot be a vault: the vault's database says: file is not a database; put",
+            vec!["--vault", &broken],
+        ),
         (4, "absent.obj", vec!["--vault", &vault, "--template", &absent]),
         (4, "bad.ply", vec!["--vault", &vault, "--scan", &bad]),
         (4, "Say --unit", vec!["--vault", &vault, "--scan", &tiny]),
-        (4, "the plan", vec!["--vault", &vault, "--template", &sheet, "--recipe", &recipe]),
+        (4, "bad.toml: ", vec!["--vault", &vault, "--template", &sheet, "--recipe", &recipe]),
     ] {
         let out = program().args(&arguments).output().unwrap();
         let error = String::from_utf8(out.stderr).unwrap();

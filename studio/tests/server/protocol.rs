@@ -21,6 +21,43 @@ fn a_page_is_greeted_and_shown_the_case() {
 }
 
 #[test]
+fn a_client_without_a_face_has_a_plan_of_its_own() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": bump(false) } }));
+    while page.wait("plan")["steps"].as_array().unwrap().is_empty() {}
+    page.send(&json!({ "type": "new_case", "name": "Second" }));
+    while page.wait("case")["case"]["name"] != "Second" {}
+    let plan = page.wait("plan");
+    assert_eq!((&plan["steps"], &plan["command"], &plan["preview"]), (&json!([]), &json!(""), &json!(false)));
+    // what is planned before there is a face is listed
+    page.send(
+        &json!({ "type": "edit", "edit": { "edit": "set_preset", "preset": "nose-tip", "amount": 2.0, "side": "both" } }),
+    );
+    assert_eq!(page.wait("plan")["steps"][0]["amount"], 2.0);
+}
+
+#[test]
+fn a_page_that_comes_again_is_shown_its_own_client() {
+    let server = Running::start();
+    let [first, second] = [server.add_sheet(), server.add_sheet()];
+    let mut other = server.page();
+    other.send(&json!({ "type": "open_case", "id": second }));
+    while other.wait("case")["id"] != second {}
+    assert_eq!(server.page().wait("case")["id"], second);
+    assert_eq!(server.page_of(&format!("?client={first}")).wait("case")["id"], first);
+    // never another one in its place
+    other.send(&json!({ "type": "delete_case", "id": first }));
+    assert_eq!(other.wait("note")["text"], "Unnamed is deleted.");
+    let mut gone = server.page_of(&format!("?client={first}"));
+    assert_eq!(gone.next()["type"], "no_case");
+    assert!(gone.wait("error")["text"].as_str().unwrap().contains("not there any more"));
+    assert!(other.refused(&json!({ "type": "delete_case", "id": first })).contains("not there any more"));
+}
+
+#[test]
 fn malformed_messages_are_answered_and_end_nothing() {
     let server = Running::start();
     server.add_sheet();
@@ -354,6 +391,12 @@ fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
     page.wait("case");
     page.send(&json!({ "type": "place", "name": "nose", "side": "template", "point": [51.0, 70.0, 5.0] }));
     page.wait("case");
+    let mut pinned = bump(false);
+    (pinned["model"], pinned["pins"]) = (json!("arap"), json!([7]));
+    for step in [pinned, bump(false)] {
+        page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": step } }));
+        page.wait("case");
+    }
     page.send(&json!({ "type": "paint_mask", "weights": vec![0.5; 441] }));
     assert!(page.wait("case")["case"]["wrap"]["mask"].is_object());
     let mut replaced = |text: &str| {
@@ -361,11 +404,13 @@ fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
         page.send(
             &json!({ "type": "add", "role": "template", "files": [{ "id": id, "name": "new.obj" }], "unit": "mm" }),
         );
-        let wrap = page.wait("case")["case"]["wrap"].clone();
-        (wrap["pairs"][0]["vertex"].clone(), wrap["mask"].is_object())
+        let case = page.wait("case")["case"].clone();
+        let wrap = &case["wrap"];
+        let steps = case["plans"][0]["recipe"].as_str().unwrap().matches("[[step]]").count();
+        (wrap["pairs"][0]["vertex"].clone(), wrap["mask"].is_object(), steps)
     };
     // another shape of the same vertices keeps both
-    assert_eq!(replaced(&sheet().replace("v 0 0 0\n", "v 0 0 1\n")), (json!(220), true));
+    assert_eq!(replaced(&sheet().replace("v 0 0 0\n", "v 0 0 1\n")), (json!(220), true, 2));
     // the same shape with the vertices in another order does not
     let (vertices, faces): (Vec<_>, Vec<_>) =
         sheet().lines().map(str::to_owned).partition(|line| line.starts_with('v'));
@@ -374,7 +419,9 @@ fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
         format!("f {}", corners.collect::<Vec<_>>().join(" "))
     };
     let lines: Vec<String> = vertices.into_iter().rev().chain(faces.iter().map(turned)).collect();
-    assert_eq!(replaced(&lines.join("\n")), (Value::Null, false));
+    assert_eq!(replaced(&lines.join("\n")), (Value::Null, false, 1));
+    let note = page.wait("note")["text"].clone();
+    assert!(note.as_str().unwrap().contains("undo brings them back: bump (Plan A)"), "{note}");
 }
 
 #[test]

@@ -42,6 +42,12 @@ fn the_token_becomes_a_cookie_that_scripts_and_other_sites_do_not_have() {
 }
 
 #[test]
+fn a_look_at_the_head_is_no_change() {
+    let server = Running::start();
+    assert_eq!(server.http("HEAD", "/", &server.cookie(), b"").0, 200);
+}
+
+#[test]
 fn another_host_or_origin_is_refused() {
     let server = Running::start();
     let port = server.host.rsplit(':').next().unwrap();

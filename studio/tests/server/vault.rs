@@ -154,6 +154,29 @@ fn deleted_is_deleted_and_shared_files_stay() {
 }
 
 #[test]
+fn a_case_that_cannot_be_read_locks_no_other_out() {
+    for document in ["{", "{}"] {
+        let folder = tempfile::tempdir().unwrap();
+        let vault = Vault::open(folder.path()).unwrap();
+        let [bad, good] =
+            ["bad", "good"].map(|name| vault.add_case(&Case { name: name.to_owned(), ..Case::default() }));
+        let [bad, good] = [bad.unwrap(), good.unwrap()];
+        let database = rusqlite::Connection::open(folder.path().join("vault.sqlite")).unwrap();
+        database.execute("UPDATE revisions SET document = ?1 WHERE case_id = ?2", (document, bad)).unwrap();
+        drop(vault);
+        let vault = Vault::open(folder.path()).unwrap();
+        assert!(vault.case(bad).unwrap_err().0.contains("from a backup"));
+        let cases = vault.cases("not in any").unwrap();
+        assert!(cases.len() == 1 && cases[0].id == bad && cases[0].trouble.is_some(), "{cases:?}");
+        assert_eq!(vault.edit(good, &pair("nose".to_owned())).unwrap().case.name, "good");
+        // nobody knows which files are the bad one's: none goes, until it is deleted itself
+        assert!(vault.delete_case(good).unwrap_err().0.contains("cannot be read"));
+        vault.delete_case(bad).unwrap();
+        vault.delete_case(good).unwrap();
+    }
+}
+
+#[test]
 fn an_older_vault_is_brought_up_and_a_newer_one_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (id, case) = {

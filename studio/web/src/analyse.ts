@@ -1,7 +1,7 @@
 // Analyse: measurements of the face and its plans, drawn on it; outlines over each other; a report to print.
 
 import * as THREE from "three";
-import { app, send } from "./app";
+import { app, belongs, faceShown, send } from "./app";
 import { button, h, section, svg, toggle } from "./dom";
 import type { Analysis, MeasureRow } from "./protocol";
 import { stage, surfaceOf, views } from "./scene";
@@ -10,6 +10,8 @@ import { Pane, lookFrom } from "./stage";
 const pane = new Pane(views.face, "Measurements");
 const state = { after: false, chosen: null as string | null, group: "all", plans: null as Set<number> | null };
 
+belongs("client", () => ([state.plans, state.chosen] = [null, null]));
+
 function plans(): number[] {
   const c = app.open?.case;
   if (!c) return [];
@@ -17,7 +19,9 @@ function plans(): number[] {
   return known.filter((id) => (state.plans ?? new Set([c.plan])).has(id)).slice(0, 6);
 }
 
+/** Measures anew; until the answer comes, nothing is known: an error leaves no older numbers on another face. */
 export function enter() {
+  app.analysis = null;
   send({ type: "analyse", plans: plans() });
 }
 
@@ -119,6 +123,7 @@ export function panel(redraw: () => void): HTMLElement[] {
   return [
     section(
       "Plans",
+      faceShown(),
       h("div", { class: "row wrap" }, c.plans.map((p) => toggle(p.name, wanted.has(p.id), () => {
         if (!wanted.delete(p.id)) wanted.add(p.id);
         state.plans = wanted;
@@ -194,7 +199,8 @@ export function print(a: Analysis | null) {
     "article",
     { id: "print" },
     h("h1", {}, c.name),
-    h("p", {}, `${c.date || new Date().toISOString().slice(0, 10)}${plan ? `, ${plan.name}` : ""}`),
+    h("p", {}, `${c.date || new Date().toLocaleDateString("sv")}${plan ? `, ${plan.name}` : ""}`),
+    faceShown(),
     c.notes && h("p", { class: "notes" }, c.notes),
     h("div", { class: "shots" }, shots),
     h("h2", {}, "Steps"),

@@ -1,6 +1,7 @@
 // What the page knows, and its way to the server. Modes draw from here; nothing else keeps state of the case.
 
-import type { Analysis, Article, Case, CaseSummary, ClientMessage, CompareRow, Edit, FromPage, Numbers, Role, ServerMessage, Unit, Upload } from "./protocol";
+import { h } from "./dom";
+import type { Analysis, Article, CaseSummary, ClientMessage, CompareRow, Edit, FromPage, Numbers, Role, ServerMessage, Unit, Upload } from "./protocol";
 
 type Message<T extends ServerMessage["type"]> = Extract<ServerMessage, { type: T }>;
 
@@ -30,6 +31,8 @@ export const app = {
   progress: null as Message<"progress"> | null,
   steps: [] as Message<"step">[],
   connected: false,
+  /** The server was started again, and does not know this page. */
+  locked: false,
   meshes: new Map<string, MeshData>(),
   positions: new Map<string, Float32Array>(),
   values: new Map<string, ValueData>(),
@@ -46,19 +49,65 @@ export function changed(what: string) {
   for (const listener of listeners) listener(what);
 }
 
+// --- what belongs to whom ---
+
+type Open = Message<"case">;
+const scanOf = ({ case: c }: Open) => (c.scan === null ? null : c.scans[c.scan]);
+/** What tells a client from another, a scan in work with its template and rig, and a face that plans change. */
+const OWNERS = {
+  client: (_: Open) => [],
+  scan: (m: Open) => [m.case.template, m.case.rig, scanOf(m)],
+  face: (m: Open) => [m.case.template, m.case.rig, m.case.wrapped?.mesh],
+};
+type Owner = keyof typeof OWNERS;
+const owned: { owner: Owner; of: string; forget: () => void }[] = [];
+
+/** What is kept of a client, scan or face is forgotten when another one is shown: everything of that kind is named by this. */
+export function belongs(owner: Owner, forget: () => void) {
+  owned.push({ owner, of: "", forget });
+}
+
+function forgetOthers(m: Open | null) {
+  for (const thing of owned) {
+    const of = m ? JSON.stringify([m.id, OWNERS[thing.owner](m)]) : "";
+    if (thing.of !== of) thing.forget();
+    thing.of = of;
+  }
+}
+
+belongs("client", () => {
+  app.plan = null;
+  for (const map of [app.meshes, app.positions, app.values]) map.clear();
+});
+belongs("scan", () => {
+  app.compared = [];
+  app.steps = [];
+});
+belongs("face", () => (app.analysis = null));
+
 let socket: WebSocket | null = null;
 
+/** The client that this window shows: it shows the same one after a reload, whatever other windows have opened. */
+const CLIENT = "client";
+
 export function connect() {
-  socket = new WebSocket(`ws://${location.host}/socket`);
+  const client = sessionStorage.getItem(CLIENT);
+  socket = new WebSocket(`ws://${location.host}/socket${client ? `?client=${client}` : ""}`);
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
     app.connected = true;
+    app.locked = false;
     changed("connection");
   };
   socket.onclose = () => {
     app.connected = false;
+    if (app.progress) toast(`The server is gone, and with it what ran (${app.progress.what}): start it again.`, "error");
     app.progress = null;
     changed("connection");
+    void fetch("/").then((answer) => {
+      app.locked = answer.status === 401;
+      changed("connection");
+    }, () => {});
     setTimeout(connect, 1000);
   };
   socket.onmessage = (event) => (typeof event.data === "string" ? message(JSON.parse(event.data)) : numbers(event.data));
@@ -68,12 +117,24 @@ export function connect() {
 export function send(message: ClientMessage, client = app.open?.id ?? null) {
   const whole: FromPage = { case: client, ...message };
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(whole));
-  else toast("The server does not answer: is the program still running? Nothing was changed.", "error");
+  else {
+    toast("The server does not answer: is the program still running? Nothing was changed.", "error");
+    changed("error");
+  }
 }
 
 /** What a change is made on: the client, the plan and the revision that are shown. */
 export function shown() {
   return { client: app.open?.id ?? null, plan: app.open?.case.plan ?? 0, revision: app.open?.revision ?? 0 };
+}
+
+/** Of which scan the face is that plans change; what would mislead stands out. */
+export function faceShown(): HTMLElement | null {
+  const { case: c, current } = app.open!;
+  if (!c.wrapped && !c.template) return null;
+  if (c.wrapped && !current) return h("p", { class: "doubt" }, `Face: wrapped onto ${c.wrapped.scan}, not onto the scan in work as it is now; wrap that under Wrap.`);
+  if (c.wrapped) return h("p", { class: "hint" }, `Face: wrapped onto ${c.wrapped.scan}.`);
+  return h("p", { class: c.scan === null ? "hint" : "doubt" }, c.scan === null ? "Face: the template." : "Face: the template; nothing is wrapped onto the scan yet.");
 }
 
 /** Changes the case; what another window has changed since `on` was shown, the server does not let be changed unseen. */
@@ -86,11 +147,6 @@ export function preview(change: Edit | null) {
   send({ type: "preview", edit: change });
 }
 
-/** The scan in work, in its unit, as a text. */
-function scanOf({ scan, scans }: Case): string {
-  return JSON.stringify(scan === null ? null : scans[scan]);
-}
-
 function message(m: ServerMessage) {
   switch (m.type) {
     case "welcome":
@@ -101,16 +157,14 @@ function message(m: ServerMessage) {
       app.cases = m.cases;
       break;
     case "case":
-      if (app.open?.id !== m.id) {
-        app.analysis = null;
-        app.compared = [];
-        app.steps = [];
-      } else if (scanOf(app.open.case) !== scanOf(m.case)) app.steps = [];
+      forgetOthers(m);
+      sessionStorage.setItem(CLIENT, String(m.id));
       app.open = m;
       break;
     case "no_case":
+      forgetOthers(null);
+      sessionStorage.removeItem(CLIENT);
       app.open = null;
-      app.plan = null;
       break;
     case "error":
       app.progress = null;
@@ -130,7 +184,7 @@ function message(m: ServerMessage) {
       app.steps.push(m);
       break;
     case "plan":
-      app.plan = { ...m, command: m.command || app.plan?.command || "" };
+      app.plan = { ...m, command: m.preview ? (app.plan?.command ?? "") : m.command };
       break;
     case "analysis":
       app.analysis = m.analysis;

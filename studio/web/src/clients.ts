@@ -1,13 +1,15 @@
 // Clients: the vault's cases, and what belongs to the one that is open.
 
-import { app, edit, send, toast } from "./app";
+import { app, edit, send } from "./app";
 import { ask, button, h, section, sure } from "./dom";
+import type { CaseSummary } from "./protocol";
 import { MESHES, pickFiles } from "./wrap";
 
 let query = "";
 
 export function page(go: (mode: string) => void): HTMLElement {
-  const open = app.open;
+  const shown = app.open;
+  const open = (c: CaseSummary) => !c.trouble && send({ type: "open_case", id: c.id });
   const search = h("input", { type: "search", placeholder: "Search names, notes, plans", value: query, "data-key": "search-cases", "aria-label": "search clients" });
   search.oninput = () => {
     query = search.value;
@@ -19,10 +21,12 @@ export function page(go: (mode: string) => void): HTMLElement {
     app.cases.map((c) =>
       h(
         "div",
-        { class: `card ${c.id === open?.id ? "selected" : ""}`, onclick: () => send({ type: "open_case", id: c.id }), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && send({ type: "open_case", id: c.id }) },
+        { class: `card ${c.id === shown?.id ? "selected" : ""}`, onclick: () => open(c), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && open(c) },
         h("b", {}, c.name),
         h("small", {}, [c.date, `${c.scans} scan${c.scans === 1 ? "" : "s"}`, c.wrapped ? "wrapped" : "", `${c.plans} plan${c.plans === 1 ? "" : "s"}`].filter(Boolean).join(" · ")),
         h("p", { class: "clip" }, c.notes),
+        c.trouble && h("p", { class: "doubt" }, c.trouble),
+        c.trouble && button("Delete", () => void sure(`Delete ${c.name} with all its files? This cannot be undone.`, "Delete for good").then((yes) => yes && send({ type: "delete_case", id: c.id })), { class: "danger" }),
       ),
     ),
     app.cases.length === 0 && h("p", { class: "hint" }, query ? "No client has these words." : "No clients yet: make one with New client."),
@@ -31,7 +35,7 @@ export function page(go: (mode: string) => void): HTMLElement {
     "main",
     { class: "page two" },
     h("aside", {}, h("div", { class: "row" }, search, button("New client", () => void ask("The client's name").then((name) => name && send({ type: "new_case", name })), { class: "main" }), button("Import", () => pickFiles("case", ".zip"), { title: "A client that was exported as a zip file" })), list, h("small", { class: "hint" }, `Kept in ${app.welcome?.vault ?? ""}`)),
-    open ? details(go) : h("div", { class: "empty" }, h("p", {}, "Choose a client on the left, or make a new one.")),
+    shown ? details(go) : h("div", { class: "empty" }, h("p", {}, "Choose a client on the left, or make a new one.")),
   );
 }
 
@@ -82,9 +86,7 @@ function details(go: (mode: string) => void): HTMLElement {
         { class: "row wrap" },
         button("Export as zip", () => send({ type: "export", what: { export: "case" } })),
         button("Delete", () => void sure(`Delete ${c.name} with all scans, plans and photos? This cannot be undone.`, "Delete for good").then((yes) => {
-          if (!yes) return;
-          send({ type: "delete_case", id });
-          toast(`${c.name} is deleted.`, "note");
+          if (yes) send({ type: "delete_case", id });
         }), { class: "danger" }),
       ),
     ),

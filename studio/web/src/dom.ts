@@ -1,5 +1,7 @@
 // Elements by hand: `h("button", { onclick }, "Run")`. Text is always text, so no name from a file can be markup.
 
+import { toast } from "./app";
+
 type Child = Node | string | number | null | undefined | false | Child[];
 type Attributes = Record<string, unknown>;
 
@@ -124,7 +126,12 @@ export function slider(o: SliderOptions): HTMLElement {
   let typing = false;
   const typed = () => {
     const value = Number(number.value);
-    if (typing && Number.isFinite(value)) o.done(value);
+    const inside = number.value !== "" && value >= o.min && value <= o.max;
+    if (typing && inside) o.done(value);
+    else if (typing) {
+      toast(`${o.label} goes from ${o.min} to ${o.max}; what was typed is not taken over.`, "error");
+      number.value = shown(o.value);
+    }
     typing = false;
     hand.busy = false;
     hand.free();

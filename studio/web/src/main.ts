@@ -37,6 +37,7 @@ document.body.append(bar, content, h("div", { id: "toasts", "aria-live": "polite
 
 function go(to: string) {
   if (to !== mode && mode === "plan") sculpt.leave();
+  if (to !== mode && to === "plan") sculpt.enter();
   mode = to as Mode;
   stage.overlay.replaceChildren();
   if (mode === "analyse") analyse.enter();
@@ -149,7 +150,7 @@ function drawBarContent() {
     h("span", { class: "grow clip client", title: "The client that is open" }, open ? open.case.name : ""),
     progress
       ? h("span", { class: "progress", role: "status" }, h("span", {}, progress.what), h("progress", progress.share === null ? {} : { max: 1, value: progress.share }), button("Cancel", () => send({ type: "cancel" }), { title: "Esc" }))
-      : h("small", { class: app.connected ? "saved" : "doubt", role: "status" }, app.connected ? (open ? "all changes saved" : "") : "no server: start nonrigid-studio again"),
+      : h("small", { class: app.connected ? "saved" : "doubt", role: "status" }, app.connected ? (open ? "all changes saved" : "") : app.locked ? "the server was started again: open the address that it has printed" : "no server: start nonrigid-studio again"),
     button("↶", () => send({ type: "undo" }), { disabled: !open?.undo, title: open?.undo ? `Undo: ${open.undo} (Ctrl Z)` : "Nothing to undo", "aria-label": "undo" }),
     button("↷", () => send({ type: "redo" }), { disabled: !open?.redo, title: open?.redo ? `Redo: ${open.redo} (Ctrl Shift Z)` : "Nothing to redo", "aria-label": "redo" }),
     button("?", toggleHelp, { title: "Keys and mouse (?)", "aria-label": "help" }),
@@ -184,8 +185,7 @@ onUnitWanted((wanted) => {
 });
 
 onChange((what) => {
-  if (what === "plan") sculpt.answered();
-  if (what === "error") sculpt.answered();
+  if (what === "plan" || what === "error" || what === "connection") sculpt.answered(what);
   if (what === "case" && mode === "analyse") analyse.enter();
   if (what === "case" && mode === "clients") send({ type: "list_cases", query: "" });
   if (what.startsWith("numbers:") && (mode === "clients" || mode === "knowledge")) return;
@@ -292,6 +292,9 @@ document.addEventListener("keyup", (event) => mode === "plan" && sculpt.keyUp(ev
 // what the view turns, the drawing on it follows
 stage.canvas.addEventListener("pointermove", () => mode === "plan" && sculpt.overlay());
 stage.canvas.addEventListener("wheel", () => mode === "plan" && requestAnimationFrame(() => sculpt.overlay()));
+
+// what runs ends with the window
+window.addEventListener("beforeunload", (event) => app.progress && event.preventDefault());
 
 connect();
 render();

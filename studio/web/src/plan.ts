@@ -1,10 +1,10 @@
 // The panel of a plan: ready operations as sliders, fine sculpting, the steps in their order, several plans beside each other.
 
-import { app, copy, onChange, preview, send, shown, toast } from "./app";
+import { app, belongs, copy, faceShown, onChange, preview, send, shown, toast } from "./app";
 import { ask, button, dialog, flag, h, section, select, slider, sure, toggle } from "./dom";
 import type { Edit, Mask, Preset, Side, StepResult } from "./protocol";
 import { options } from "./scene";
-import { ahead, discard, draft, dropSketch, edit, keep, overlay, redraw, showDraft, state, type Action, type Draft } from "./sculpt";
+import { ahead, discard, draft, dropSketch, edit, keep, overlay, redraw, showDraft, state, unlike, type Action, type Draft } from "./sculpt";
 import { pickFiles } from "./wrap";
 
 export function panel(): HTMLElement[] {
@@ -43,6 +43,7 @@ function plansSection(): HTMLElement {
   const blend = () => send({ type: "blend", from: state.from === "before" ? null : Number(state.from), to: c.plan, share: state.share, difference: state.difference });
   return section(
     "Plan",
+    faceShown(),
     h(
       "div",
       { class: "row" },
@@ -266,7 +267,8 @@ function stepsSection(): HTMLElement {
 
 function saveSection(): HTMLElement {
   const none = (app.plan?.steps.length ?? 0) === 0;
-  const save = (format: string) => button(format, () => send({ type: "export", what: { export: "face", format } }), { disabled: none });
+  const why = unlike();
+  const save = (format: string) => button(format, () => send({ type: "export", what: { export: "face", format } }), { disabled: none || why !== null, title: why ?? undefined });
   return section(
     "Keep",
     h("div", { class: "row wrap" }, h("span", {}, "Face as"), save("obj"), save("ply"), save("glb")),
@@ -276,13 +278,14 @@ function saveSection(): HTMLElement {
       button("Save recipe", () => send({ type: "export", what: { export: "recipe" } }), { disabled: none }),
       button("Load recipe", () => pickFiles("recipe", ".toml")),
       button("Recipe as text", () => void editRecipe()),
-      button("Copy as command", () => void copy(app.plan?.command ?? ""), { disabled: none, title: app.plan?.command }),
+      button("Copy as command", () => void copy(app.plan?.command ?? ""), { disabled: none || !app.plan?.command, title: app.plan?.command }),
     ),
   );
 }
 
 /** A recipe that was sent as a text, until it is the plan's: one that is refused is there again, to be corrected. */
 let sent: string | null = null;
+belongs("client", () => (sent = null));
 
 onChange((what) => {
   if (sent === null) return;

@@ -81,6 +81,15 @@ mask: FileRef | null,
  * A schedule (`.toml`) in place of the model's own.
  */
 schedule: FileRef | null, };
+export type Places = { 
+/**
+ * The scan.
+ */
+scan: Source, 
+/**
+ * Pairs that have a place on it.
+ */
+pairs: Array<Pair>, };
 export type Wrapped = { 
 /**
  * The mesh, millimetres.
@@ -190,6 +199,10 @@ scans: Array<Source>,
  * The one in work.
  */
 scan: number | null, 
+/**
+ * Landmarks on the other ones.
+ */
+places: Array<Places>, 
 /**
  * How it is wrapped.
  */
@@ -580,7 +593,11 @@ wrapped: boolean,
 /**
  * Plans that have steps.
  */
-plans: number, };
+plans: number, 
+/**
+ * Why it cannot be read, where it cannot: nothing else is known of it then.
+ */
+trouble: string | null, };
 export type Article = { 
 /**
  * Its number; 0 for a new one.
@@ -922,7 +939,11 @@ regions: Array<string>,
 /**
  * The `nonrigid register` line of the last result.
  */
-command: string | null, } | { "type": "no_case" } | { "type": "error", 
+command: string | null, 
+/**
+ * Whether that result is of the scan in work and the template, in their units.
+ */
+current: boolean, } | { "type": "no_case" } | { "type": "error", 
 /**
  * In words.
  */

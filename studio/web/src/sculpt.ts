@@ -1,7 +1,7 @@
 // A plan on the face: what is shown of it, the region that is being drawn, and its handle.
 
 import * as THREE from "three";
-import { app, edit as kept, preview, shown, toast } from "./app";
+import { app, belongs, edit as kept, preview, shown, toast } from "./app";
 import { svg } from "./dom";
 import { Sketch, planeOf, type Shape } from "./draw";
 import type { Drawing, DrawnStep, Edit, Mask, Side } from "./protocol";
@@ -12,6 +12,13 @@ const SKIN = 0xd9b79f;
 
 export type Action = "turn" | Shape | "pin";
 
+/** Vertices and regions of a face. */
+const ofFace = () => ({ protect: [] as Mask[], pins: [] as number[] });
+/** Sides of operations, and the plan that a blend begins from. */
+const ofClient = () => ({ side: new Map<string, Side>(), from: "before" });
+/** The picture is the whole plan, not a blend. */
+const whole = () => ({ share: 1, difference: false });
+
 export const state = {
   tab: "smart" as "smart" | "draw" | "steps",
   action: "turn" as Action,
@@ -20,12 +27,9 @@ export const state = {
   split: false,
   before: false,
   along: "normal" as "normal" | "view",
-  side: new Map<string, Side>(),
-  from: "before",
-  share: 1,
-  difference: false,
-  protect: [] as Mask[],
-  pins: [] as number[],
+  ...ofClient(),
+  ...whole(),
+  ...ofFace(),
 };
 
 export interface Draft extends DrawnStep {
@@ -36,6 +40,15 @@ export interface Draft extends DrawnStep {
 
 export let draft: Draft | null = null;
 let sketch: Sketch | null = null;
+/** A region that was sent to be kept, until the plan has it. */
+let keeping: Draft | null = null;
+
+belongs("client", () => Object.assign(state, ofClient(), whole()));
+belongs("face", () => {
+  if (draft ?? keeping) toast("The region that was drawn is gone: it was of the face before.", "note");
+  draft = sketch = keeping = again = null;
+  Object.assign(state, ofFace());
+});
 
 const afterPane = new Pane(views.face, "After");
 const beforePane = new Pane(views.face, "Before");
@@ -76,8 +89,24 @@ export function overlay() {
   stage.overlay.replaceChildren(...items);
 }
 
+let here = false;
+
+export function enter() {
+  here = true;
+  showDraft();
+}
+
+/** Elsewhere the face is as the plan has left it, without what is drawn or blended. */
 export function leave() {
-  stage.overlay.replaceChildren();
+  here = false;
+  again = null;
+  if (app.open && (draft || state.share !== 1 || state.difference)) preview(null);
+}
+
+/** Why the picture is not what a file of the plan would be. */
+export function unlike(): string | null {
+  if (draft) return "Keep or discard the region first: the file is of the plan";
+  return state.share !== 1 ? "Set Blend to 1 first: the file is of the whole plan" : null;
 }
 
 // --- the draft ---
@@ -123,11 +152,23 @@ export function edit(change: Edit, on = shown()) {
   kept(change, on);
 }
 
-export function answered() {
+export function answered(what: "plan" | "error" | "connection") {
   asked = false;
   const next = again;
   again = null;
+  const { plan } = app;
+  if (what === "plan") {
+    Object.assign(state, whole());
+    const last = plan?.preview ? undefined : plan?.steps.at(-1);
+    if (keeping && last?.name === keeping.name && String(last.displacement) === String(keeping.displacement)) keeping = null;
+  } else if (keeping) {
+    // refused, or not heard: it is there to be kept again
+    draft ??= keeping;
+    keeping = null;
+    if (here && app.connected) showDraft();
+  }
   if (next) ahead(next);
+  else if (what === "plan" && here && !keeping && !plan?.preview) showDraft();
 }
 
 export function showDraft() {
@@ -155,6 +196,11 @@ export function keep() {
     toast("Drag the round handle, or move a slider, so that the region moves; then keep it.", "note");
     return;
   }
+  if (app.plan?.preview && app.plan.error) {
+    toast(`Not kept: ${app.plan.error}`, "error");
+    return;
+  }
+  keeping = draft;
   draft = null;
   edit({ edit: "add_step", step });
   redraw();
@@ -165,6 +211,11 @@ function sameView(a: Mask, b: Mask): boolean {
   const [f, g] = [a.drawn.from, b.drawn.from];
   if ("frame" in f && "frame" in g) return Math.abs(f.frame.yaw - g.frame.yaw) < 0.05 && Math.abs(f.frame.pitch - g.frame.pitch) < 0.05;
   return JSON.stringify(f) === JSON.stringify(g);
+}
+
+/** Pins hold a surface that has an energy, which the direct model has not. */
+function modelFor(model: string): string {
+  return state.pins.length > 0 && model === "direct" ? "arap" : model;
 }
 
 function finish(pane: Pane) {
@@ -192,7 +243,7 @@ function finish(pane: Pane) {
     const count = (app.plan?.steps.length ?? 0) + 1;
     draft = {
       name: `${done.shape} ${count}`,
-      model: draft?.model ?? "direct",
+      model: draft?.model ?? modelFor("direct"),
       mask,
       soft: draft?.soft ?? 4,
       displacement: [0, 0, 0],
@@ -229,6 +280,7 @@ const tool: Tool = {
       state.pins = state.pins.includes(vertex) ? state.pins.filter((v) => v !== vertex) : [...state.pins, vertex];
       if (draft) {
         draft.pins = state.pins;
+        draft.model = modelFor(draft.model);
         showDraft();
       }
       redraw();

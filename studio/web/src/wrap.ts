@@ -23,13 +23,9 @@ function pairs(): Pair[] {
   return settings()?.pairs ?? [];
 }
 
-/** The result, if it is that of the scan in work, in its unit. */
+/** The result, if it is that of the scan in work. */
 function result() {
-  const open = app.open?.case;
-  const scan = open && open.scan !== null ? open.scans[open.scan] : undefined;
-  const command = open?.wrapped?.command ?? [];
-  const own = scan && command.includes(`asset:${scan.at.asset}/${scan.at.file}`) && command.some((word) => word.split(",").includes(`target=${scan.unit}`));
-  return own ? (open?.wrapped ?? null) : null;
+  return app.open?.current ? app.open.case.wrapped : null;
 }
 
 /** What the scan says at each template vertex counts so much; none for 1. */
