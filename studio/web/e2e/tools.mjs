@@ -62,6 +62,13 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await drop(page, join(folder, "quick.toml"), schedule);
   await until("the schedule is kept", () => heard.case.case.wrap.schedule?.file === "quick.toml");
   await panel.getByRole("button", { name: "Wrap", exact: true }).click();
+  // what runs ends with the window, so leaving is asked about
+  await until("a step", () => heard.step);
+  const asked = page.waitForEvent("dialog");
+  await page.close({ runBeforeUnload: true });
+  const question = await asked;
+  check(question.type() === "beforeunload", "a window in which something runs asks before it closes");
+  await question.dismiss();
   await until("a result by it", () => heard.case.command?.includes("quick.toml"));
   check(heard.case.command.includes(" --config "), "a schedule of one's own is in the command");
   await idle(page);
@@ -209,6 +216,66 @@ await journey("tools", studio, async ({ folder, visit }) => {
     const [left, right] = await Promise.all([0, 1].map((k) => box(page.locator(".pane-label").nth(k))));
     check(right.x - left.x > 100, `a pane has ${Math.round(right.x - left.x)} px of ${width}`);
   }
+
+  await page.setViewportSize({ width: 1280, height: 720 });
+
+  // what is drawn or blended is in no report, and no other client's
+  await page.evaluate(() => (window.print = () => {}));
+  const report = async () => {
+    await mode(page, "Analyse");
+    await panel.getByRole("button", { name: "Print report" }).click();
+    const pictures = await page.locator("#print img").evaluateAll((images) => images.map((image) => image.src).join());
+    await mode(page, "Plan");
+    return pictures;
+  };
+  await mode(page, "Plan");
+  await page.getByRole("tab", { name: "Smart operations" }).click();
+  await slide("preset-chin-forward", 6);
+  await until("the chin", () => !heard.plan.preview && heard.plan.steps.some((s) => s.preset === "chin-forward"));
+  await slide("preset-chin-forward", 1e9);
+  const far = await closed(page, "chin forward");
+  check(far.includes("not taken over") && (await page.locator('[data-key="preset-chin-forward#"]').inputValue()) === "6", `a number out of range is refused: ${far}`);
+  const plain = await report();
+  await slide("blend", 0);
+  const save = panel.getByRole("button", { name: "obj", exact: true });
+  await until("no file of a blend", () => save.isDisabled());
+  check((await report()) === plain, "a blend is not in the report");
+  await until("no blend any more", async () => (await page.locator('[data-key="blend#"]').inputValue()) === "1" && !(await save.isDisabled()));
+  await page.getByRole("tab", { name: "Fine sculpting" }).click();
+  await panel.getByRole("button", { name: "Pin", exact: true }).click();
+  await page.mouse.click(575, 300); // outside of the region that comes
+  await until("a pin", async () => (await page.locator("details[data-key=protect] summary").textContent()).endsWith("pins: 1"));
+  await panel.getByRole("button", { name: "Circle", exact: true }).click();
+  await page.mouse.move(570, 400);
+  await page.mouse.down();
+  await page.mouse.move(640, 400, { steps: 5 });
+  await page.mouse.up();
+  await page.locator(".handle").waitFor();
+  await until("a model that holds the pin", async () => (await panel.locator("select").last().inputValue()) === "arap");
+  await slide("move-2", 5);
+  await until("why it cannot be done", () => heard.plan.preview && heard.plan.error);
+  await panel.getByRole("button", { name: "Keep", exact: true }).click();
+  check((await closed(page, "Not kept")).includes("is to move"), "a region that cannot be done is not kept");
+  await panel.getByRole("button", { name: "Pin", exact: true }).click();
+  await page.mouse.click(575, 300);
+  await page.mouse.click(600, 420);
+  await until("the region moves", () => drawn(heard)?.reached > 1);
+  check((await report()) === plain, "a region that is not kept is not in the report");
+  await page.locator(".handle").waitFor();
+  await until("it is there again", () => drawn(heard)?.reached > 1);
+  await mode(page, "Clients");
+  await page.getByRole("button", { name: "New client" }).click();
+  await page.getByRole("dialog").locator("input").fill("Second");
+  await page.getByRole("dialog").getByRole("button", { name: "OK" }).click();
+  await until("the second client", () => heard.case.case.name === "Second");
+  await page.locator(".toast").filter({ hasText: "region that was drawn is gone" }).waitFor();
+  await mode(page, "Plan");
+  await page.getByRole("tab", { name: "Steps (0)" }).waitFor();
+  await page.getByRole("tab", { name: "Fine sculpting" }).click();
+  const kept = await page.locator("details[data-key=protect] summary").textContent();
+  check(kept === "Protected: 0, pins: 0" && (await page.locator(".handle").count()) === 0, "another client has neither region nor pins of the one before");
+  check((await save.isDisabled()) && (await panel.getByRole("button", { name: "Copy as command" }).isDisabled()), "nor its command or face");
+  await shot(page, "26-second");
 
   const unexpected = page.failures.filter((text) => !text.includes("400"));
   check(unexpected.length === 0, `nothing went wrong in the page ${unexpected.join("; ")}`);
