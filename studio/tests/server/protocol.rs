@@ -425,6 +425,21 @@ fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
 }
 
 #[test]
+fn a_landmark_s_number_is_a_vertex_where_the_template_has_it() {
+    let server = Running::start();
+    server.add_sheet();
+    let mut page = server.page();
+    page.wait("case");
+    let text = r#"{ "7": [10.0, 10.0, 5.0], "99999": [20.0, 20.0, 5.0] }"#;
+    let id = server.upload("marks.json", text.as_bytes());
+    let files = json!([{ "id": id, "name": "marks.json" }]);
+    page.send(&json!({ "type": "add", "role": "scan_landmarks", "files": files, "unit": null }));
+    let pairs = page.wait("case")["case"]["wrap"]["pairs"].clone();
+    let vertex = |name: &str| pairs.as_array().unwrap().iter().find(|p| p["name"] == name).unwrap()["vertex"].clone();
+    assert_eq!((vertex("7"), vertex("99999")), (json!(7), Value::Null));
+}
+
+#[test]
 fn uploads_that_nobody_uses_make_room_for_new_ones() {
     let server = Running::start();
     let mut page = server.page();

@@ -48,6 +48,14 @@ fn a_look_at_the_head_is_no_change() {
 }
 
 #[test]
+fn a_download_has_its_own_name_in_any_script() {
+    let server = Running::start();
+    let at = server.hub.vault.add_bytes("Мя.zip", b"x").unwrap();
+    let (status, head, _) = server.http("GET", &format!("/files/{}/%D0%9C%D1%8F.zip", at.asset), &server.cookie(), b"");
+    assert!(status == 200 && head.contains("filename=\"__.zip\"; filename*=UTF-8''%D0%9C%D1%8F.zip"), "{head}");
+}
+
+#[test]
 fn another_host_or_origin_is_refused() {
     let server = Running::start();
     let port = server.host.rsplit(':').next().unwrap();
