@@ -124,8 +124,7 @@ impl Companions {
         }
         let is_material = |(_, statement): &(u32, ObjStatement)| matches!(statement, ObjStatement::Material(_));
         let has_materials = rig.mesh().is_some_and(|mesh| mesh.metadata.statements.iter().any(is_material));
-        let has_files = !self.mesh.as_os_str().is_empty();
-        if has_materials && form != RigForm::Npz && has_files == (form == RigForm::Gltf) {
+        if form == RigForm::Gltf && has_materials && !self.mesh.as_os_str().is_empty() {
             lost("colours and images of materials, their names alone".to_owned());
         }
         if let Some(file) = form.mesh_in(path) {

@@ -24,6 +24,7 @@ struct Lost {
     families: bool,
     landmarks: bool,
     groups: bool,
+    materials: bool,
     named: bool,
 }
 
@@ -31,7 +32,7 @@ fn lost_in(form: &str) -> Lost {
     match form {
         "shapes" => Lost { families: true, landmarks: true, ..Lost::default() },
         "rig.npz" => Lost { groups: true, named: true, ..Lost::default() },
-        "rig.glb" => Lost { named: true, ..Lost::default() },
+        "rig.glb" => Lost { materials: true, named: true, ..Lost::default() },
         _ => Lost::default(),
     }
 }
@@ -87,6 +88,7 @@ fn every_form_of_a_rig_becomes_every_other() {
             ("families", before.families),
             ("landmarks", before.landmarks),
             ("groups and materials", before.groups),
+            ("colours and images of materials, their names alone", before.materials),
             ("named landmarks: landmarks.json, landmarks_anthropometric.json", before.named),
         ] {
             let told = said.stderr.contains(&format!("{first}: this form of a rig holds no {kind}"));
@@ -103,6 +105,8 @@ fn every_form_of_a_rig_becomes_every_other() {
                 after.families && !before.families,
                 after.landmarks && !before.landmarks,
                 after.groups && !before.groups,
+                // those of .npz went with the groups
+                after.materials && !before.materials && !before.groups,
                 after.named && !before.named,
             ];
             let lines = lines.iter().filter(|lost| **lost).count();
@@ -112,6 +116,7 @@ fn every_form_of_a_rig_becomes_every_other() {
                 families: before.families || after.families,
                 landmarks: before.landmarks || after.landmarks,
                 groups: before.groups || after.groups,
+                materials: before.materials || after.materials,
                 named: before.named || after.named,
             };
             let named = bench.path(&second).join("landmarks_anthropometric.json");
