@@ -424,7 +424,7 @@ fn coincident_vertices_and_more_influences_than_nodes_are_no_obstacle() {
     [31, 32, 40, 41, 39, 21, 22].iter().for_each(|&v| pinched.positions[v] = point);
     let task = moved(&pinched, &pose);
     let (size, _) = extent(&pinched);
-    for (nodes, influences) in [(1, 1), (1, 8), (3, 20), (63, 4), (1000, 1000)] {
+    for (nodes, influences) in [(1, 1), (1, 8), (3, 20), (63, 4), (1000, 64)] {
         for distance in ["surface", "euclidean"] {
             let mut plain = plain_schedule();
             plain.model.set("nodes", nodes);
