@@ -93,8 +93,8 @@ impl Noting {
         work()
     }
 
-    fn note(&self, path: &Path, sha256: String) {
-        let input = Input { role: self.role.clone(), path: absolute(path), sha256 };
+    fn note(&self, path: PathBuf, sha256: String) {
+        let input = Input { role: self.role.clone(), path, sha256 };
         self.inputs.0.lock().unwrap_or_else(PoisonError::into_inner).push(input);
     }
 }
@@ -116,7 +116,7 @@ pub(crate) fn open(path: &Path) -> io::Result<OpenFile> {
 pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
     let Some(noting) = Noting::here() else { return std::fs::read(path) };
     let bytes = std::fs::read(path)?;
-    noting.note(path, sha256(&bytes));
+    noting.note(absolute(path), sha256(&bytes));
     Ok(bytes)
 }
 
@@ -186,7 +186,7 @@ impl Drop for OpenFile {
         {
             return; // a file without a hash is no input: whoever needs it finds none
         }
-        noting.note(&path, hexadecimal(&hash.finalize()));
+        noting.note(path, hexadecimal(&hash.finalize()));
     }
 }
 

@@ -392,7 +392,7 @@ impl Run {
     /// One step of the solver at fixed correspondences; `step` counts within the level, from 0.
     fn step(&mut self, step: usize, solver: &SolverOptions, at: &At<'_>) -> Result<StepRecord, RegistrationError> {
         let (problem, x) = (&mut self.problem, &mut self.x[..]);
-        let exact = self.vertices.len() as f64 * self.template.unit.powi(2);
+        let exact = EXACT * self.template.unit.powi(2) * self.vertices.len() as f64;
         let summary = minimizer(solver, step > 0).minimize_with(problem, x, &mut self.workspace, &mut one_step);
         match &summary.stop {
             StopReason::LinearSolverFailed(reason) => {
@@ -405,7 +405,7 @@ impl Run {
                 return Err(at.diverged(&named.map_or("the energy".to_owned(), |(n, _)| format!("the energy {n:?}"))));
             }
             // of an exact fit rounding is left
-            StopReason::NoDecrease if summary.final_energy > EXACT * exact => self.stalled_steps += 1,
+            StopReason::NoDecrease if summary.final_energy > exact => self.stalled_steps += 1,
             _ => {}
         }
         let (energy_before, energy) = (summary.initial_energy, summary.final_energy);

@@ -136,7 +136,7 @@ fn reference_vertices() -> f64 {
 }
 
 /// Rounds of smoothing at most: more make all normals alike, slowly.
-const MOST_ROUNDS: usize = 1000;
+const MOST_SMOOTHING: usize = 1000;
 /// Greatest count that a schedule may ask for.
 const MOST: usize = 1_000_000;
 
@@ -192,7 +192,7 @@ impl Schedule {
         count("search.coarse".into(), self.search.coarse)?;
         count("search.fine".into(), self.search.fine)?;
         let rounds = self.scan.normal_smoothing;
-        check("scan.normal_smoothing".into(), rounds as f64, rounds <= MOST_ROUNDS, "at most 1000")?;
+        check("scan.normal_smoothing".into(), rounds as f64, rounds <= MOST_SMOOTHING, "at most 1000")?;
         not_negative("scan.template_rim".into(), self.scan.template_rim)?;
         count("scan.template_rim".into(), self.scan.template_rim.ceil() as usize)?;
         not_negative("stop.energy".into(), self.stop.energy)?;
