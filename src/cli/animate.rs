@@ -1,5 +1,6 @@
 //! `nonrigid animate`.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -8,8 +9,10 @@ use serde::Serialize;
 
 use super::inputs::{Align, ShapeKindArgument, frames, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, say, warn};
-use crate::io::{Clip, FilePlan, MeshFile, Motion, write_animated_glb, write_json, write_pc2, write_usda};
+use super::{Failure, Stage, check_output, check_plan, say, warn, warn_of_format, warn_of_materials};
+use crate::io::{
+    Clip, FilePlan, MaterialFiles, MeshFile, Motion, write_animated_glb, write_json, write_pc2, write_usda,
+};
 use crate::mesh::{PolygonMesh, Pose, Vec3};
 use crate::motion::{Lost, Track, flicker};
 use crate::rig::{FittedFrame, ShapeSelection, WeightFitOptions, WeightFitter};
@@ -112,7 +115,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         .writes_all(a.report.iter().map(|report| ("--report", report.clone())));
     check_plan(&plan)?;
     let mut units = a.units.of_given(&[("meshes", true), ("rig", a.rig.is_some())])?;
-    let (mesh, colors, given) = read_frames(&files, &mut units)?;
+    let (path, mesh, colors, given) = read_frames(&files, &mut units)?;
     let colors = colors.as_deref();
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
     let before = flicker(&given.iter().flatten().collect::<Vec<_>>());
@@ -126,6 +129,10 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         _ => write_glb(a, &mut units, (&mesh, colors), &clip, &names)?,
     }
     units.say();
+    if extension != "pc2" {
+        warn_of_format(&a.out, &mesh);
+        warn_of_materials(&a.out, path, &mesh, &MaterialFiles::default());
+    }
     let lost = |k: usize| track.lost[k].map(|lost| why(lost, smooth.is_some()));
     for (k, why) in (0..names.len()).filter_map(|k| Some((k, lost(k)?))) {
         warn(format_args!("frame {:?} is lost: {why}", names[k]));
@@ -184,11 +191,11 @@ type Frame = Option<Vec<Vec3>>;
 /// Red, green, blue of vertices.
 type Colors = Vec<[u8; 3]>;
 
-/// The first frame that is there, its colours if it has any, and the positions of all.
-fn read_frames(
-    files: &[(String, Option<PathBuf>)],
+/// The first frame that is there, its file and its colours if it has any, and the positions of all.
+fn read_frames<'a>(
+    files: &'a [(String, Option<PathBuf>)],
     units: &mut Units<'_>,
-) -> Result<(PolygonMesh, Option<Colors>, Vec<Frame>), Failure> {
+) -> Result<(&'a Path, PolygonMesh, Option<Colors>, Vec<Frame>), Failure> {
     let mut first: Option<(&Path, PolygonMesh, Option<Colors>)> = None;
     let mut frames = Vec::with_capacity(files.len());
     for path in files.iter().map(|(_, path)| path) {
@@ -204,8 +211,8 @@ fn read_frames(
         }
         frames.push(Some(mesh.positions));
     }
-    let (_, first, colors) = first.ok_or_else(|| Failure::loading("no frames"))?;
-    Ok((first, colors, frames))
+    let (path, first, colors) = first.ok_or_else(|| Failure::loading("no frames"))?;
+    Ok((path, first, colors, frames))
 }
 
 fn write_glb(
@@ -243,7 +250,13 @@ fn write_glb(
         of_frame.extend((first..frames.len()).map(|other| f64::from(u8::from(other == k))));
         weights.push(of_frame);
     }
-    targets.extend(frame_names[first..].iter().map(|name| format!("frame {name}")));
+    // a frame may be held, and two files be called alike
+    let mut taken: BTreeSet<String> = targets.iter().cloned().collect();
+    for (k, name) in frame_names.iter().enumerate().skip(first) {
+        let plain = format!("frame {name}");
+        let mut all = std::iter::successors(Some(plain.clone()), |last| Some(format!("{last} at {k}")));
+        targets.push(all.find(|own| taken.insert(own.clone())).unwrap_or(plain));
+    }
     deltas.extend(residuals);
     let poses: Vec<Pose> = (0..frames.len()).map(|k| fitted.get(k).map_or_else(Pose::identity, |f| f.pose)).collect();
     let (frames_per_second, lost) = (clip.frames_per_second, clip.lost);
