@@ -163,6 +163,11 @@ pub enum RigWarning {
         /// The largest distance, millimetres.
         distance: f64,
     },
+    /// An archive has arrays that are none of a rig's.
+    UnreadArrays {
+        /// Their names.
+        names: Vec<String>,
+    },
 }
 
 impl fmt::Display for RigWarning {
@@ -174,6 +179,11 @@ impl fmt::Display for RigWarning {
             Self::NeutralDiffers { distance } => {
                 write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")
             }
+            Self::UnreadArrays { names } => write!(
+                f,
+                "not read are arrays that no rig has: {}; polygons are polygon_starts and corners, texture coordinates uvs and corner_uvs",
+                names.join(", ")
+            ),
         }
     }
 }

@@ -16,6 +16,13 @@ use super::{Family, Regions, Rig, RigError, RigWarning, Shape};
 use crate::io::{Npz, NpzContents, Place, ReadError, WriteError};
 use crate::mesh::PolygonMesh;
 
+/// Whether an array has one of the names above.
+fn is_of_a_rig(name: &str) -> bool {
+    let whole = ["neutral", "polygon_starts", "corners", "uvs", "corner_uvs", "landmarks_multipie68"];
+    let of_shapes = ["expression_deltas", "expression_names", "identity_deltas", "identity_names"];
+    name.starts_with("region_") || whole.contains(&name) || of_shapes.contains(&name)
+}
+
 impl Rig {
     /// Writes an `.npz` archive with the arrays above; shapes of no known family go with the expressions.
     ///
@@ -133,7 +140,11 @@ impl Rig {
             }
             (mesh.metadata.uvs, mesh.metadata.corner_uvs) = (uvs, corner_uvs);
         }
-        let (mut rig, warnings) = Rig::new(neutral, mesh, shapes, deltas)?;
+        let (mut rig, mut warnings) = Rig::new(neutral, mesh, shapes, deltas)?;
+        let unread: Vec<String> = arrays.iter().filter(|name| !is_of_a_rig(name)).cloned().collect();
+        if !unread.is_empty() {
+            warnings.push(RigWarning::UnreadArrays { names: unread });
+        }
         rig.landmarks = landmarks;
         rig.regions = (!regions.is_empty()).then(|| Regions::checked(path, regions, vertices)).transpose()?;
         Ok((rig, warnings))
