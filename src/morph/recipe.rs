@@ -216,7 +216,7 @@ pub enum ViewSpec {
         #[serde(default = "size", deserialize_with = "crate::io::arrays::array")]
         size: [usize; 2],
     },
-    /// By the mesh's own texture coordinates.
+    /// By the mesh's own texture coordinates; nothing lies under the mask whose coordinates are not from 0 to 1.
     Uv {
         /// Width and height of a drawing, pixels; default 1024 x 1024. A picture has its own.
         #[serde(default = "size", deserialize_with = "crate::io::arrays::array")]
