@@ -4,6 +4,7 @@
 does many scans. Lengths are millimetres, arrays are numpy's.
 """
 
+from . import batch, data_gen
 from ._field import read_flame, read_ict, read_morphable
 from ._mesh import Mesh, NonrigidWarning
 from ._morph import Evaluation, Measurements, Morph, MorphStep, Preset, evaluate, glossary, measure, morph, presets
@@ -28,6 +29,8 @@ __all__ = [
     "Step",
     "Weight",
     "__version__",
+    "batch",
+    "data_gen",
     "evaluate",
     "glossary",
     "measure",
