@@ -30,8 +30,8 @@ pub struct Trial<'a> {
     pub case: BenchCase,
     /// The model.
     pub model: ModelKind,
-    /// Makes another person's case on the same template.
-    pub other: &'a dyn Fn() -> Result<BenchCase>,
+    /// Makes another person's case on the same template, with his neutral if he is `known`.
+    pub other: &'a dyn Fn(bool) -> Result<BenchCase>,
     /// Everything random.
     pub rng: ChaCha8Rng,
 }
@@ -61,7 +61,7 @@ const fn hopeless(kind: Kind) -> Kind {
 }
 
 /// Every kind. The kinds of a pair that resemble each other are split between design and test.
-pub const KINDS: [Kind; 60] = [
+pub const KINDS: [Kind; 62] = [
     design("none", |_| Ok(())),
     design("noise", |t| t.noise(0.3..1.5)),
     test("wavy noise", |t| t.waves(1.0..3.0, 10.0..25.0)),
@@ -137,6 +137,8 @@ pub const KINDS: [Kind; 60] = [
         t.beyond_the_rig(1)?;
         t.some_landmarks(0)
     }),
+    design("another person as template, graph", |t| t.stranger(ModelKind::Graph)),
+    test("another person as template, arap", |t| t.stranger(ModelKind::Arap)),
 ];
 
 impl Trial<'_> {
@@ -381,7 +383,7 @@ impl Trial<'_> {
     fn second_face(&mut self, apart: std::ops::Range<f64>) -> Result<()> {
         let beside = Vec3::new(self.draw(apart), self.rng.random_range(-30.0..30.0), 0.0);
         let turn = Vec3::y() * self.rng.random_range(-0.5..0.5);
-        let other = (self.other)()?.moved(&Pose::rigid(turn, beside));
+        let other = (self.other)(false)?.moved(&Pose::rigid(turn, beside));
         self.add(other.scan.mesh.positions, other.scan.mesh.triangles);
         Ok(())
     }
@@ -487,11 +489,19 @@ impl Trial<'_> {
     }
 
     fn wrong_neutral(&mut self) -> Result<()> {
-        let other = (self.other)()?;
+        let other = (self.other)(false)?;
         let other = other.neutral.unwrap_or(other.template.positions);
         // A person's neutral without identity modes: there is nothing else to make up for it.
         self.case.neutral = Some(other);
         self.without(Family::Identity, 1.0)
+    }
+
+    /// The template is another person's neutral, without a rig.
+    fn stranger(&mut self, model: ModelKind) -> Result<()> {
+        let other = (self.other)(true)?;
+        self.case.template.positions = other.neutral.unwrap_or(other.template.positions);
+        self.case.neutral = None;
+        self.with_model(model)
     }
 
     fn without(&mut self, family: Family, share: f64) -> Result<()> {

@@ -217,18 +217,23 @@ impl Sources {
         Ok(Self { studio: Studio::new(vertices)?, cases, schedule: ModelKind::Hybrid.schedule()? })
     }
 
-    fn person(&self, seed: u64) -> Result<BenchCase> {
+    fn person(&self, seed: u64, known: bool) -> Result<BenchCase> {
         let scan = ScanOptions { triangles: 20_000, ..ScanOptions::default() };
-        let known = seed.is_multiple_of(3);
+        let known = known || seed.is_multiple_of(3);
         self.studio.shoot(&Shot { name: "generated".into(), scan, known, withheld: Vec::new(), seed })
     }
 
-    /// The case of a job, or another person's.
-    fn case(&self, job: &Job, other: bool) -> Result<BenchCase> {
-        match job.case {
-            None => self.person(job.seed + if other { 500_000 } else { 0 }),
-            Some(k) => Ok(self.cases[(k + usize::from(other)) % self.cases.len()].clone()),
-        }
+    /// The case of a job.
+    fn case(&self, job: &Job) -> Result<BenchCase> {
+        job.case.map_or_else(|| self.person(job.seed, false), |k| Ok(self.cases[k].clone()))
+    }
+
+    /// Another person's case than that of a job; one whose neutral is `known`, if there is one.
+    fn other(&self, job: &Job, known: bool) -> Result<BenchCase> {
+        let Some(place) = job.case else { return self.person(job.seed + 500_000, known) };
+        let next = |k: usize| &self.cases[(place + k) % self.cases.len()];
+        let fits = (1..self.cases.len()).map(next).find(|case| !known || case.neutral.is_some());
+        Ok(fits.unwrap_or(next(1)).clone())
     }
 }
 
@@ -280,12 +285,12 @@ pub fn some_jobs(count: usize) -> Vec<Job> {
 /// # Errors
 /// When a scan cannot be made.
 pub fn run_job(sources: &Sources, job: &Job) -> Result<SilenceRow> {
-    let other = || sources.case(job, true);
+    let other = |known| sources.other(job, known);
     let mut rng = ChaCha8Rng::seed_from_u64(job.seed);
     // Three of ten have few landmarks, two none.
     let few: f64 = rng.random();
     let every = rng.random_range(3..8);
-    let mut trial = Trial { case: sources.case(job, false)?, model: ModelKind::Hybrid, other: &other, rng };
+    let mut trial = Trial { case: sources.case(job)?, model: ModelKind::Hybrid, other: &other, rng };
     if few < 0.2 {
         trial.case.landmarks.clear();
     } else if few < 0.5 {
