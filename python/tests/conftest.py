@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -127,3 +128,12 @@ def results(folder: Path) -> dict[str, bytes]:
 def listing(folder: Path) -> set[str]:
     """Names of everything in a folder of results, hidden files and folders included."""
     return {p.relative_to(folder).as_posix() for p in folder.rglob("*")}
+
+
+def begun(program: Path, *arguments: Path) -> subprocess.Popen[str]:
+    """A process of Python that has printed `begin`, and whom Ctrl-C interrupts: one that a script started in the background may ignore it, as
+    do those that it starts."""
+    heed = None if sys.platform == "win32" else lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen([sys.executable, program, *arguments], stdout=subprocess.PIPE, text=True, preexec_fn=heed)
+    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    return process

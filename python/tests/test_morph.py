@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Data
+from conftest import Data, begun
 
 import nonrigid
 from nonrigid import data_gen
@@ -191,8 +191,7 @@ def test_ctrl_c_ends_generated_data(tmp_path: Path) -> None:
         "try:\n    data_gen.write(sys.argv[1], vertices=1000, triangles=5000, cases=5_000)\n"
         "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
     )
-    process = subprocess.Popen([sys.executable, program, tmp_path / "data"], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    process = begun(program, tmp_path / "data")
     time.sleep(2.0)
     assert process.poll() is None
     process.send_signal(signal.SIGINT)

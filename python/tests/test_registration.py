@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Data
+from conftest import Data, begun
 
 import nonrigid
 from nonrigid import data_gen
@@ -71,8 +71,7 @@ def test_ctrl_c_ends_within_a_step(tmp_path: Path) -> None:
         "        nonrigid.register(face.rig.mesh, case.scan, landmarks=case.landmarks, model='graph')\n"
         "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
     )
-    process = subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    process = begun(program)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
@@ -89,8 +88,7 @@ def test_ctrl_c_ends_the_search_of_a_start(tmp_path: Path) -> None:
         "    nonrigid.register(face.rig.mesh, case.scan, schedule=keys, model='rigid')\n"
         "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
     )
-    process = subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "begin\n"
+    process = begun(program)
     time.sleep(2.0)
     assert process.poll() is None, "the search was to take minutes"
     clock = time.monotonic()
