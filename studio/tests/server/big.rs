@@ -44,8 +44,7 @@ fn work_on(n: u32) -> (Value, [f64; 3]) {
     let server = Running::start();
     let scan = add(&server, n);
     let clock = Instant::now();
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     let shown = page.numbers("scan");
     let opened = clock.elapsed().as_secs_f64();
     let all = scan.triangles.len() as u64;

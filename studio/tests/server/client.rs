@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::Duration;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use studio::case::{Case, FileRef, Source, Unit};
 use studio::server::Server;
 use studio::session::Hub;
@@ -119,6 +119,30 @@ impl Running {
         self.hub.vault.add_case(&case).unwrap()
     }
 
+    /// A server with one such case, its number, and a page that shows it.
+    pub fn with_sheet() -> (Self, u32, Page) {
+        let server = Self::start();
+        let id = server.add_sheet();
+        let page = server.page_of_case();
+        (server, id, page)
+    }
+
+    /// A server, and a page that shows a case without files.
+    pub fn with_empty_case() -> (Self, Page) {
+        let server = Self::start();
+        let mut page = server.page();
+        page.send(&json!({ "type": "new_case", "name": "A" }));
+        page.wait("case");
+        (server, page)
+    }
+
+    /// A page that shows the case that was added last.
+    pub fn page_of_case(&self) -> Page {
+        let mut page = self.page();
+        page.wait("case");
+        page
+    }
+
     /// How many uploads the vault keeps that have joined no case.
     pub fn waiting(&self) -> usize {
         std::fs::read_dir(self.folder.path().join("incoming")).unwrap().count()
@@ -131,6 +155,17 @@ impl Running {
         assert_eq!(status, 200, "{body}");
         body
     }
+
+    /// Uploads files; the message that adds them to the case.
+    pub fn adding(&self, role: &str, files: &[(&str, &[u8])], unit: Option<&str>) -> Value {
+        let upload = |(name, bytes): &(&str, &[u8])| json!({ "id": self.upload(name, bytes), "name": name });
+        json!({ "type": "add", "role": role, "files": files.iter().map(upload).collect::<Vec<_>>(), "unit": unit })
+    }
+}
+
+/// The message of an edit.
+pub fn edit(edit: Value) -> Value {
+    json!({ "type": "edit", "edit": edit })
 }
 
 pub fn sheet() -> String {

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use studio::case::Case;
 
-use crate::client::{Page, Running};
+use crate::client::{Page, Running, edit};
 
 /// A grid of so many points each way, 100 mm wide, whose bumps have this height.
 fn grid(n: usize, height: f64) -> String {
@@ -27,10 +27,6 @@ fn add_case(server: &Running, name: &str) -> u32 {
 }
 
 const WRAP: fn() -> Value = || json!({ "type": "run", "warm": false });
-
-fn edit(edit: Value) -> Value {
-    json!({ "type": "edit", "edit": edit })
-}
 
 /// All that the page is sent until nothing runs any more.
 fn until_idle(page: &mut Page) -> Vec<(Value, Vec<u8>)> {
@@ -80,8 +76,7 @@ fn one_client_s_job_is_not_shown_in_another_one_s_case() {
 fn after_a_cancelled_run_the_result_that_is_kept_is_shown() {
     let server = Running::start();
     add_case(&server, "Anna");
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     let cancelled = |page: &mut Page| {
         page.send(&WRAP());
         while page.numbers("wrapped")["numbers"] != "positions" {}
@@ -104,8 +99,7 @@ fn after_a_cancelled_run_the_result_that_is_kept_is_shown() {
 fn a_result_of_what_was_replaced_meanwhile_is_not_kept() {
     let server = Running::start();
     let id = add_case(&server, "Anna");
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     let kept = || server.hub.vault.case(id).unwrap().case.wrapped.is_some();
     let unit = |which: &str, unit: &str| edit(json!({ "edit": "set_unit", "which": which, "unit": unit }));
     for (what, which) in [("the template", "template"), ("the scan", "scan")] {
@@ -133,8 +127,7 @@ fn a_result_of_what_was_replaced_meanwhile_is_not_kept() {
 fn a_comparison_ends_when_another_client_is_opened() {
     let server = Running::start();
     let (ben, _) = (add_case(&server, "Ben"), add_case(&server, "Anna"));
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     page.send(&json!({ "type": "compare", "models": ["arap", "graph", "free"] }));
     page.wait("step");
     page.send(&json!({ "type": "open_case", "id": ben }));
@@ -148,8 +141,7 @@ fn a_comparison_ends_when_another_client_is_opened() {
 fn landmarks_found_on_a_scan_do_not_go_onto_another_one() {
     let server = Running::start();
     let id = studio::demo::add(&server.hub.vault).unwrap();
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     page.send(&json!({ "type": "suggest" }));
     page.wait("progress");
     page.send(&edit(json!({ "edit": "use_scan", "index": 1 })));
@@ -164,8 +156,7 @@ fn what_was_meant_for_another_client_is_not_done() {
     let (anna, ben) = (server.add_sheet(), server.add_sheet());
     let mut page = server.page();
     assert_eq!(page.wait("case")["id"], ben);
-    let upload = server.upload("a.png", b"\x89PNG\r\n\x1a\n");
-    let add = json!({ "type": "add", "role": "photo", "files": [{ "id": upload, "name": "a.png" }], "unit": null });
+    let add = server.adding("photo", &[("a.png", b"\x89PNG\r\n\x1a\n")], None);
     let name = json!({ "edit": "describe", "name": "x", "date": "", "notes": "" });
     for message in
         [add, json!({ "type": "edit", "plan": 1, "revision": 1, "edit": name }), json!({ "type": "suggest" })]

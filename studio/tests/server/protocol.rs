@@ -5,7 +5,7 @@ use studio::case::FileRef;
 use studio::session::MOST_UPLOADS;
 use zip::ZipArchive;
 
-use crate::client::{Running, no_file, scaled_sheet, sheet};
+use crate::client::{Running, edit, no_file, scaled_sheet, sheet};
 
 #[test]
 fn a_page_is_greeted_and_shown_the_case() {
@@ -22,20 +22,15 @@ fn a_page_is_greeted_and_shown_the_case() {
 
 #[test]
 fn a_client_without_a_face_has_a_plan_of_its_own() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
-    page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": bump(false) } }));
+    let (_server, _, mut page) = Running::with_sheet();
+    page.send(&edit(json!({ "edit": "add_step", "step": bump(false) })));
     while page.wait("plan")["steps"].as_array().unwrap().is_empty() {}
     page.send(&json!({ "type": "new_case", "name": "Second" }));
     while page.wait("case")["case"]["name"] != "Second" {}
     let plan = page.wait("plan");
     assert_eq!((&plan["steps"], &plan["command"], &plan["preview"]), (&json!([]), &json!(""), &json!(false)));
     // what is planned before there is a face is listed
-    page.send(
-        &json!({ "type": "edit", "edit": { "edit": "set_preset", "preset": "nose-tip", "amount": 2.0, "side": "both" } }),
-    );
+    page.send(&edit(json!({ "edit": "set_preset", "preset": "nose-tip", "amount": 2.0, "side": "both" })));
     assert_eq!(page.wait("plan")["steps"][0]["amount"], 2.0);
 }
 
@@ -59,10 +54,7 @@ fn a_page_that_comes_again_is_shown_its_own_client() {
 
 #[test]
 fn malformed_messages_are_answered_and_end_nothing() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (_server, _, mut page) = Running::with_sheet();
     let deep = "[".repeat(100_000);
     for text in [
         "",
@@ -79,7 +71,6 @@ fn malformed_messages_are_answered_and_end_nothing() {
     }
     page.bytes(&[0; 64]);
     page.wait("error");
-    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
     let hostile = [
         json!({ "type": "open_case", "id": 4_000_000_000u32 }),
         json!({ "type": "delete_case", "id": 99 }),
@@ -125,20 +116,17 @@ fn malformed_messages_are_answered_and_end_nothing() {
 
 #[test]
 fn landmarks_stay_on_a_scan_whose_unit_is_corrected() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (_server, _, mut page) = Running::with_sheet();
     page.send(&json!({ "type": "place", "name": "nose", "side": "scan", "point": [51.0, 70.0, 5.0] }));
     let place = |case: &Value| -> Vec<f64> {
         serde_json::from_value(case["case"]["wrap"]["pairs"][0]["target"].clone()).unwrap()
     };
     let placed = page.wait("case");
-    page.send(&json!({ "type": "edit", "edit": { "edit": "set_unit", "which": "scan", "unit": "cm" } }));
+    page.send(&edit(json!({ "edit": "set_unit", "which": "scan", "unit": "cm" })));
     let other = page.wait("case");
     assert_eq!(place(&other), place(&placed).iter().map(|x| 10.0 * x).collect::<Vec<_>>());
     // that of the template is no matter of places on the scan
-    page.send(&json!({ "type": "edit", "edit": { "edit": "set_unit", "which": "template", "unit": "cm" } }));
+    page.send(&edit(json!({ "edit": "set_unit", "which": "template", "unit": "cm" })));
     assert_eq!(place(&page.wait("case")), place(&other));
     page.send(&json!({ "type": "undo" }));
     page.wait("case");
@@ -159,18 +147,15 @@ fn bump(mirror: bool) -> Value {
 
 #[test]
 fn a_preview_keeps_nothing() {
-    let server = Running::start();
-    let id = server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
-    let edit = json!({ "edit": "add_step", "step": bump(false) });
+    let (server, id, mut page) = Running::with_sheet();
+    let step = json!({ "edit": "add_step", "step": bump(false) });
     page.wait("plan");
-    page.send(&json!({ "type": "preview", "edit": edit }));
+    page.send(&json!({ "type": "preview", "edit": step }));
     let plan = page.wait("plan");
     assert_eq!((&plan["preview"], &plan["error"]), (&json!(true), &Value::Null), "{plan}");
     assert!(plan["results"][0]["reached"].as_f64().unwrap() > 1.9, "{plan}");
     assert_eq!(server.hub.vault.case(id).unwrap().revision, 1);
-    page.send(&json!({ "type": "edit", "edit": edit }));
+    page.send(&edit(step));
     let plan = page.wait("plan");
     assert_eq!(plan["preview"], false);
     assert!(plan["command"].as_str().unwrap().starts_with("nonrigid morph --mesh "), "{plan}");
@@ -179,11 +164,7 @@ fn a_preview_keeps_nothing() {
 
 #[test]
 fn a_face_without_left_and_right_has_no_sides() {
-    let server = Running::start();
-    let id = server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
-    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
+    let (server, id, mut page) = Running::with_sheet();
     let preset =
         |side: &str| edit(json!({ "edit": "set_preset", "preset": "nose-bridge", "amount": 1.0, "side": side }));
     for message in [preset("left"), edit(json!({ "edit": "add_step", "step": bump(true) }))] {
@@ -209,10 +190,7 @@ fn a_face_without_left_and_right_has_no_sides() {
 fn an_edit_of_what_another_window_has_changed_is_refused() {
     let server = Running::start();
     let id = server.add_sheet();
-    let [mut one, mut two] = [server.page(), server.page()];
-    one.wait("case");
-    two.wait("case");
-    let edit = |edit: Value| json!({ "type": "edit", "edit": edit });
+    let [mut one, mut two] = [server.page_of_case(), server.page_of_case()];
     let rename = |name: &str| edit(json!({ "edit": "rename_plan", "name": name }));
     let names =
         || -> Vec<String> { server.hub.vault.case(id).unwrap().case.plans.into_iter().map(|p| p.name).collect() };
@@ -242,13 +220,11 @@ fn an_edit_of_what_another_window_has_changed_is_refused() {
 fn a_failing_job_ends_alone() {
     let server = Running::start();
     server.add_sheet();
-    let [mut one, mut two] = [server.page(), server.page()];
-    one.wait("case");
-    two.wait("case");
+    let [mut one, mut two] = [server.page_of_case(), server.page_of_case()];
     // blendshapes without a rig
     let mut settings = serde_json::to_value(studio::case::WrapSettings::default()).unwrap();
     settings["model"] = "blendshape".into();
-    one.send(&json!({ "type": "edit", "edit": { "edit": "set_wrap", "settings": settings } }));
+    one.send(&edit(json!({ "edit": "set_wrap", "settings": settings })));
     one.wait("case");
     two.wait("case");
     let text = one.refused(&json!({ "type": "run", "warm": false }));
@@ -268,17 +244,17 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
     let mut page = server.page();
     page.send(&json!({ "type": "new_case", "name": "<img src=x onerror=alert(1)>" }));
     assert_eq!(page.wait("case")["case"]["name"], "<img src=x onerror=alert(1)>");
-    let id = server.upload("face.obj", sheet().as_bytes());
-    page.send(&json!({ "type": "add", "role": "template", "files": [{ "id": id, "name": "face.obj" }], "unit": null }));
+    page.send(&server.adding("template", &[("face.obj", sheet().as_bytes())], None));
     assert_eq!(page.wait("case")["case"]["template"]["name"], "face.obj");
     // a size that is no face's in any unit is asked for
-    let id = server.upload("tiny.obj", scaled_sheet(1e-9).as_bytes());
-    page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": null }));
+    let mut tiny = server.adding("scan", &[("tiny.obj", scaled_sheet(1e-9).as_bytes())], None);
+    page.send(&tiny);
     let wanted = page.wait("unit_wanted");
     assert!(wanted["units"].as_array().unwrap().len() >= 2, "{wanted}");
     page.wait("idle");
     assert_eq!(server.waiting(), 1);
-    page.send(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": "tiny.obj" }], "unit": "mm" }));
+    tiny["unit"] = "mm".into();
+    page.send(&tiny);
     assert_eq!(page.wait("case")["case"]["scans"][0]["unit"], "mm");
     for (name, bytes) in [
         ("bad.ply", &b"ply\nformat ascii 1.0\nelement vertex -3\n"[..]),
@@ -290,9 +266,7 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
             br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"../../../../../../etc/passwd","byteLength":12}]}"#,
         ),
     ] {
-        let id = server.upload(name, bytes);
-        let text = page
-            .refused(&json!({ "type": "add", "role": "scan", "files": [{ "id": id, "name": name }], "unit": "mm" }));
+        let text = page.refused(&server.adding("scan", &[(name, bytes)], Some("mm")));
         assert!(text.contains(name) && !text.contains("incoming"), "{name}: {text}");
         assert_eq!(server.waiting(), 0, "{name} is refused and stays");
     }
@@ -300,14 +274,9 @@ fn files_join_a_case_under_their_names_and_broken_ones_are_named() {
 
 #[test]
 fn what_cannot_join_is_named_without_the_server_s_folders() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (server, _, mut page) = Running::with_sheet();
     let mut refused = |role: &str, files: &[(&str, &[u8])]| {
-        let files: Vec<Value> =
-            files.iter().map(|(name, bytes)| json!({ "id": server.upload(name, bytes), "name": name })).collect();
-        let text = page.refused(&json!({ "type": "add", "role": role, "files": files, "unit": "mm" }));
+        let text = page.refused(&server.adding(role, files, Some("mm")));
         assert!(!text.contains("incoming") && !text.contains(server.folder.path().to_str().unwrap()), "{text}");
         text
     };
@@ -322,15 +291,10 @@ fn what_cannot_join_is_named_without_the_server_s_folders() {
 
 #[test]
 fn materials_come_and_go_with_a_mesh_or_are_missed() {
-    let server = Running::start();
-    let mut page = server.page();
-    page.send(&json!({ "type": "new_case", "name": "A" }));
-    page.wait("case");
+    let (server, mut page) = Running::with_empty_case();
     let text = format!("mtllib face.mtl\nusemtl skin\n{}", sheet());
     let mut add = |files: &[(&str, &[u8])]| {
-        let files: Vec<Value> =
-            files.iter().map(|(name, bytes)| json!({ "id": server.upload(name, bytes), "name": name })).collect();
-        page.send(&json!({ "type": "add", "role": "template", "files": files, "unit": "mm" }));
+        page.send(&server.adding("template", files, Some("mm")));
         let mut notes = Vec::new();
         loop {
             let message = page.next();
@@ -346,7 +310,7 @@ fn materials_come_and_go_with_a_mesh_or_are_missed() {
     assert!(note.starts_with("face.obj names face.mtl, which did not come with it"), "{note}");
     assert!(add(&[face, ("face.mtl", b"newmtl skin\nmap_Kd skin.png\n"), ("skin.png", b"\x89PNG")]).is_empty());
 
-    page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": bump(false) } }));
+    page.send(&edit(json!({ "edit": "add_step", "step": bump(false) })));
     page.wait("case");
     let mut saved = |format: &str| {
         page.send(&json!({ "type": "export", "what": { "export": "face", "format": format } }));
@@ -364,10 +328,7 @@ fn materials_come_and_go_with_a_mesh_or_are_missed() {
 
 #[test]
 fn a_face_without_a_rig_is_measured_by_those_landmarks_that_have_a_name_for_it() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (_server, _, mut page) = Running::with_sheet();
     for (name, y) in [(json!("nasion"), 90.0), (json!("menton"), 10.0), (Value::Null, 50.0)] {
         page.send(&json!({ "type": "place", "name": name, "side": "template", "point": [51.0, y, 5.0] }));
         page.wait("case");
@@ -385,25 +346,19 @@ fn a_face_without_a_rig_is_measured_by_those_landmarks_that_have_a_name_for_it()
 
 #[test]
 fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (server, _, mut page) = Running::with_sheet();
     page.send(&json!({ "type": "place", "name": "nose", "side": "template", "point": [51.0, 70.0, 5.0] }));
     page.wait("case");
     let mut pinned = bump(false);
     (pinned["model"], pinned["pins"]) = (json!("arap"), json!([7]));
     for step in [pinned, bump(false)] {
-        page.send(&json!({ "type": "edit", "edit": { "edit": "add_step", "step": step } }));
+        page.send(&edit(json!({ "edit": "add_step", "step": step })));
         page.wait("case");
     }
     page.send(&json!({ "type": "paint_mask", "weights": vec![0.5; 441] }));
     assert!(page.wait("case")["case"]["wrap"]["mask"].is_object());
     let mut replaced = |text: &str| {
-        let id = server.upload("new.obj", text.as_bytes());
-        page.send(
-            &json!({ "type": "add", "role": "template", "files": [{ "id": id, "name": "new.obj" }], "unit": "mm" }),
-        );
+        page.send(&server.adding("template", &[("new.obj", text.as_bytes())], Some("mm")));
         let case = page.wait("case")["case"].clone();
         let wrap = &case["wrap"];
         let steps = case["plans"][0]["recipe"].as_str().unwrap().matches("[[step]]").count();
@@ -426,14 +381,9 @@ fn landmarks_and_mask_go_with_a_template_of_other_vertices() {
 
 #[test]
 fn a_landmark_s_number_is_a_vertex_where_the_template_has_it() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (server, _, mut page) = Running::with_sheet();
     let text = r#"{ "7": [10.0, 10.0, 5.0], "99999": [20.0, 20.0, 5.0] }"#;
-    let id = server.upload("marks.json", text.as_bytes());
-    let files = json!([{ "id": id, "name": "marks.json" }]);
-    page.send(&json!({ "type": "add", "role": "scan_landmarks", "files": files, "unit": null }));
+    page.send(&server.adding("scan_landmarks", &[("marks.json", text.as_bytes())], None));
     let pairs = page.wait("case")["case"]["wrap"]["pairs"].clone();
     let vertex = |name: &str| pairs.as_array().unwrap().iter().find(|p| p["name"] == name).unwrap()["vertex"].clone();
     assert_eq!((vertex("7"), vertex("99999")), (json!(7), Value::Null));
@@ -441,20 +391,15 @@ fn a_landmark_s_number_is_a_vertex_where_the_template_has_it() {
 
 #[test]
 fn uploads_that_nobody_uses_make_room_for_new_ones() {
-    let server = Running::start();
-    let mut page = server.page();
-    page.send(&json!({ "type": "new_case", "name": "A" }));
-    page.wait("case");
-    let add =
-        |id: &str| json!({ "type": "add", "role": "photo", "files": [{ "id": id, "name": "a.png" }], "unit": null });
-    let first = server.upload("a.png", b"\x89PNG\r\n\x1a\n 1");
+    let (server, mut page) = Running::with_empty_case();
+    let first = server.adding("photo", &[("a.png", b"\x89PNG\r\n\x1a\n 1")], None);
     for _ in 0..MOST_UPLOADS - 1 {
         server.hub.keep_upload(server.hub.vault.incoming().unwrap());
     }
-    let last = server.upload("a.png", b"\x89PNG\r\n\x1a\n 2");
+    let last = server.adding("photo", &[("a.png", b"\x89PNG\r\n\x1a\n 2")], None);
     assert_eq!(server.waiting(), MOST_UPLOADS);
-    assert!(page.refused(&add(&first)).contains("add it again"));
-    page.send(&add(&last));
+    assert!(page.refused(&first).contains("add it again"));
+    page.send(&last);
     assert_eq!(page.wait("case")["case"]["photos"][0]["name"], "a.png");
 }
 
@@ -471,19 +416,13 @@ fn a_case_whose_file_is_gone_says_so() {
 
 #[test]
 fn a_schedule_of_ones_own_is_checked_kept_and_part_of_the_command() {
-    let server = Running::start();
-    server.add_sheet();
-    let mut page = server.page();
-    page.wait("case");
+    let (server, _, mut page) = Running::with_sheet();
     let mut settings = serde_json::to_value(studio::case::WrapSettings::default()).unwrap();
     settings["model"] = "arap".into();
-    let set = |settings: &Value| json!({ "type": "edit", "edit": { "edit": "set_wrap", "settings": settings } });
+    let set = |settings: &Value| edit(json!({ "edit": "set_wrap", "settings": settings }));
     page.send(&set(&settings));
     page.wait("case");
-    let add = |name: &str, bytes: &[u8]| {
-        let id = server.upload(name, bytes);
-        json!({ "type": "add", "role": "schedule", "files": [{ "id": id, "name": name }], "unit": null })
-    };
+    let add = |name: &str, bytes: &[u8]| server.adding("schedule", &[(name, bytes)], None);
     let own = include_str!("../../../src/model/schedules/arap.toml");
     for (name, text) in [
         ("empty.toml", ""),

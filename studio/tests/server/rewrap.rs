@@ -42,8 +42,7 @@ fn correct(page: &mut Page, case: &Value, pair: usize, by: f64) {
 fn demo() -> (Running, Page, Value) {
     let server = Running::start();
     studio::demo::add(&server.hub.vault).unwrap();
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     page.send(&json!({ "type": "suggest" }));
     page.wait("case");
     page.wait("idle");

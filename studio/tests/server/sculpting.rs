@@ -6,7 +6,7 @@ use data_gen::{FaceOptions, FaceRig, write_rig};
 use serde_json::{Value, json};
 use studio::case::{Case, FileRef, Source, Unit};
 
-use crate::client::{Page, Running};
+use crate::client::{Page, Running, edit};
 
 /// A case of a generated face with a rig, shown on a page.
 fn face_shown(vertices: usize) -> (Running, Page) {
@@ -21,8 +21,7 @@ fn face_shown(vertices: usize) -> (Running, Page) {
     };
     let case = Case { template: source("template.obj"), rig: source(""), ..Case::default() };
     vault.add_case(&case).unwrap();
-    let mut page = server.page();
-    page.wait("case");
+    let mut page = server.page_of_case();
     page.wait("plan");
     (server, page)
 }
@@ -78,7 +77,7 @@ fn a_drag_goes_on_from_frame_to_frame_and_letting_go_replays_the_plan() {
         assert!(last <= u64::from(model != "direct"), "{model}: {ends:?}");
         // what is let go does not depend on how it was dragged
         let reached = |page: &mut Page| {
-            page.send(&json!({ "type": "edit", "edit": add(step(model, 45.0, 3.0)) }));
+            page.send(&edit(add(step(model, 45.0, 3.0))));
             let mut plan = page.wait("plan");
             plan["milliseconds"].take();
             page.send(&json!({ "type": "undo" }));
