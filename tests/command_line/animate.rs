@@ -168,10 +168,9 @@ fn lost_frames_are_named_and_bridged() {
     bench.write("list.txt", &list);
     let command = "animate --meshes frames --list list.txt --unit meshes=mm --report walk.json --fps 30";
     for (format, smooth) in [("usda", "--smooth 4"), ("glb", ""), ("pc2", "--smooth 4")] {
-        let run = bench.run(&format!("{command} {smooth} --out walk.{format}"));
-        assert_eq!(run.code, 0, "{}", run.stderr);
+        let stderr = bench.ends(&format!("{command} {smooth} --out walk.{format}"), 0);
         for frame in ["\"walk5\" is lost: it jumps 4", "\"walk8\" is lost: there is none"] {
-            assert!(run.stderr.contains(frame), "{}", run.stderr);
+            assert!(stderr.contains(frame), "{stderr}");
         }
         let report: Value = serde_json::from_slice(&bench.read("walk.json")).unwrap();
         let lost: Vec<usize> = (0..12).filter(|&k| !report["frames"][k]["lost"].is_null()).collect();
@@ -199,9 +198,8 @@ fn frames_that_are_no_sequence_are_refused() {
     let bench = Bench::new();
     frames(&bench);
     let fails = |line: &str, code: i32, says: &str| {
-        let run = bench.run(line);
-        assert_eq!(run.code, code, "{line}: {}", run.stderr);
-        assert!(run.stderr.contains(says), "{line}: {}", run.stderr);
+        let stderr = bench.ends(line, code);
+        assert!(stderr.contains(says), "{line}: {stderr}");
     };
     fails("animate --meshes frames --rig rig --out a.usda", 1, "only .glb has weights");
     fails("animate --meshes frames --out a.obj", 1, ".usda");

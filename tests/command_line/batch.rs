@@ -124,14 +124,13 @@ fn what_is_done_is_known_and_a_change_goes_through_a_sequence() {
     let command = format!("batch scans.csv --out out {OPTIONS}");
     // What was done, by name, in the order of the names.
     let ran = |command: &str| -> Vec<String> {
-        let run = bench.run(command);
-        assert_eq!(run.code, 0, "{}", run.stderr);
+        let stderr = bench.ends(command, 0);
         let line = |line: &str| {
             Some(line.split_once("] ")?.1.split_once(": ")?)
                 .filter(|l| !l.1.starts_with("done before"))
                 .map(|l| l.0.to_owned())
         };
-        let mut names: Vec<String> = run.stderr.lines().filter_map(line).collect();
+        let mut names: Vec<String> = stderr.lines().filter_map(line).collect();
         names.sort();
         names
     };
@@ -172,14 +171,12 @@ fn what_somebody_has_changed_stays() {
     bench.done(&command);
     let (made, record) = (bench.read("out/person.obj"), bench.read("out/log/person.json"));
     bench.write("out/person.obj", "retouched");
-    let run = bench.run(&command);
-    assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(run.stderr.contains("person: done before; person.obj was changed since, and stays"), "{}", run.stderr);
+    let stderr = bench.ends(&command, 0);
+    assert!(stderr.contains("person: done before; person.obj was changed since, and stays"), "{stderr}");
     for option in ["--again", "--identity-bounds=-2,2"] {
-        let run = bench.run(&format!("{command} {option}"));
-        assert_eq!(run.code, 2, "{}", run.stderr);
-        assert!(run.stderr.contains("person.obj: was changed since it was made, and stays"), "{}", run.stderr);
-        assert!(!run.stderr.contains("other: failed"), "{}", run.stderr);
+        let stderr = bench.ends(&format!("{command} {option}"), 2);
+        assert!(stderr.contains("person.obj: was changed since it was made, and stays"), "{stderr}");
+        assert!(!stderr.contains("other: failed"), "{stderr}");
         assert_eq!(bench.read("out/person.obj"), b"retouched");
     }
     fs::remove_file(bench.path("out/person.obj")).unwrap();
@@ -191,8 +188,8 @@ fn what_somebody_has_changed_stays() {
     ended["replaced"] = serde_json::json!({ "person.obj": ended["outputs"]["person.obj"] });
     ended["outputs"]["person.obj"] = "another".into();
     bench.write("out/log/person.json", ended.to_string());
-    let run = bench.run(&command);
-    assert!(run.code == 0 && !run.stderr.contains("person: done before"), "{}", run.stderr);
+    let stderr = bench.ends(&command, 0);
+    assert!(!stderr.contains("person: done before"), "{stderr}");
     assert!(bench.read("out/person.obj") == made);
 }
 
@@ -205,8 +202,7 @@ fn parts_give_what_the_whole_gives_also_by_the_recipe_for_gnu_parallel() {
     bench.done(&format!("batch scans.csv --out whole {OPTIONS} --jobs 1 --threads 2"));
     let whole = left(&bench, "whole");
     for part in 1..=3 {
-        let run = bench.run(&format!("batch scans.csv --out parts {OPTIONS} --shard {part}/3"));
-        assert_eq!(run.code, 0, "{}", run.stderr);
+        bench.done(&format!("batch scans.csv --out parts {OPTIONS} --shard {part}/3"));
     }
     assert!(bench.path("parts/summary.2-of-3.timing.json").exists());
     assert!(left(&bench, "parts") == whole, "the last part wrote the summary of all");
@@ -273,8 +269,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     let rows = [FRAMES[0], FRAMES[1], "empty.ply,f2/landmarks.json,walk,,", FRAMES[2], FRAMES[3]];
     list(&bench, &rows);
     let command = format!("batch scans.csv --out out {OPTIONS}");
-    let run = bench.run(&format!("{command} --animation glb --fps 15"));
-    assert_eq!(run.code, 2, "{}", run.stderr);
+    bench.ends(&format!("{command} --animation glb --fps 15"), 2);
     let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
     let empty = text.lines().find(|line| line.starts_with("empty,failed")).unwrap();
     assert!(empty.contains("lost in \"\"walk\"\": there is none; the motion of those round it"), "{text}");
@@ -311,19 +306,14 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
             rows[1].trim_end_matches(",,")
         ),
     );
-    let run = bench.run("batch scans.csv --out odd");
-    assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(
-        run.stderr.contains("no animated file of sequence \"walk\"") && run.stderr.contains("other vertices"),
-        "{}",
-        run.stderr
-    );
+    let stderr = bench.ends("batch scans.csv --out odd", 2);
+    assert!(stderr.contains("no animated file of sequence \"walk\"") && stderr.contains("other vertices"), "{stderr}");
 
     // what could not be animated when all is done does not begin
     let refused = |rows: &str, options: &str, says: &str| {
         bench.write("scans.csv", rows);
-        let run = bench.run(&format!("batch scans.csv --out fine {OPTIONS} {options}"));
-        assert!(run.code == 1 && run.stderr.contains(says) && !bench.path("fine").exists(), "{}", run.stderr);
+        let stderr = bench.ends(&format!("batch scans.csv --out fine {OPTIONS} {options}"), 1);
+        assert!(stderr.contains(says) && !bench.path("fine").exists(), "{stderr}");
     };
     let frames = format!("target,landmarks,sequence,name,model\n{}\n", FRAMES.join("\n"));
     refused(&frames, "--animation glb --subdivide 1", "write --animation usda or pc2");
@@ -332,8 +322,8 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
 
     rows[0] = rows[0].replace("walk", "a/b");
     bench.write("scans.csv", format!("target,landmarks,sequence,name,model\n{}\n", rows[0]));
-    let run = bench.run(&format!("batch scans.csv --out none {OPTIONS}"));
-    assert!(run.code == 4 && run.stderr.contains("a sequence's name"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("batch scans.csv --out none {OPTIONS}"), 4);
+    assert!(stderr.contains("a sequence's name"), "{stderr}");
 }
 
 #[test]
@@ -416,21 +406,16 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
     let finished = results("out");
     assert_eq!(finished.len(), 3 * 5, "{:?}", finished.keys());
     let all_done = || {
-        let run = bench.run(&format!("{command} --pictures"));
-        assert!(
-            run.code == 0 && said(&run.stderr).values().all(|what| what.starts_with("done before")),
-            "{}",
-            run.stderr
-        );
+        let stderr = bench.ends(&format!("{command} --pictures"), 0);
+        assert!(said(&stderr).values().all(|what| what.starts_with("done before")), "{stderr}");
         assert!(results("out") == finished);
         assert!(summary(&bench, "out").values().all(|row| row.0 != "failed"));
     };
     let in_the_way = |from: &str| {
         let hidden = format!("{from}_hidden");
         fs::rename(bench.path(from), bench.path(&hidden)).unwrap();
-        let run = bench.run(&format!("{command} --pictures"));
-        assert_eq!(run.code, 2, "{from}: {}", run.stderr);
-        assert!(run.stderr.contains("cannot be read"), "{}", run.stderr);
+        let stderr = bench.ends(&format!("{command} --pictures"), 2);
+        assert!(stderr.contains("cannot be read"), "{stderr}");
         let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
         assert!(text.contains("is still there"), "{text}");
         assert!(results("out") == finished, "{from} cannot be reached");
@@ -439,8 +424,7 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
     };
     ["rig", "case", "f0", "f1/landmarks.json"].into_iter().for_each(in_the_way);
     for option in ["--model clay", "--identity-modes 99", "--again --identity-modes 99", "--regions nosee"] {
-        let run = bench.run(&format!("{} --pictures", command.replace("--identity-modes 5", option)));
-        assert_eq!(run.code, 2, "{option}: {}", run.stderr);
+        bench.ends(&format!("{} --pictures", command.replace("--identity-modes 5", option)), 2);
         assert!(results("out") == finished, "{option}");
         all_done();
     }
@@ -485,10 +469,9 @@ fn what_is_no_result_is_not_replaced() {
         "index.html",
     ] {
         bench.write(&format!("out/{name}"), "mine");
-        let run = bench.run(&command);
-        assert_eq!(run.code, 3, "{name}: {}", run.stderr);
+        let stderr = bench.ends(&command, 3);
         let words = format!("out/{name}: is there, and no record of an earlier batch lists it");
-        assert!(run.stderr.contains(&words), "{}", run.stderr);
+        assert!(stderr.contains(&words), "{stderr}");
         assert_eq!(bench.read(&format!("out/{name}")), b"mine");
         fs::remove_dir_all(bench.path("out")).unwrap();
     }
@@ -500,18 +483,10 @@ fn what_is_no_result_is_not_replaced() {
     assert!(bench.read("f0/scan.ply") == before && bench.path("f0/wrapped.obj").exists());
     // a result that is the template of the next batch is none of its outputs
     bench.write("next.csv", "target,name\nf1/scan.ply,wrapped\n");
-    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj");
-    assert!(
-        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read (template of"),
-        "{}",
-        run.stderr
-    );
-    let run = bench.run("batch next.csv --out f0 --template f0/wrapped.obj --format ply");
-    assert!(
-        run.code == 1 && run.stderr.contains("f0/wrapped.obj: would overwrite a file that is read"),
-        "{}",
-        run.stderr
-    );
+    let stderr = bench.ends("batch next.csv --out f0 --template f0/wrapped.obj", 1);
+    assert!(stderr.contains("f0/wrapped.obj: would overwrite a file that is read (template of"), "{stderr}");
+    let stderr = bench.ends("batch next.csv --out f0 --template f0/wrapped.obj --format ply", 1);
+    assert!(stderr.contains("f0/wrapped.obj: would overwrite a file that is read"), "{stderr}");
 }
 
 /// Processes that a process has started and that run.
@@ -540,16 +515,15 @@ fn a_folder_has_one_batch_and_survives_its_end() {
     };
     let mut child = start();
     let second = format!("batch scans.csv --out out {OPTIONS} --model rigid");
-    let run = bench.run(&second);
-    assert_eq!(run.code, 3, "{}", run.stderr);
+    let stderr = bench.ends(&second, 3);
     let words = format!("out: another batch writes here, process {} on ", child.id());
-    assert!(run.stderr.contains(&words), "{}", run.stderr);
+    assert!(stderr.contains(&words), "{stderr}");
     assert!(!bench.path("out/f0_scan.obj").exists());
     child.kill().unwrap();
     child.wait().unwrap();
-    let run = bench.run(&second);
+    let stderr = bench.ends(&second, 0);
     let words = format!("warning: out: taken over from process {} on ", child.id());
-    assert!(run.code == 0 && run.stderr.contains(&words), "{}", run.stderr);
+    assert!(stderr.contains(&words), "{stderr}");
     let hidden = files_in(&bench.path("out/.nonrigid"));
     assert_eq!(hidden, ["wrote-1-of-1.json"], "nothing of either stays");
     let result = bench.read("out/f0_scan.obj");
@@ -631,18 +605,12 @@ fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
     let bench = bench();
     assert!(Command::new("mkfifo").arg(bench.path("pipe.ply")).status().unwrap().success());
     list(&bench, &["pipe.ply,,,,", "case/scan.ply,case/landmarks.json,,person,rigid"]);
-    let run = bench.run(&format!("batch scans.csv --out out {OPTIONS}"));
-    assert_eq!(run.code, 2, "{}", run.stderr);
-    let said = said(&run.stderr);
+    let said = said(&bench.ends(&format!("batch scans.csv --out out {OPTIONS}"), 2));
     assert!(said["pipe"].contains("pipe.ply: cannot be read: it is no regular file"), "{said:?}");
     assert!(!said["person"].contains("failed"), "{said:?}");
     let name = "n".repeat(249);
     list(&bench, &[&format!("case/scan.ply,case/landmarks.json,,{name},rigid")]);
-    let run = bench.run(&format!("batch scans.csv --out long {OPTIONS}"));
-    assert!(
-        run.code == 3 && run.stderr.contains(&name) && run.stderr.contains("give a shorter name"),
-        "{}",
-        run.stderr
-    );
+    let stderr = bench.ends(&format!("batch scans.csv --out long {OPTIONS}"), 3);
+    assert!(stderr.contains(&name) && stderr.contains("give a shorter name"), "{stderr}");
     assert!(!bench.path("long").exists());
 }

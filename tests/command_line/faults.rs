@@ -335,11 +335,10 @@ impl Drop for SmallDisk<'_> {
 
 /// One clear error of writing.
 fn unwritten(bench: &Bench, line: &str, words: &[&str]) {
-    let run = bench.run(line);
-    assert_eq!(run.code, 3, "{line}\n{}", run.stderr);
-    assert_eq!(run.stderr.lines().filter(|l| l.starts_with("error: ")).count(), 1, "{line}\n{}", run.stderr);
+    let stderr = bench.ends(line, 3);
+    assert_eq!(stderr.lines().filter(|l| l.starts_with("error: ")).count(), 1, "{line}\n{stderr}");
     for word in words {
-        assert!(run.stderr.contains(word), "{line}\n{}\nlacks {word:?}", run.stderr);
+        assert!(stderr.contains(word), "{line}\n{stderr}\nlacks {word:?}");
     }
 }
 

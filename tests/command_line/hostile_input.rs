@@ -175,8 +175,8 @@ fn terminals_and_tables_show_names_and_do_not_run_them() {
     let error = Rig::new(mesh.positions.clone(), None, shapes, deltas).unwrap_err().to_string();
     assert!(error.contains("xxx...") && error.len() < 200, "{error}");
     bench.write("long.json", format!("{{\"{long}\": 3}}"));
-    let run = bench.run("landmarks check long.json --mesh frames/=frame.obj");
-    assert!(run.code == 4 && run.stderr.len() < 400, "{}", run.stderr);
+    let stderr = bench.ends("landmarks check long.json --mesh frames/=frame.obj", 4);
+    assert!(stderr.len() < 400, "{stderr}");
 }
 
 /// The program under a limit of so many kilobytes of addresses.
@@ -266,11 +266,9 @@ fn an_archive_unpacks_to_so_many_times_its_length_and_no_more() {
     assert!(large.len() < 1_000_000, "{}", large.len());
     bench.write("bomb.npz", &large);
     bench.write("small.npz", &small);
-    let run = bench.run("rig info bomb.npz");
-    assert_eq!(run.code, LOADING, "{}", run.stderr);
-    assert!(run.stderr.contains("bomb.npz/expression_deltas.npy") && run.stderr.contains("at most"), "{}", run.stderr);
-    let run = bench.run("rig info small.npz");
-    assert_eq!(run.code, 0, "{}", run.stderr);
+    let stderr = bench.ends("rig info bomb.npz", LOADING);
+    assert!(stderr.contains("bomb.npz/expression_deltas.npy") && stderr.contains("at most"), "{stderr}");
+    bench.done("rig info small.npz");
 }
 
 #[test]
@@ -366,12 +364,10 @@ fn what_is_no_input_is_refused_by_what_is_seen() {
     };
     let faults: Vec<String> = rows.iter().filter_map(run).collect();
     all_hold(rows.len(), &faults);
-    let run = bench.run("rig transfer --rig face.npz --subject same/000.obj --out o.npz");
-    assert!(run.code == 0 && !run.stderr.contains("warning"), "{}", run.stderr);
-    let run = bench.run("measure --mesh same/000.obj --landmarks paired.json");
-    assert_eq!(run.code, 0, "{}", run.stderr);
-    let run = bench.run("measure --mesh inches/000.obj --landmarks marks.json --unit in");
-    assert_eq!(run.code, 0, "{}", run.stderr);
+    let stderr = bench.ends("rig transfer --rig face.npz --subject same/000.obj --out o.npz", 0);
+    assert!(!stderr.contains("warning"), "{stderr}");
+    bench.done("measure --mesh same/000.obj --landmarks paired.json");
+    bench.done("measure --mesh inches/000.obj --landmarks marks.json --unit in");
     assert!(Rig::read(&bench.path("o.npz"), &RigReadOptions::default()).is_ok());
 }
 
@@ -392,8 +388,7 @@ fn vertices_of_no_polygon_change_nothing() {
     };
     assert!(result("scan.ply") == result("loose.ply"));
     write_obj(&bench.path("loose.obj"), &with(&template, &loose[..500], &[])).unwrap();
-    let run = bench.run("register --template loose.obj --target scan.ply --model rigid --out l.obj --report l.json");
-    assert_eq!(run.code, 0, "{}", run.stderr);
+    bench.done("register --template loose.obj --target scan.ply --model rigid --out l.obj --report l.json");
     let of_loose = read_obj(&bench.path("l.obj")).unwrap().positions;
     bench.done("register --template template.obj --target scan.ply --model rigid --out t.obj");
     let far = crate::support::farthest(&of_loose[..576], &read_obj(&bench.path("t.obj")).unwrap().positions);
@@ -407,9 +402,8 @@ fn a_thousand_threads_are_as_many_as_are_of_use() {
     let run = |threads: usize| {
         let line =
             format!("register --template face.obj --target face.obj --model rigid --out r.obj --threads {threads}");
-        let run = bench.run(&line);
-        assert_eq!(run.code, 0, "{}", run.stderr);
-        (bench.read("r.obj"), run.stderr)
+        let stderr = bench.ends(&line, 0);
+        (bench.read("r.obj"), stderr)
     };
     let (one, quiet) = run(1);
     let (many, said) = run(1000);

@@ -104,10 +104,10 @@ fn a_rig_gives_its_landmarks_and_the_client_heads_the_page() {
     let last = turned.positions.len() as u32 - 1;
     turned.corners.iter_mut().for_each(|v| *v = last - *v);
     write_obj(&bench.path("reversed.obj"), &turned).unwrap();
-    let refused = bench.run("measure --mesh reversed.obj --rig rig");
-    assert!(refused.code == 4 && refused.stderr.contains("in the rig's order"), "{}", refused.stderr);
-    let refused = bench.run(&format!("{measure} --after reversed.obj"));
-    assert!(refused.code == 4 && refused.stderr.contains("reversed.obj: "), "{}", refused.stderr);
+    let stderr = bench.ends("measure --mesh reversed.obj --rig rig", 4);
+    assert!(stderr.contains("in the rig's order"), "{stderr}");
+    let stderr = bench.ends(&format!("{measure} --after reversed.obj"), 4);
+    assert!(stderr.contains("reversed.obj: "), "{stderr}");
 }
 
 #[test]
@@ -132,8 +132,8 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
     assert_eq!(regions("rig.json"), regions("given.json"));
     std::fs::remove_file(bench.path("rig/landmarks_multipie68.json")).unwrap();
     std::fs::remove_file(bench.path("rig/landmarks_anthropometric.json")).unwrap();
-    let refused = bench.run(&format!("{measure} --rig rig"));
-    assert!(refused.code == 4 && refused.stderr.contains("rig: the rig has no landmarks; give --landmarks"));
+    let stderr = bench.ends(&format!("{measure} --rig rig"), 4);
+    assert!(stderr.contains("rig: the rig has no landmarks; give --landmarks"));
 }
 
 #[test]
@@ -145,9 +145,7 @@ fn landmarks_off_the_mesh_are_said() {
             format!("\"{}\": {:?}", l.name, p.as_slice())
         });
         bench.write("points.json", format!("{{{}}}", positions.collect::<Vec<_>>().join(", ")));
-        let run = bench.run("measure --mesh rig/template.obj --landmarks points.json");
-        assert_eq!(run.code, 0, "{}", run.stderr);
-        run.stderr
+        bench.ends("measure --mesh rig/template.obj --landmarks points.json", 0)
     };
     assert!(!off(0.0).contains("off the mesh"));
     let said = off(5.0);

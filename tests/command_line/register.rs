@@ -67,14 +67,13 @@ fn materials_that_stay_behind_are_said() {
     for (template, out, behind) in rows {
         let arguments =
             format!("register --template {template} {INPUTS} --model rigid --unit landmarks=mm --out {out}");
-        let run = bench.run(&arguments);
-        assert_eq!(run.code, 0, "{}", run.stderr);
-        assert_eq!(run.stderr.contains(&format!("stay with {template}")), behind, "{out}: {}", run.stderr);
+        let stderr = bench.ends(&arguments, 0);
+        assert_eq!(stderr.contains(&format!("stay with {template}")), behind, "{out}: {stderr}");
     }
     // a file that nobody named, and no run of ours made, stays
     bench.write("d.mtl", "mine");
-    let run = bench.run(&format!("register --template rig/template.obj {INPUTS} --model rigid --out d.obj"));
-    assert!(run.code == 3 && run.stderr.contains("d.mtl: is there already"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("register --template rig/template.obj {INPUTS} --model rigid --out d.obj"), 3);
+    assert!(stderr.contains("d.mtl: is there already"), "{stderr}");
     assert_eq!(bench.read("d.mtl"), b"mine");
     // what a glTF notes of an OBJ's libraries is not beside the result
     assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
@@ -106,14 +105,9 @@ fn a_template_whose_corners_are_all_its_own_stays_together() {
         ..template
     };
     write_obj(&bench.path("soup.obj"), &soup).unwrap();
-    let run = bench.run("register --template soup.obj --target case/scan.ply --out s.obj --report s.json");
-    assert_eq!(run.code, 0, "{}", run.stderr);
+    let stderr = bench.ends("register --template soup.obj --target case/scan.ply --out s.obj --report s.json", 0);
     let twice = corners.len() - template.positions.len();
-    assert!(
-        run.stderr.contains(&format!("{twice} vertices of the template stand where another does")),
-        "{}",
-        run.stderr
-    );
+    assert!(stderr.contains(&format!("{twice} vertices of the template stand where another does")), "{stderr}");
     assert_eq!(json(bench.read("s.json"))["template_repair"]["sewn"], twice);
     let result = read_obj(&bench.path("s.obj")).unwrap().positions;
     let mut at = vec![None; template.positions.len()];
@@ -128,11 +122,9 @@ fn a_few_wild_vertices_make_a_result_doubtful() {
     let mut neutral = bench.rig.neutral.clone();
     neutral.iter_mut().step_by(97).for_each(|p| p.z += 40.0);
     write_npy_points(&bench.path("wild.npy"), &neutral).unwrap();
-    let run = bench.run(&format!(
-        "register --template rig/template.obj --rig rig {INPUTS} --neutral wild.npy --out wild.obj --report wild.json"
-    ));
-    assert_eq!(run.code, 0, "{}", run.stderr);
-    assert_eq!(run.stderr.matches("stand out from their neighbours").count(), 2, "{}", run.stderr); // the neutral; the result
+    let fit = FIT.replace("case/neutral.npy", "wild.npy");
+    let stderr = bench.ends(&format!("{fit} {INPUTS} --out wild.obj --report wild.json"), 0);
+    assert_eq!(stderr.matches("stand out from their neighbours").count(), 2, "{stderr}"); // the neutral; the result
     let report = json(bench.read("wild.json"));
     assert!(report["error_probability"].as_f64().unwrap() >= 0.5);
     assert_eq!(report["doubts"][0]["sign"], "spikes");
@@ -844,12 +836,8 @@ fn without_a_rigs_regions_the_templates_groups_are_regions() {
     assert_eq!(fit("--regions all"), plain);
     assert_eq!(fit("--regions first,second"), plain);
     assert!(farthest(&fit("--regions second"), &plain) > 0.5);
-    let run = bench.run(&format!("register --template grouped.obj {INPUTS} --regions third --out r.obj"));
-    assert!(
-        run.code == 4 && run.stderr.contains("third") && run.stderr.contains("first, all, second"),
-        "{}",
-        run.stderr
-    );
+    let stderr = bench.ends(&format!("register --template grouped.obj {INPUTS} --regions third --out r.obj"), 4);
+    assert!(stderr.contains("third") && stderr.contains("first, all, second"), "{stderr}");
 }
 
 #[test]

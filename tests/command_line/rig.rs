@@ -97,8 +97,7 @@ fn every_form_of_a_rig_becomes_every_other() {
         assert_same(&read(&bench.path(&first)), &original, before, from);
         for (to, to_options) in FORMS {
             let second = format!("from_{from}/to_{to}");
-            let said = bench.run(&format!("rig convert --rig {first} --out {second}{to_options}"));
-            assert_eq!(said.code, 0, "{}", said.stderr);
+            let stderr = bench.ends(&format!("rig convert --rig {first} --out {second}{to_options}"), 0);
             let after = lost_in(to);
             // what is gone already is not lost again
             let lines = [
@@ -110,8 +109,8 @@ fn every_form_of_a_rig_becomes_every_other() {
                 after.named && !before.named,
             ];
             let lines = lines.iter().filter(|lost| **lost).count();
-            let warned = said.stderr.lines().filter(|line| line.starts_with("warning: ")).count();
-            assert_eq!(warned, lines, "{first} to {second}: {}", said.stderr);
+            let warned = stderr.lines().filter(|line| line.starts_with("warning: ")).count();
+            assert_eq!(warned, lines, "{first} to {second}: {stderr}");
             let lost = Lost {
                 families: before.families || after.families,
                 landmarks: before.landmarks || after.landmarks,
@@ -130,8 +129,8 @@ fn every_form_of_a_rig_becomes_every_other() {
     let of_rig = format!("--template {folder}/neutral.obj --rig {folder} --out {folder}");
     bench.write("one.csv", "scan,name\ncase/scan.ply,one\n");
     for line in [format!("register {of_rig}/one.obj --target case/scan.ply"), format!("batch one.csv {of_rig}")] {
-        let run = bench.run(&line);
-        assert!(run.code == 1 && run.stderr.contains("would become a shape of the rig"), "{}", run.stderr);
+        let stderr = bench.ends(&line, 1);
+        assert!(stderr.contains("would become a shape of the rig"), "{stderr}");
     }
     // the same again, over what is there
     let before = bench.read("from_npy/to_shapes/jawOpen.obj");
@@ -266,9 +265,9 @@ fn components_keep_the_materials_of_the_first_mesh() {
         assert!(bench.read("modes/template.mtl") == bench.read("rig/face.mtl"));
     }
     bench.write("other/template.mtl", "mine");
-    let run = bench.run("rig pca --meshes people --components 2 --out other");
-    assert!(run.code == 3 && run.stderr.contains("template.mtl: is there already"), "{}", run.stderr);
-    let run = bench.run("rig convert --rig rig --out other");
-    assert!(run.code == 3 && run.stderr.contains("template.mtl: is there already"), "{}", run.stderr);
+    let stderr = bench.ends("rig pca --meshes people --components 2 --out other", 3);
+    assert!(stderr.contains("template.mtl: is there already"), "{stderr}");
+    let stderr = bench.ends("rig convert --rig rig --out other", 3);
+    assert!(stderr.contains("template.mtl: is there already"), "{stderr}");
     assert!(bench.read("other/template.mtl") == b"mine" && !bench.path("other/neutral.npy").exists());
 }

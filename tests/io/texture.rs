@@ -601,8 +601,8 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     write_obj(&bench.path("rig/template.obj"), &template).unwrap();
     let fit =
         "register --template rig/template.obj --target case/scan.ply --landmarks case/landmarks.json --model rigid";
-    let run = bench.run(&format!("{fit} --out a face.obj").replace("a face", "a_face"));
-    assert!(run.code == 0 && run.stderr.contains("none.png"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("{fit} --out a face.obj").replace("a face", "a_face"), 0);
+    assert!(stderr.contains("none.png"), "{stderr}");
     let names_of = |path: &str| read_obj(&bench.path(path)).unwrap().metadata.material_libraries;
     assert_eq!(names_of("a_face.obj"), ["a_face.mtl"]);
     let of_corner = read_obj(&bench.path("a_face.obj")).unwrap().metadata.corner_normals;
@@ -715,6 +715,6 @@ fn bad_arguments_and_inputs_are_refused_before_the_work() {
     std::fs::remove_file(bench.path("skin.png")).unwrap();
     refused(&format!("{fit} --bake-texture 64"), 4, &["skin.png", "map_Kd in line 3 of scan.mtl"]);
     // nothing of that matters without a texture
-    let run = bench.run(&format!("{fit} --model rigid"));
-    assert!(run.code == 0 && run.stderr.contains("--bake-texture 2048"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("{fit} --model rigid"), 0);
+    assert!(stderr.contains("--bake-texture 2048"), "{stderr}");
 }

@@ -853,12 +853,10 @@ fn the_program_finds_a_turned_scan_and_one_inside_out() {
     let search = &report["start_search"];
     assert!(search["fit"]["share"].as_f64().unwrap() > 0.5 && search["tried"].as_u64().unwrap() > 1000, "{search}");
     assert!(search["runner_up"]["loss"].as_f64().unwrap() > search["fit"]["loss"].as_f64().unwrap(), "{search}");
-    let run = bench.run(&format!("{fit} inverted.ply"));
-    assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(run.stderr.contains("was turned over"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("{fit} inverted.ply"), 0);
+    assert!(stderr.contains("was turned over"), "{stderr}");
     let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
     assert_eq!(report["scan_facing"]["flipped"], true);
-    let run = bench.run(&format!("{fit} inverted.ply --flip no"));
-    assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("no start found") && run.stderr.contains("landmarks"), "{}", run.stderr);
+    let stderr = bench.ends(&format!("{fit} inverted.ply --flip no"), 2);
+    assert!(stderr.contains("no start found") && stderr.contains("landmarks"), "{stderr}");
 }

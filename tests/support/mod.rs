@@ -69,6 +69,13 @@ impl Bench {
         assert_eq!(run.code, 0, "{arguments}\n{}", run.stderr);
         run.stdout
     }
+
+    /// As [`Self::run`], and it has to end with this code; what it says on stderr.
+    pub fn ends(&self, arguments: &str, code: i32) -> String {
+        let run = self.run(arguments);
+        assert_eq!(run.code, code, "{arguments}\n{}", run.stderr);
+        run.stderr
+    }
 }
 
 /// A schedule that does not end while a test runs.
