@@ -88,37 +88,20 @@ pub(super) const MODEL: BuiltIn =
 mod tests {
     use std::sync::Arc;
 
-    use nalgebra::Rotation3;
-
     use super::*;
     use crate::energy::{DataTerm, Deformation, DeformationModel as _, Samples};
     use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::model::vertex_assembly::testing::pins;
+    use crate::model::vertex_assembly::testing::{bumpy, flat, pins, turn};
     use crate::nlls::{Minimizer, NormalEquations, Options, Problem};
 
     const SOLVERS: [ArapSolver; 2] = [ArapSolver::LocalGlobal, ArapSolver::Joint];
-
-    fn bumpy() -> TriangleMesh {
-        sheet(9, 8, |c, r| {
-            let k = (9.0 * r + c) as usize;
-            Vec3::new(c + 0.3 * noise(k), r + 0.3 * noise(k + 100), 0.4 * noise(k + 200))
-        })
-    }
 
     type Surface = Deformation<Arap, Box<dyn DataTerm>>;
 
     fn problem(mesh: &TriangleMesh, solver: ArapSolver) -> Surface {
         let model = Arap::new(mesh, ArapOptions { solver, clamp: true }, 0.8).unwrap();
         Deformation::new(model, Samples::vertices(mesh.positions.len()))
-    }
-
-    fn flat(positions: &[Vec3]) -> Vec<f64> {
-        positions.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect()
-    }
-
-    fn turn() -> Rotation3<f64> {
-        Rotation3::from_euler_angles(0.4, -2.0, 2.5)
     }
 
     #[test]

@@ -228,8 +228,8 @@ mod tests {
     use super::*;
     use crate::energy::{DataTerm, Deformation, DeformationModel as _};
     use crate::mesh::adjacency::EdgeGraph;
-    use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::model::vertex_assembly::testing::pins;
+    use crate::mesh::testing::{noise, sheet};
+    use crate::model::vertex_assembly::testing::{broken, bumpy, flat, pins, turn};
     use crate::model::{Free, FreeOptions, Smoothness};
     use crate::nlls::{Minimizer, Options, Problem};
 
@@ -240,26 +240,11 @@ mod tests {
         weights.flat_map(|weights| [Frames::Current, Frames::Rest].map(|frames| LaplacianOptions { weights, frames }))
     }
 
-    fn bumpy() -> TriangleMesh {
-        sheet(9, 8, |c, r| {
-            let k = (9.0 * r + c) as usize;
-            Vec3::new(c + 0.3 * noise(k), r + 0.3 * noise(k + 100), 0.4 * noise(k + 200))
-        })
-    }
-
     type Surface = Deformation<Laplacian, Box<dyn DataTerm>>;
 
     fn problem(mesh: &TriangleMesh, options: LaplacianOptions) -> Surface {
         let model = Laplacian::new(mesh, options, REFERENCE, 0.8).unwrap();
         Deformation::new(model, Samples::vertices(mesh.positions.len()))
-    }
-
-    fn flat(positions: &[Vec3]) -> Vec<f64> {
-        positions.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect()
-    }
-
-    fn turn() -> Rotation3<f64> {
-        Rotation3::from_euler_angles(0.4, -2.0, 2.5)
     }
 
     #[test]
@@ -383,13 +368,7 @@ mod tests {
 
     #[test]
     fn broken_stars_loose_vertices_and_parts_without_data_stay_finite() {
-        let mut mesh = side_by_side(&bumpy(), &sheet(3, 3, |c, r| Vec3::new(c + 30.0, r, 0.0)));
-        let n = mesh.positions.len() as u32;
-        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::y() * 5.0].map(|p| p + Vec3::z() * 50.0));
-        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::x() * 5.0].map(|p| p + Vec3::z() * 9.0));
-        mesh.positions.extend([Vec3::new(1.0, 2.0, 30.0); 3]);
-        mesh.positions.push(mesh.positions[40] + Vec3::new(0.1, 0.2, 0.5));
-        mesh.triangles.extend([[n, n + 1, n + 2], [n + 3, n + 4, n + 5], [n + 6, n + 7, n + 8], [3, 3, 4]]);
+        let mut mesh = broken(&bumpy());
         let small = Rotation3::from_euler_angles(0.2, -0.5, 0.3);
         let targets: Vec<Vec3> = (0..72).map(|i| small * mesh.positions[i] * 1.1 + Vec3::z()).collect();
         for options in ways() {

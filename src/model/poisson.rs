@@ -156,8 +156,8 @@ mod tests {
     use super::*;
     use crate::energy::{DataTerm, Deformation, DeformationModel, Samples};
     use crate::mesh::normals::face_areas;
-    use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::model::vertex_assembly::testing::pins;
+    use crate::mesh::testing::{noise, sheet};
+    use crate::model::vertex_assembly::testing::{broken, flat, pins, turn};
     use crate::model::{Free, FreeOptions, Smoothness};
     use crate::nlls::{Minimizer, NormalEquations, Options, Problem};
 
@@ -182,15 +182,11 @@ mod tests {
         Deformation::new(Poisson::new(mesh, options, 0.8).unwrap(), Samples::vertices(mesh.positions.len()))
     }
 
-    fn flat(positions: &[Vec3]) -> Vec<f64> {
-        positions.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect()
-    }
-
     #[test]
     fn a_rigid_motion_costs_nothing_unless_the_guidance_stands() {
         let mut mesh = bumpy(0.3);
         mesh.positions.push(Vec3::new(20.0, 3.0, 1.0)); // in no triangle
-        let turn = Rotation3::from_euler_angles(0.4, -2.0, 2.5);
+        let turn = turn();
         let moved: Vec<Vec3> = mesh.positions.iter().map(|p| turn * p + Vec3::new(30.0, -8.0, 1.0)).collect();
         for options in ways() {
             let mut problem = problem(&mesh, options);
@@ -270,7 +266,7 @@ mod tests {
     #[test]
     fn the_gradient_is_that_of_differences_and_the_joint_hessian_exact_where_nothing_is_strained() {
         let mesh = bumpy(0.3);
-        let turn = Rotation3::from_euler_angles(0.4, -2.0, 2.5);
+        let turn = turn();
         let rest = flat(&mesh.positions.iter().map(|p| turn * p).collect::<Vec<_>>());
         let strained: Vec<f64> = rest.iter().enumerate().map(|(k, x)| x + 0.2 * noise(k + 31)).collect();
         let d: Vec<f64> = (0..rest.len()).map(noise).collect();
@@ -319,14 +315,7 @@ mod tests {
 
     #[test]
     fn broken_triangles_loose_vertices_and_parts_without_data_stay_finite() {
-        // A sheet with data, a sheet without, a triangle alone, one without area, one of a single point, one of two vertices, one twice.
-        let mut mesh = side_by_side(&bumpy(0.3), &sheet(3, 3, |c, r| Vec3::new(c + 30.0, r, 0.0)));
-        let n = mesh.positions.len() as u32;
-        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::y() * 5.0].map(|p| p + Vec3::z() * 50.0));
-        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::x() * 5.0].map(|p| p + Vec3::z() * 9.0));
-        mesh.positions.extend([Vec3::new(1.0, 2.0, 30.0); 3]);
-        mesh.positions.push(mesh.positions[40] + Vec3::new(0.1, 0.2, 0.5));
-        mesh.triangles.extend([[n, n + 1, n + 2], [n + 3, n + 4, n + 5], [n + 6, n + 7, n + 8], [3, 3, 4]]);
+        let mut mesh = broken(&bumpy(0.3));
         mesh.triangles.push(mesh.triangles[0]);
         let turn = Rotation3::from_euler_angles(0.2, -0.5, 0.3);
         let targets: Vec<Vec3> = (0..72).map(|i| turn * mesh.positions[i] + Vec3::z()).collect();

@@ -262,8 +262,12 @@ fn add_single(quadric: &Quadric, weight: f64, row: &mut BlockRow<'_>) {
 /// What the tests of these models share.
 #[cfg(test)]
 pub(super) mod testing {
+    use nalgebra::Rotation3;
+
     use super::*;
     use crate::energy::{DataTerm, Pointwise, SampleResidual};
+    use crate::mesh::TriangleMesh;
+    use crate::mesh::testing::{noise, sheet, side_by_side};
     use crate::nlls::{Kernel, Scalar};
 
     struct Pins {
@@ -293,5 +297,35 @@ pub(super) mod testing {
     pub fn pins(samples: &[usize], targets: &[Vec3]) -> Vec<Box<dyn DataTerm>> {
         let pins = Pins { samples: samples.to_vec(), targets: targets.to_vec() };
         vec![Box::new(Pointwise::new("pins", pins, Kernel::None))]
+    }
+
+    /// A sheet of 72 vertices, each beside its place.
+    pub fn bumpy() -> TriangleMesh {
+        sheet(9, 8, |c, r| {
+            let k = (9.0 * r + c) as usize;
+            Vec3::new(c + 0.3 * noise(k), r + 0.3 * noise(k + 100), 0.4 * noise(k + 200))
+        })
+    }
+
+    /// A sheet of 72 vertices, a second one, a triangle alone, one without area, one of a single point, one of two vertices,
+    /// and a vertex in none.
+    pub fn broken(first: &TriangleMesh) -> TriangleMesh {
+        let mut mesh = side_by_side(first, &sheet(3, 3, |c, r| Vec3::new(c + 30.0, r, 0.0)));
+        let n = mesh.positions.len() as u32;
+        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::y() * 5.0].map(|p| p + Vec3::z() * 50.0));
+        mesh.positions.extend([Vec3::zeros(), Vec3::x() * 2.0, Vec3::x() * 5.0].map(|p| p + Vec3::z() * 9.0));
+        mesh.positions.extend([Vec3::new(1.0, 2.0, 30.0); 3]);
+        mesh.positions.push(mesh.positions[40] + Vec3::new(0.1, 0.2, 0.5));
+        mesh.triangles.extend([[n, n + 1, n + 2], [n + 3, n + 4, n + 5], [n + 6, n + 7, n + 8], [3, 3, 4]]);
+        mesh
+    }
+
+    /// As parameters are.
+    pub fn flat(positions: &[Vec3]) -> Vec<f64> {
+        positions.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect()
+    }
+
+    pub fn turn() -> Rotation3<f64> {
+        Rotation3::from_euler_angles(0.4, -2.0, 2.5)
     }
 }
