@@ -654,12 +654,18 @@ fn a_second_stage_comes_nearer_to_the_scan() {
     assert_eq!(both.schedule, schedule.resolved(&ModelKind::Sequential, &TERMS).unwrap());
 }
 
-/// Counts, and stops after a number of steps.
-struct StopAfter {
+/// Counts, stops after a number of steps, and may want the positions.
+pub struct StopAfter {
     announced: (usize, usize),
-    seen: Vec<StepRecord>,
+    pub seen: Vec<StepRecord>,
     places: Option<Vec<Vec<[u64; 3]>>>,
     steps: usize,
+}
+
+impl StopAfter {
+    pub fn new(steps: usize, looks: bool) -> Self {
+        Self { announced: (0, 0), seen: Vec::new(), places: looks.then(Vec::new), steps }
+    }
 }
 
 impl RegistrationObserver for StopAfter {
@@ -691,8 +697,7 @@ fn an_observer_sees_and_stops_every_stage() {
     let first: usize = schedule.levels.iter().map(|l| l.steps).sum();
     let second: usize = schedule.then.as_ref().unwrap().levels.iter().map(|l| l.steps).sum();
     let all = {
-        let mut observer =
-            StopAfter { announced: (0, 0), seen: Vec::new(), places: Some(Vec::new()), steps: usize::MAX };
+        let mut observer = StopAfter::new(usize::MAX, true);
         register(&task.input(), &ModelKind::Sequential, &schedule, &mut observer).unwrap();
         observer.places.unwrap()
     };
@@ -703,7 +708,7 @@ fn an_observer_sees_and_stops_every_stage() {
         (first + 1, RegistrationStop::StoppedByObserver),
         (first + second + 1, RegistrationStop::Finished),
     ] {
-        let mut observer = StopAfter { announced: (0, 0), seen: Vec::new(), places: None, steps };
+        let mut observer = StopAfter::new(steps, false);
         let result = register(&task.input(), &ModelKind::Sequential, &schedule, &mut observer).unwrap();
         assert_eq!((result.stop, observer.announced), (stop, (5, first + second)));
         let taken = steps.min(first + second);

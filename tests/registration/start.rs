@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::laws::StopAfter;
 use crate::real_data::real_data;
 use crate::sheets;
 use crate::support::{Bench, farthest};
@@ -63,13 +64,7 @@ fn moved(scan: &TriangleMesh, pose: &Pose) -> TriangleMesh {
 }
 
 fn joined(parts: &[&TriangleMesh]) -> TriangleMesh {
-    let mut all = TriangleMesh::default();
-    for part in parts {
-        let first = all.positions.len() as u32;
-        all.positions.extend(&part.positions);
-        all.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
-    }
-    all
+    parts.iter().fold(TriangleMesh::default(), |all, part| sheets::side_by_side(&all, part))
 }
 
 /// `f(u, v)` over the unit square in steps of one in `steps`, its front where `d/du x d/dv` points.
@@ -107,14 +102,6 @@ fn off(rig: &FaceRig, found: &Pose, truth: &Pose) -> (f64, f64) {
     (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (found.apply(centre) - truth.apply(centre)).norm())
 }
 
-fn after(outer: &Pose, inner: &Pose) -> Pose {
-    Pose {
-        scale: outer.scale * inner.scale,
-        rotation: outer.rotation * inner.rotation,
-        translation: outer.apply(inner.translation),
-    }
-}
-
 /// Largest distance between the template in two poses.
 fn apart(rig: &FaceRig, a: &Pose, b: &Pose) -> f64 {
     let place = |pose: &Pose| rig.neutral.iter().map(|&p| pose.apply(p)).collect::<Vec<_>>();
@@ -128,7 +115,7 @@ fn any_pose_is_found() {
     for seed in 0..8 {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let (pose, search) = found(&rig, &moved(&case.scan, &place));
-        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
         println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
         assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
         assert!(search.fit.share > 0.5 && search.tried > 1000, "seed {seed}: {search:?}");
@@ -143,7 +130,7 @@ fn shoulders_a_wall_and_holes_do_not_lead_away_from_the_face() {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let scan = moved(&bust(&rig, &case, &mut rng), &place);
         let (pose, search) = found(&rig, &scan);
-        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
         println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
         assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
     }
@@ -168,7 +155,7 @@ fn the_start_moves_with_the_scan() {
     for _ in 0..3 {
         let place = any_pose(&mut rng);
         let (there, _) = found(&rig, &moved(&case.scan, &place));
-        let distance = apart(&rig, &there, &after(&place, &here));
+        let distance = apart(&rig, &there, &place.after(&here));
         assert!(distance < 0.01, "{distance} mm");
     }
 }
@@ -199,7 +186,7 @@ fn the_given_pose_wins_if_it_is_as_good_and_a_landmark_decides_between_two() {
     let away = Pose::rigid(Vec3::zeros(), Vec3::new(0.0, 700.0, 0.0));
     let both = moved(&joined(&[&twin, &truth.scan]), &away);
     assert!(matches!(search_of(&rig, &both, &[]), Err(RegistrationError::AmbiguousStart { .. })));
-    for (place, marks) in [(away, 1), (after(&away, &aside), 1), (after(&away, &aside), 2)] {
+    for (place, marks) in [(away, 1), (away.after(&aside), 1), (away.after(&aside), 2)] {
         let marks: Vec<Landmark> =
             truth.landmarks[..marks].iter().map(|(v, p)| landmark(*v, place.apply(*p))).collect();
         let (pose, search) = search_of(&rig, &both, &marks).unwrap();
@@ -331,7 +318,7 @@ fn faces_of_other_sizes_start_at_their_size() {
         let case = case(&rig, seed);
         let place = Pose { scale, ..any_pose(&mut rng) };
         let (pose, search) = found(&rig, &moved(&case.scan, &place));
-        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
         println!("{scale}: {turn:.2} degrees, {distance:.2} mm, scale {:.2}", pose.scale);
         assert!(turn < 8.0 && distance < 20.0, "{scale}: {turn} degrees, {distance} mm, {search:?}");
         // A size found within 12 % of the template's own counts as that, and is found to 5 %.
@@ -401,7 +388,7 @@ fn rivals_are_held_to_the_size_of_the_start() {
     for seed in [84, 124, 132] {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let (pose, search) = found(&rig, &moved(&upper(&case.scan, 0.6), &place));
-        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
         println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
         assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
     }
@@ -710,24 +697,6 @@ fn a_rejected_trial_leaves_nothing_behind() {
     }
 }
 
-/// Stops at a step, and may want the positions, for which the levels of the trial run again.
-struct Stopping {
-    at: usize,
-    looks: bool,
-    heard: Vec<StepRecord>,
-}
-
-impl RegistrationObserver for Stopping {
-    fn on_step(&mut self, record: &StepRecord) -> ControlFlow<()> {
-        self.heard.push(record.clone());
-        if self.heard.len() == self.at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    }
-
-    fn wants_positions(&self) -> bool {
-        self.looks
-    }
-}
-
 /// What the trial of a start has done is not done twice unless somebody looks: no difference to who listens.
 #[test]
 fn a_trial_that_is_gone_on_from_is_as_if_there_had_been_none() {
@@ -740,11 +709,11 @@ fn a_trial_that_is_gone_on_from_is_as_if_there_had_been_none() {
         let schedule = ModelKind::Hybrid.schedule().unwrap();
         for at in [1, 3, 6, 12, usize::MAX] {
             let [blind, looking] = [false, true].map(|looks| {
-                let mut observer = Stopping { at, looks, heard: Vec::new() };
+                let mut observer = StopAfter::new(at, looks);
                 let result = register(&input, &ModelKind::Hybrid, &schedule, &mut observer).unwrap();
-                assert_eq!(result.history, observer.heard);
+                assert_eq!(result.history, observer.seen);
                 let stopped = result.stop == RegistrationStop::StoppedByObserver;
-                assert_eq!(stopped, observer.heard.len() == at);
+                assert_eq!(stopped, observer.seen.len() == at);
                 assert!(stopped || at > 6, "{degrees}, {at}");
                 assert_eq!(result.start_bent, degrees > 0.0);
                 result
@@ -832,7 +801,7 @@ fn another_unit_is_named_or_found() {
         let scan = moved(&case.scan, &place);
         let input = RegistrationInput::new(&rig.mesh, &scan);
         let (pose, search) = find_start(&input, &schedule(PoseKind::Similarity)).unwrap();
-        let (turn, distance) = off(&rig, &pose, &after(&place, &case.pose));
+        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
         let scale = pose.scale / place.scale;
         assert!(turn < 6.0 && distance < 10.0 * place.scale, "{factor}: {turn} degrees, {distance}, {search:?}");
         assert!((0.9..1.1).contains(&scale), "{factor}: {scale}");
