@@ -27,19 +27,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// Its name on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Um => "um",
-            Self::Mm => "mm",
-            Self::Cm => "cm",
-            Self::M => "m",
-            Self::In => "in",
-        }
-    }
-
-    /// For the library.
+    /// That of the library, which is written as on the command line.
     #[must_use]
     pub fn length(self) -> LengthUnit {
         match self {
@@ -164,7 +152,7 @@ impl Wrapped {
     pub fn is_of(&self, case: &Case) -> bool {
         let made_of = |role: &str, source: &Source| {
             let file = format!("asset:{}/{}", source.at.asset, source.at.file);
-            let unit = format!("{role}={}", source.unit.name());
+            let unit = format!("{role}={}", source.unit.length());
             self.command.contains(&file) && self.command.iter().any(|word| word.split(',').any(|part| part == unit))
         };
         let sources = [("template", case.template.as_ref()), ("target", case.scan_in_work())];
@@ -424,7 +412,7 @@ impl Edit {
     pub fn label(&self) -> String {
         match self {
             Self::Describe { .. } => "client's details".to_owned(),
-            Self::SetUnit { unit, .. } => format!("unit {}", unit.name()),
+            Self::SetUnit { unit, .. } => format!("unit {}", unit.length()),
             Self::UseScan { .. } => "choice of scan".to_owned(),
             Self::RemoveScan { .. } => "removal of a scan".to_owned(),
             Self::RemovePhoto { .. } => "removal of a photo".to_owned(),

@@ -54,7 +54,7 @@ struct Arguments {
 
 fn unit(text: &str) -> Result<Unit, String> {
     let all = [Unit::Mm, Unit::Cm, Unit::M, Unit::Um, Unit::In];
-    all.into_iter().find(|u| u.name() == text).ok_or_else(|| "mm, cm, m, um or in".to_owned())
+    all.into_iter().find(|u| u.length().to_string() == text).ok_or_else(|| "mm, cm, m, um or in".to_owned())
 }
 
 fn main() -> ExitCode {

@@ -59,7 +59,7 @@ pub struct WrapOutcome {
 }
 
 /// A file in a command, until the page shows where it is.
-fn asset_path(at: &FileRef) -> String {
+pub(crate) fn asset_path(at: &FileRef) -> String {
     if at.file.is_empty() { format!("asset:{}", at.asset) } else { format!("asset:{}/{}", at.asset, at.file) }
 }
 
@@ -149,8 +149,10 @@ impl WrapJob {
         let template = store.mesh(vault, template_source)?;
         let scan = store.scan(vault, scan_source)?;
         let shapes = store.shapes(vault, case, settings.identity_modes, &template)?;
-        let mut units =
-            vec![format!("template={}", template_source.unit.name()), format!("target={}", scan_source.unit.name())];
+        let mut units = vec![
+            format!("template={}", template_source.unit.length()),
+            format!("target={}", scan_source.unit.length()),
+        ];
         let mut command: Vec<String> = Vec::new();
         let mut add = |words: &[&str]| command.extend(words.iter().map(|w| (*w).to_owned()));
         add(&["register", "--template", &asset_path(&template_source.at), "--target", &asset_path(&scan_source.at)]);
@@ -158,7 +160,7 @@ impl WrapJob {
         if let Some(rig) = &case.rig {
             let modes = shapes.shapes().iter().filter(|shape| shape.family == Family::Identity).count();
             add(&["--rig", &asset_path(&rig.at), "--identity-modes", &modes.to_string()]);
-            units.push(format!("rig={}", rig.unit.name()));
+            units.push(format!("rig={}", rig.unit.length()));
         }
         let mut landmarks = Vec::new();
         let whole: Vec<&Pair> = pairs.iter().filter(|p| p.vertex.is_some() && p.target.is_some()).collect();

@@ -297,17 +297,16 @@ fn frame_view(landmarks: &[(String, TemplatePoint)], positions: &[Vec3]) -> Opti
 /// The `nonrigid morph` line of a case's plan, whose recipe is exported as `plan.toml`.
 fn morph_arguments(vault: &Vault, case: &Case) -> Result<Vec<String>, Problem> {
     let face = store::face_source(case)?;
-    let mut words = vec!["morph".to_owned(), "--mesh".to_owned(), format!("asset:{}/{}", face.at.asset, face.at.file)];
-    let mut units = vec![format!("mesh={}", face.unit.name())];
+    let mut words = vec!["morph".to_owned(), "--mesh".to_owned(), wrap::asset_path(&face.at)];
+    let mut units = vec![format!("mesh={}", face.unit.length())];
     if let Some(rig) = &case.rig {
-        let file = if rig.at.file.is_empty() { String::new() } else { format!("/{}", rig.at.file) };
-        words.extend(["--rig".to_owned(), format!("asset:{}{file}", rig.at.asset)]);
-        units.push(format!("rig={}", rig.unit.name()));
+        words.extend(["--rig".to_owned(), wrap::asset_path(&rig.at)]);
+        units.push(format!("rig={}", rig.unit.length()));
     }
     let own: Vec<&Pair> = case.wrap.pairs.iter().filter(|p| p.vertex.is_some()).collect();
     if case.rig.is_none() && !own.is_empty() {
         let [_, at] = wrap::landmark_files(vault, &own)?;
-        words.extend(["--landmarks".to_owned(), format!("asset:{}/{}", at.asset, at.file)]);
+        words.extend(["--landmarks".to_owned(), wrap::asset_path(&at)]);
     }
     words.extend(["--recipe", "plan.toml", "--unit", &units.join(","), "--out", "morphed.obj"].map(str::to_owned));
     Ok(words)
