@@ -23,21 +23,10 @@ impl Residual<1, 2> for Misra1a {
     }
 }
 
-const MISRA_1A: [(f64, f64); 14] = [
-    (77.6, 10.07),
-    (114.9, 14.73),
-    (141.1, 17.94),
-    (190.8, 23.93),
-    (239.9, 29.61),
-    (289.0, 35.18),
-    (332.8, 40.02),
-    (378.4, 44.82),
-    (434.8, 50.76),
-    (477.3, 55.05),
-    (536.8, 61.01),
-    (593.1, 66.40),
-    (689.1, 75.47),
-    (760.0, 81.78),
+/// x, then y.
+const MISRA_1A: [[f64; 14]; 2] = [
+    [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0],
+    [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78],
 ];
 
 #[test]
@@ -46,7 +35,8 @@ fn misra_1a() {
         for options in [Options::gauss_newton(), Options::levenberg_marquardt(), Options::dogleg()] {
             let mut builder = ResidualProblem::builder();
             let b = builder.add_border_block::<Euclidean<2>>(&start);
-            let residuals = MISRA_1A.iter().map(|&(x, y)| Misra1a { x, y }).collect();
+            let [x, y] = MISRA_1A;
+            let residuals = x.into_iter().zip(y).map(|(x, y)| Misra1a { x, y }).collect();
             builder.add_family(Family::new(residuals, &[[b]; 14]));
             let mut problem = builder.build().unwrap();
             let mut x = problem.initial();
