@@ -115,7 +115,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let nonrigid = a.nonrigid.clone().unwrap_or_else(|| ours.with_file_name("nonrigid"));
     check_program("--program", &a.program, "; `experiments ceres --help` says how to build it")?;
     check_program("--nonrigid", &nonrigid, "")?;
-    make_output_folder(&a.out, [("--program", &a.program)])?;
+    make_output_folder(&a.out, [("--program", &a.program)], &[])?;
     write_standard_cases(&a.out, effort.vertices, effort.triangles, &[CASE], a.seed)?;
     let rig = BenchRig::read(&a.out.join("rig"))?;
     let scanned = BenchCase::read(&a.out.join("cases").join(CASE), &rig)?;

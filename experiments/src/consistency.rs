@@ -118,7 +118,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
     let reads = [("--population", &a.population), ("--rig", &a.rig)].into_iter();
     let reads = reads.chain(a.template_of_population.iter().map(|path| ("--template-of-population", path)));
-    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))))?;
+    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))), &[])?;
     say(format_args!("{} faces x {} models, {} shapes", names.len(), a.models.len(), shapes.len()))?;
     let mut rows = Vec::new();
     for model in &a.models {

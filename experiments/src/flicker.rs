@@ -89,7 +89,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     each_once("--rates", &a.rates)?;
     each_once("--cutoffs", &a.cutoffs)?;
     check_times(a)?;
-    make_output_folder(&a.out, [])?;
+    make_output_folder(&a.out, [], &[])?;
     let studio = Studio::new(a.vertices as usize)?;
     let mut rows = Vec::new();
     for &seed in &a.seeds {

@@ -100,7 +100,8 @@ pub fn run(a: &Arguments) -> Result<()> {
     let source = CaseSource::new(&a.cases, &a.rig);
     let cases = source.read()?;
     check_python("--python", &a.python)?;
-    make_output_folder(&a.out, [("DIR", &a.cases), ("--rig", &a.rig)])?;
+    let folders: Vec<String> = cases.iter().map(|case| case.name.clone()).collect();
+    make_output_folder(&a.out, [("DIR", &a.cases), ("--rig", &a.rig)], &folders)?;
     let threads = rayon::current_num_threads();
     let total = (a.methods.len() + a.models.len()) * cases.len();
     say(format_args!("{} cases x {} programs, {threads} threads", cases.len(), a.methods.len() + a.models.len()))?;

@@ -224,7 +224,8 @@ pub fn register_all(a: &Arguments, scans: &[ScanFile]) -> Result<(Vec<RealScanRo
         let message = format!("--scans {}: none of the scans can be read; {}", a.scans.display(), told(first));
         return Err(Failure::loading(message).into());
     }
-    make_output_folder(&a.out, [("--rig", &a.rig), ("--scans", &a.scans)])?;
+    let folders: Vec<String> = scans.iter().map(|scan| scan.name.clone()).collect();
+    make_output_folder(&a.out, [("--rig", &a.rig), ("--scans", &a.scans)], &folders)?;
     let (mut rows, mut sheet) = (
         Vec::new(),
         Sheet::new("Real scans, every model; self-int: pairs of triangles through each other (in the template)"),

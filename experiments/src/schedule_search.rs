@@ -311,7 +311,7 @@ pub fn run(options: &Options) -> Result<()> {
     let Options { models, seeds, vertices, budget, out, .. } = options;
     each_once("--models", models)?;
     each_once("--seeds", seeds)?;
-    make_output_folder(out, [])?;
+    make_output_folder(out, [], &[])?;
     say(format_args!(
         "{} models, six cases of each of seeds {seeds:?}, {vertices} vertices, {budget} evaluations each",
         models.len()

@@ -131,7 +131,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     let cases = CaseSource::new(&a.cases, &a.rig).read()?;
     let config = a.config.as_ref().map(|path| read_schedule(path)).transpose()?;
     let reads = [("DIR", &a.cases), ("--rig", &a.rig)].into_iter();
-    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))))?;
+    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))), &[])?;
     let mut rows = Vec::new();
     for case in &cases {
         for (name, view) in VIEWS.iter().filter(|v| a.views.is_empty() || a.views.iter().any(|n| n == v.0)) {

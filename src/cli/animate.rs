@@ -192,10 +192,9 @@ type Frame = Option<Vec<Vec3>>;
 type Colors = Vec<[u8; 3]>;
 
 /// The first frame that is there, its file and its colours if it has any, and the positions of all.
-fn read_frames<'a>(
-    files: &'a [(String, Option<PathBuf>)],
-    units: &mut Units<'_>,
-) -> Result<(&'a Path, PolygonMesh, Option<Colors>, Vec<Frame>), Failure> {
+type Frames<'a> = (&'a Path, PolygonMesh, Option<Colors>, Vec<Frame>);
+
+fn read_frames<'a>(files: &'a [(String, Option<PathBuf>)], units: &mut Units<'_>) -> Result<Frames<'a>, Failure> {
     let mut first: Option<(&Path, PolygonMesh, Option<Colors>)> = None;
     let mut frames = Vec::with_capacity(files.len());
     for path in files.iter().map(|(_, path)| path) {

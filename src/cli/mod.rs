@@ -29,7 +29,7 @@ use clap::{CommandFactory as _, Parser, Subcommand};
 use crate::io::{MaterialFiles, files_of_mesh};
 use crate::mesh::{ObjStatement, PolygonMesh};
 
-use crate::console::{Failure, Stage, answer, bounded, check_plan, say, tell, warn};
+use crate::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, say, tell, warn};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
@@ -166,13 +166,8 @@ fn meshes<'r, 'p>(meshes: impl IntoIterator<Item = (&'r str, Option<&'p PathBuf>
 /// # Errors
 /// At [`Stage::Writing`].
 pub fn check_output_folder(path: &Path) -> Result<(), Failure> {
-    if path.is_dir() {
-        return Ok(());
-    }
-    if path.exists() {
-        return Err(Failure::writing(format!("{}: cannot be written: it is a file, not a folder", path.display())));
-    }
-    check_parent(path)
+    check_folder_path(path)?;
+    if path.is_dir() { Ok(()) } else { check_parent(path) }
 }
 
 fn check_parent(path: &Path) -> Result<(), Failure> {

@@ -4,6 +4,8 @@
 mod failure;
 mod output;
 
+use std::path::Path;
+
 use crate::io::FilePlan;
 use crate::text;
 
@@ -30,6 +32,18 @@ pub fn bounded(option: &str, asked: usize) -> usize {
 /// As [`FilePlan::check`], by stage.
 pub fn check_plan(plan: &FilePlan) -> Result<(), Failure> {
     plan.check().map_err(|e| Failure::new(if e.is_clash() { Stage::Arguments } else { Stage::Writing }, e.to_string()))
+}
+
+/// Refuses a path for a folder of outputs that is something else, or that leads through something else.
+///
+/// # Errors
+/// At [`Stage::Writing`].
+pub fn check_folder_path(path: &Path) -> Result<(), Failure> {
+    let there = path.ancestors().find(|above| above.symlink_metadata().is_ok());
+    let Some(other) = there.filter(|there| !there.is_dir()) else { return Ok(()) };
+    let is = if other.exists() { "a file, not a folder" } else { "a link that leads nowhere" };
+    let which = if other == path { "it".to_owned() } else { other.display().to_string() };
+    Err(Failure::writing(format!("{}: cannot be written: {which} is {is}", path.display())))
 }
 
 /// Prints a warning.

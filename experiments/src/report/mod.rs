@@ -139,9 +139,10 @@ pub fn run(
 
     let tables: Vec<&str> = chosen.iter().flat_map(|s| s.tables.iter().copied()).collect();
     let reads = options.rig.iter().map(|path| ("--rig", path));
-    check_output_folder(out, reads.chain(options.scans.iter().map(|path| ("--scans", path))))?;
-    let data = read_data(options, effort, log)?;
-    make_output_folder(out, [])?;
+    let folders = folders(effort, &chosen);
+    check_output_folder(out, reads.chain(options.scans.iter().map(|path| ("--scans", path))), &folders)?;
+    let data = read_data(options, effort, &folders, log)?;
+    make_output_folder(out, [], &folders)?;
     forget_results(out, &tables)?;
     let measured = Measured { folder: out, tables: &tables };
     write_manifest(options, effort, &data, &chosen, own)?;
@@ -257,12 +258,23 @@ fn generating(options: &Options, effort: &Effort) -> f64 {
     if own_cases(options) { 1.0 } else { 0.5 + 0.6 * effort.cases.len() as f64 }
 }
 
-fn read_data(options: &Options, effort: &Effort, log: &mut dyn Write) -> Result<Data> {
+/// The folders of results: the data, and those of studies that have one, of the study's name.
+fn folders(effort: &Effort, chosen: &[&Study]) -> Vec<String> {
+    let of_studies = chosen.iter().map(|study| study.name.to_owned()).filter(|name| studies::WITH_FOLDER.contains(&&**name));
+    std::iter::once(data_folder(effort)).chain(of_studies).collect()
+}
+
+/// Rig and cases of so much effort.
+fn data_folder(effort: &Effort) -> String {
+    format!("data/{}", effort.name)
+}
+
+fn read_data(options: &Options, effort: &Effort, folders: &[String], log: &mut dyn Write) -> Result<Data> {
     let begin = Instant::now();
     say_to(log, format_args!("{:12}", "data"))?;
-    let folder = options.out.join("data").join(effort.name);
+    let folder = options.out.join(data_folder(effort));
     let generate = || {
-        make_output_folder(&options.out, [])?;
+        make_output_folder(&options.out, [], folders)?;
         Data::generate(&folder, effort, options.seed)
     };
     let data = match (&options.rig, &options.scans) {

@@ -132,7 +132,7 @@ pub fn run(a: &Arguments) -> Result<()> {
     each_once("--linear-solver", &a.linear_solver)?;
     each_once("--linearisation", &a.linearisation)?;
     let configurations = configurations(a).map_err(|what| Failure::new(Stage::Arguments, what))?;
-    make_output_folder(&a.out, [])?;
+    make_output_folder(&a.out, [], &[])?;
     let program = this_program()?;
     let mut rows = Vec::new();
     for (k, configuration) in configurations.iter().enumerate() {

@@ -155,10 +155,10 @@ pub fn run(a: &Arguments) -> Result<()> {
     let variants = a.variants()?;
     let external = a.external.iter().map(|e| e.rows(&cases)).collect::<Result<Vec<_>>>()?.concat();
     let reads = [("DIR", folder), ("--rig", rig)].into_iter().chain(a.config.iter().map(|path| ("--config", path)));
-    make_output_folder(&a.out, reads)?;
-    if !variants.is_empty() {
-        cases.iter().try_for_each(|case| make_folder(&a.out.join(&case.name)))?;
-    }
+    let of_cases = cases.iter().filter(|_| !variants.is_empty()).map(|case| case.name.clone());
+    let folders: Vec<String> = of_cases.collect();
+    make_output_folder(&a.out, reads, &folders)?;
+    folders.iter().try_for_each(|folder| make_folder(&a.out.join(folder)))?;
     if a.turn != 0.0 || a.shift != 0.0 {
         say(format_args!("every scan turned by {} degrees and moved by {} mm, seed {}", a.turn, a.shift, a.seed))?;
     }

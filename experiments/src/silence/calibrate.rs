@@ -14,10 +14,11 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use nonrigid::console::Failure;
+use nonrigid::console::{Failure, Stage, check_plan};
+use nonrigid::io::FilePlan;
 use nonrigid::registration::{Calibration, Evidence, Risk, RiskCurve};
 
-use super::{BAD, SilenceRow, Verdict};
+use super::{BAD, Set, SilenceRow, Verdict};
 use crate::output::write_file;
 
 /// Quantiles between which curves are linear.
@@ -39,6 +40,37 @@ struct Example<'a> {
     error: f64,
 }
 
+/// So many bad results and so many others it takes at least.
+const LEAST: usize = 20;
+/// What a calibration begins with.
+const HEAD: &str = "# Written by `experiments silence --set design --calibrate FILE`";
+
+/// Refuses, before anything runs, what could not become a calibration: runs of the test set, or too few of them; and a file that is no
+/// place for one. `plan` is of all that is read and written.
+///
+/// # Errors
+/// A [`Failure`] of the arguments or of writing.
+pub fn check(path: &Path, plan: &FilePlan, set: Set, runs: usize) -> Result<(), Failure> {
+    let refused = |message: String| Err(Failure::new(Stage::Arguments, format!("--calibrate: {message}")));
+    if set == Set::Test {
+        return refused("the test set is there to judge a calibration; give --set design".to_owned());
+    }
+    if runs < 2 * LEAST {
+        return refused(format!("{runs} runs; it takes {LEAST} bad results and {LEAST} others: give more --runs"));
+    }
+    check_plan(plan)?;
+    let cannot = |why: String| Err(Failure::writing(format!("--calibrate {}: {why}", path.display())));
+    // the folder of a bare name is the empty path
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        return cannot(format!("there is no folder {}", folder.display()));
+    }
+    if path.exists() && !std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(HEAD.as_bytes())) {
+        return cannot("is there, and this command has not written it; move it away, or give another name".to_owned());
+    }
+    Ok(())
+}
+
 /// Fits the calibration on rows and writes it.
 ///
 /// # Errors
@@ -49,13 +81,13 @@ pub fn write(path: &Path, rows: &[SilenceRow]) -> Result<()> {
         .filter_map(|r| Some(Example { kind: r.kind, evidence: &r.reliability.as_ref()?.evidence, error: r.rmse? }))
         .collect();
     let bad = examples.iter().filter(|e| e.error > BAD).count();
-    if bad < 20 || examples.len() < bad + 20 {
-        bail!("--calibrate: {bad} bad of {} results; give more runs (20 of each at least)", examples.len());
+    if bad < LEAST || examples.len() < bad + LEAST {
+        bail!("--calibrate: {bad} bad of {} results; give more runs ({LEAST} of each at least)", examples.len());
     }
     let calibration = calibrate(&examples);
     let text = toml::to_string(&calibration).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
     let head = format!(
-        "# Written by `experiments silence --set design --calibrate FILE` from {} results, {bad} of them bad; not by hand.\n",
+        "{HEAD} from {} results, {bad} of them bad; not by hand.\n",
         examples.len()
     );
     write_file(path, head + &text)

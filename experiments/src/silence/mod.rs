@@ -15,6 +15,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use nonrigid::console::{Failure, say};
+use nonrigid::io::FilePlan;
 use nonrigid::registration::{
     Handedness, ModelFactory, ModelKind, RegistrationInput, Reliability, Schedule, StepRecord, assess, register,
 };
@@ -60,7 +61,7 @@ pub struct Arguments {
     /// Schedule (.toml) of the hybrid instead of its default
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Fit the calibration on these runs and write it here
+    /// Fit the calibration on these runs, of the design set, and write it here: a new file, or one that this has written
     #[arg(long, value_name = "FILE")]
     calibrate: Option<PathBuf>,
     /// Where the tables go
@@ -81,6 +82,8 @@ pub enum Set {
     Test,
 }
 
+/// The tables.
+const WRITTEN: [&str; 2] = ["silence.csv", "silence.json"];
 /// Seeds of the two sets count from here.
 const DESIGN_SEED: u64 = 10_000;
 const TEST_SEED: u64 = 90_000;
@@ -346,10 +349,16 @@ pub fn run(a: &Arguments) -> Result<()> {
         }
     }
     each_once("--kinds", &a.kinds)?;
-    let reads = a.cases.iter().map(|path| ("--cases", path)).chain(a.rig.iter().map(|path| ("--rig", path)));
-    make_output_folder(&a.out, reads.chain(a.config.iter().map(|path| ("--config", path))))?;
     let mut jobs = jobs(a.set, u64::from(a.runs), cases.len(), u64::from(a.case_runs));
     jobs.retain(|job| a.kinds.is_empty() || a.kinds.iter().any(|name| name == job.kind.name));
+    let given = [("--cases", &a.cases), ("--rig", &a.rig), ("--config", &a.config)];
+    let reads = given.into_iter().filter_map(|(option, path)| Some((option, path.as_ref()?)));
+    if let Some(path) = &a.calibrate {
+        let plan = FilePlan::new().reads_all(reads.clone());
+        let plan = plan.writes_all(WRITTEN.map(|name| ("--out", a.out.join(name)))).writes("--calibrate", path);
+        calibrate::check(path, &plan, a.set, jobs.len())?;
+    }
+    make_output_folder(&a.out, reads, &[])?;
     let mut sources = Sources::new(a.vertices as usize, cases)?;
     if let Some(path) = &a.config {
         sources.schedule = read_schedule(path)?;
@@ -392,8 +401,9 @@ fn write(a: &Arguments, rows: &[SilenceRow]) -> Result<()> {
         ];
         cells.join(",")
     });
-    write_csv(&a.out.join("silence.csv"), header, lines)?;
-    write_json(&a.out.join("silence.json"), &serde_json::json!({ "set": a.set, "rows": rows }))
+    let [csv, json] = WRITTEN.map(|name| a.out.join(name));
+    write_csv(&csv, header, lines)?;
+    write_json(&json, &serde_json::json!({ "set": a.set, "rows": rows }))
 }
 
 /// Mean probability and share of bad results in each band of the probability, with how many results it holds: what a calibrated

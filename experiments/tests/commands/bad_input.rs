@@ -57,6 +57,10 @@ const ROWS: &[Row] = &[
     ("scan-bench cases --rig rig --models none --kernels --config bad.toml", ARGUMENTS, &["--config", "no effect"]),
     ("scan-bench cases --rig rig --models rigid --out old", WRITING, &["old/claims.json", "move it away"]),
     ("scan-bench truth_in_metres --rig rig", LOADING, &["truth_in_metres/one/truth.npy", "a face in m"]),
+    ("scan-bench cases --rig rig --models rigid --out mine", WRITING, &["mine/same_smile/rigid.obj", "move it away"]),
+    ("--quick --only extreme --out of_report", WRITING, &["of_report/extreme/hybrid.obj", "move it away"]),
+    ("--quick --only inputs --out of_data", WRITING, &["of_data/data/quick/rig/template.obj", "move it away"]),
+    ("--quick --only inputs --out of_paper", WRITING, &["of_paper/inputs.tex", "move it away"]),
     ("scan-bench cases --rig rig --models none", ARGUMENTS, &["leaves nothing to run"]),
     ("scan-bench cases --rig rig --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
     ("scan-bench cases --rig rig --external empty", ARGUMENTS, &["\"empty\" is not NAME=DIR"]),
@@ -73,7 +77,8 @@ const ROWS: &[Row] = &[
     ("peers cases --rig rig --models rigid --methods scipy-map --python nowhere/python", ARGUMENTS, &["--python nowhere/python"]),
     ("peers cases --rig rig --methods scipy-map,scipy-map", ARGUMENTS, &["--methods names scipy-map twice"]),
     ("peers cases --rig rig --timeout 0", ARGUMENTS, &["--timeout", "0"]),
-    ("peers cases --rig rig --models rigid --out file", WRITING, &["file"]),
+    ("peers cases --rig rig --models rigid --out file", WRITING, &["file: cannot be written: it is a file, not a folder"]),
+    ("peers cases --rig rig --models rigid --python cargo --out mine", WRITING, &["mine/same_smile/rigid.obj", "move it away"]),
     // consistency
     ("consistency --rig rig", ARGUMENTS, &["--population"]),
     ("consistency --population nowhere --rig rig", LOADING, &["nowhere"]),
@@ -119,6 +124,7 @@ const ROWS: &[Row] = &[
     ("real-scans --rig rig --scans cases --identity-modes 1000", ARGUMENTS, &["--identity-modes: 1000", "the rig has"]),
     ("real-scans --rig rig --scans cases --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
     ("real-scans --rig rig --scans cases --models rigid --out old", WRITING, &["old/claims.json", "move it away"]),
+    ("real-scans --rig rig --scans cases --models rigid --out mine", WRITING, &["mine/same_smile/rigid.obj", "move it away"]),
     // unseen
     ("unseen cases", ARGUMENTS, &["--rig"]),
     ("unseen nowhere --rig rig", LOADING, &["nowhere"]),
@@ -144,7 +150,14 @@ const ROWS: &[Row] = &[
     ("silence --kinds magic", ARGUMENTS, &["magic", "inside out"]),
     ("silence --runs 0", ARGUMENTS, &["--runs", "0"]),
     ("silence --vertices 999", ARGUMENTS, &["--vertices", "999"]),
-    ("silence --out file/below", WRITING, &["file/below"]),
+    ("silence --out file/below", WRITING, &["file/below: cannot be written: file is a file, not a folder"]),
+    ("silence --calibrate new.toml", ARGUMENTS, &["--calibrate", "--set design"]),
+    ("silence --set design --runs 1 --calibrate new.toml", ARGUMENTS, &["--calibrate", "20 bad results and 20 others"]),
+    ("silence --set design --runs 1000 --calibrate nowhere/new.toml", WRITING, &["--calibrate", "no folder nowhere"]),
+    ("silence --set design --runs 1000 --calibrate bad.toml", WRITING, &["--calibrate bad.toml", "is there"]),
+    ("silence --set design --runs 1000 --config bad.toml --calibrate bad.toml", ARGUMENTS, &["--calibrate bad.toml", "is read (--config)"]),
+    ("silence --set design --runs 1000 --out empty --calibrate empty/silence.csv", ARGUMENTS, &["--calibrate empty/silence.csv", "--out writes"]),
+    ("silence --set design --runs 1000 --calibrate empty", WRITING, &["empty", "a folder"]),
     // search-schedules
     ("dev search-schedules --models magic", ARGUMENTS, &["magic", "hybrid"]),
     ("dev search-schedules --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
@@ -240,7 +253,9 @@ fn data(folder: &Path) {
     write("garbage.npz", b"PK\x03\x04 and no more");
     write("bad.toml", b"stepps = 3\n");
     write("bad_nist/Misra1a.dat", b"NIST/ITL StRD\nDataset Name:  Misra1a\n");
-    for name in ["old/index.html", "old/extreme.csv", "old/claims.json"] {
+    let mine = ["mine/same_smile/rigid.obj", "of_report/extreme/hybrid.obj", "of_data/data/quick/rig/template.obj"];
+    let old = ["old/index.html", "old/extreme.csv", "old/claims.json", "of_paper/inputs.tex"];
+    for name in old.into_iter().chain(mine) {
         write(name, b"from last week");
     }
 }

@@ -81,6 +81,27 @@ fn rows_are_those_of_the_library_to_the_last_bit() {
 }
 
 #[test]
+fn a_run_again_replaces_what_an_earlier_one_has_made_and_nothing_else() {
+    let data = Data::new();
+    let run = || data.scan_bench(&["--models", "rigid", "--out", "out"]);
+    fs::rename(data.path("cases/new"), data.path("new")).unwrap();
+    assert!(run().status.success() && run().status.success());
+    fs::rename(data.path("new"), data.path("cases/new")).unwrap();
+    let mine = data.path("out/new/rigid.obj");
+    fs::create_dir(data.path("out/new")).unwrap();
+    fs::write(&mine, "mine").unwrap();
+    let refused = run();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(3) && said.contains("out/new/rigid.obj: is there"), "{said}");
+    assert_eq!(fs::read(&mine).unwrap(), b"mine");
+    fs::remove_file(&mine).unwrap();
+    assert!(run().status.success());
+    // an earlier version has written down that all may be replaced, and no names
+    fs::write(data.path("out/experiments.json"), "{ \"version\": 1, \"made_by\": \"experiments\" }\n").unwrap();
+    assert!(run().status.success() && run().status.success());
+}
+
+#[test]
 fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
     let data = Data::new();
     for threads in ["1", "2"] {

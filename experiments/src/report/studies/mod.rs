@@ -43,3 +43,5 @@ pub const REAL: &str = real::STUDY.name;
 pub const OF_SCANS: [&str; 2] = [REAL, presets::STUDY.name];
 /// The study that needs other programs.
 pub const PEERS: &str = peers::STUDY.name;
+/// The studies that leave files in a folder of their name.
+pub const WITH_FOLDER: [&str; 4] = [extreme::STUDY.name, PEERS, presets::STUDY.name, REAL];
