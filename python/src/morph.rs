@@ -187,7 +187,7 @@ fn measure_mesh(
             rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
         }
         if let Some(after) = &after {
-            check_order(mesh.polygons(), "after", after).map_err(input)?;
+            check_order(mesh.polygons(), "the first mesh", "after", after).map_err(input)?;
         }
         let polygons = mesh.polygons();
         let mut known = match rig.filter(|_| landmarks.is_empty()) {

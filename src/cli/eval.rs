@@ -101,7 +101,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let template = units.read_mesh("template", &a.template)?;
     let positions = units.read_positions("result", &a.result)?;
     same_count("the result", positions.len(), &template)?;
-    match check_order(&template, "the result", &positions) {
+    match check_order(&template, "the template", "the result", &positions) {
         Ok(odd) => odd.iter().for_each(warn),
         // a registration may have failed so far
         Err(error) => warn(error),

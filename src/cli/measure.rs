@@ -130,7 +130,7 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     let mut after: Vec<Vec<Vec3>> =
         a.after.iter().map(|path| read_after(path, &mesh, &mut units)).collect::<Result<_, _>>()?;
     for (path, after) in a.after.iter().zip(&after) {
-        let odd = check_order(&mesh, "after", after);
+        let odd = check_order(&mesh, "the first mesh", "after", after);
         odd.map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?.iter().for_each(warn);
     }
     for after in after.iter_mut().filter(|_| a.align) {

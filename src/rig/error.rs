@@ -107,11 +107,13 @@ pub enum RigError {
         /// Why.
         reason: String,
     },
-    /// A mesh has not the vertices of the rig, in their order.
-    #[error("{what} is no mesh of this rig: {why}")]
+    /// A mesh has not the vertices of the rig or of another mesh, in their order.
+    #[error("{what} is no mesh of {of}: {}", why.told(of))]
     Unlike {
         /// The mesh.
         what: &'static str,
+        /// The rig, or the other mesh.
+        of: &'static str,
         /// What was seen.
         why: Unlike,
     },
@@ -144,10 +146,12 @@ pub enum RigWarning {
         /// The shape.
         name: String,
     },
-    /// A mesh looks as if it had not the vertices of the rig.
+    /// A mesh looks as if it had not the vertices of the rig or of another mesh.
     Unlike {
         /// The mesh.
         what: &'static str,
+        /// The rig, or the other mesh.
+        of: &'static str,
         /// What was seen.
         why: Unlike,
     },
@@ -173,7 +177,7 @@ pub enum RigWarning {
 impl fmt::Display for RigWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unlike { what, why } => write!(f, "{what} is an odd mesh for this rig: {why}"),
+            Self::Unlike { what, of, why } => write!(f, "{what} is an odd mesh for {of}: {}", why.told(of)),
             Self::ShapeUnlike { name, why } => write!(f, "shape {name:?} is an odd one of this rig: {why}"),
             Self::Motionless { name } => write!(f, "shape {name:?} moves nothing and was left out"),
             Self::NeutralDiffers { distance } => {

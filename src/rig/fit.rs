@@ -113,7 +113,7 @@ impl WeightFitter {
             return Err(RigError::NotFinite { what: "the frame".into(), vertex });
         }
         let frame = &chosen(frame, &self.vertices)[..];
-        let unlike = |why| RigError::Unlike { what: "the frame", why };
+        let unlike = |why| RigError::Unlike { what: "the frame", of: likeness::OF_RIG, why };
         let mut doubts = likeness::compare(&problem.neutral, &[], frame).map_err(unlike)?.doubts;
         doubts.retain(|doubt| !matches!(doubt, Unlike::Far { .. })); // expressions are: what the fit leaves counts
         problem.frame.clear();

@@ -140,6 +140,14 @@ impl fmt::Display for Unlike {
     }
 }
 
+impl Unlike {
+    /// In words, where the vertices are to be those `of` a rig or another mesh.
+    pub(super) fn told(&self, of: &str) -> String {
+        let of_rig = self.to_string();
+        if of == OF_RIG { of_rig } else { of_rig.replace("the rig", of).replace("the neutral", of) }
+    }
+}
+
 /// What to doubt of a mesh, and how the neutral is posed onto it, unless either has no extent.
 pub(super) struct Likeness {
     pub doubts: Vec<Unlike>,
@@ -221,18 +229,26 @@ pub(super) fn beside(neutral: &[Vec3], shape: &[Vec3]) -> Option<Unlike> {
 /// differ by a degree or so.
 const TURNED: f64 = 0.05;
 
-/// What is odd about `points` that have the vertices of `mesh` in its order.
+/// Whose vertices a mesh is to have: those of a rig.
+pub(super) const OF_RIG: &str = "this rig";
+
+/// What is odd about `points` that have the vertices of `mesh` in its order; messages call them `what` and `of`.
 ///
 /// # Errors
 /// When they cannot be that: of another number, in another order, mirrored, flat, collapsed ([`Unlike`]).
-pub fn check_order(mesh: &PolygonMesh, what: &'static str, points: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
-    let found = compared((&mesh.positions, Some(mesh)), what, points)?;
-    Ok(warnings(what, found.doubts))
+pub fn check_order(
+    mesh: &PolygonMesh,
+    of: &'static str,
+    what: &'static str,
+    points: &[Vec3],
+) -> Result<Vec<RigWarning>, RigError> {
+    let found = compared((&mesh.positions, Some(mesh)), (what, of), points)?;
+    Ok(warnings((what, of), found.doubts))
 }
 
 fn compared(
     (neutral, mesh): (&[Vec3], Option<&PolygonMesh>),
-    what: &'static str,
+    (what, of): (&'static str, &'static str),
     points: &[Vec3],
 ) -> Result<Likeness, RigError> {
     let [found, expected] = [points.len(), neutral.len()];
@@ -240,11 +256,11 @@ fn compared(
         return Err(RigError::VertexCount { what: what.to_owned(), found, expected });
     }
     let triangles = mesh.map_or_else(Vec::new, |mesh| mesh.triangulate().triangles);
-    compare(neutral, &triangles, points).map_err(|why| RigError::Unlike { what, why })
+    compare(neutral, &triangles, points).map_err(|why| RigError::Unlike { what, of, why })
 }
 
-fn warnings(what: &'static str, doubts: Vec<Unlike>) -> Vec<RigWarning> {
-    doubts.into_iter().map(|why| RigWarning::Unlike { what, why }).collect()
+fn warnings((what, of): (&'static str, &'static str), doubts: Vec<Unlike>) -> Vec<RigWarning> {
+    doubts.into_iter().map(|why| RigWarning::Unlike { what, of, why }).collect()
 }
 
 impl Rig {
@@ -253,7 +269,8 @@ impl Rig {
     /// # Errors
     /// As [`check_order`].
     pub fn check_subject(&self, what: &'static str, subject: &[Vec3]) -> Result<Vec<RigWarning>, RigError> {
-        compared((&self.neutral, self.mesh.as_ref()), what, subject).map(|found| warnings(what, found.doubts))
+        compared((&self.neutral, self.mesh.as_ref()), (what, OF_RIG), subject)
+            .map(|found| warnings((what, OF_RIG), found.doubts))
     }
 
     /// [`select`](Self::select) for `subject`, a mesh of this rig, and what is odd about that: shapes turn with it where it is turned.
@@ -266,14 +283,14 @@ impl Rig {
         what: &'static str,
         subject: &[Vec3],
     ) -> Result<(ShapeBasis, Vec<RigWarning>), RigError> {
-        let Likeness { doubts, pose } = compared((&self.neutral, self.mesh.as_ref()), what, subject)?;
+        let Likeness { doubts, pose } = compared((&self.neutral, self.mesh.as_ref()), (what, OF_RIG), subject)?;
         let shapes = self.select(selection)?;
         let is_turned = |pose: &Pose| Rotation3::from_matrix_unchecked(pose.rotation).angle() > TURNED;
         let shapes = match pose.filter(is_turned) {
             Some(pose) => shapes.turned(&pose.rotation),
             None => shapes,
         };
-        Ok((shapes, warnings(what, doubts)))
+        Ok((shapes, warnings((what, OF_RIG), doubts)))
     }
 }
 

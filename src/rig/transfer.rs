@@ -103,7 +103,7 @@ impl Rig {
         let pairs: Vec<(Vec3, Vec3)> = self.neutral.iter().copied().zip(subject.iter().copied()).collect();
         let pose = closest_pose(&pairs, PoseKind::Similarity)?;
         let doubts = likeness::compare(&self.neutral, &mesh.triangulate().triangles, subject)
-            .map_err(|why| RigError::Unlike { what: "the subject", why })?
+            .map_err(|why| RigError::Unlike { what: "the subject", of: likeness::OF_RIG, why })?
             .doubts;
         let source: Vec<Vec3> = self.neutral.iter().map(|&p| pose.apply(p)).collect();
         let diagonal = bounding_box_diagonal(subject);
@@ -146,8 +146,10 @@ impl Rig {
         let shapes: Vec<Shape> = chosen.iter().map(|&k| self.shapes[k].clone()).collect();
         let mesh = mesh.with_positions(subject.to_vec());
         let (mut rig, dropped) = Rig::new(subject.to_vec(), Some(mesh), shapes, deltas)?;
-        let mut warnings: Vec<RigWarning> =
-            doubts.into_iter().map(|why| RigWarning::Unlike { what: "the subject", why }).collect();
+        let mut warnings: Vec<RigWarning> = doubts
+            .into_iter()
+            .map(|why| RigWarning::Unlike { what: "the subject", of: likeness::OF_RIG, why })
+            .collect();
         warnings.extend(dropped);
         rig.landmarks.clone_from(&self.landmarks);
         rig.regions.clone_from(&self.regions);

@@ -84,7 +84,8 @@ fn a_result_in_another_order_is_measured_and_said() {
     write_obj(&bench.path("reversed.obj"), &bench.rig.mesh.with_positions(positions)).unwrap();
     for (result, said) in [("right.obj", false), ("reversed.obj", true)] {
         let run = bench.run(&command_line("eval", &format!("--result {result}")).replace("OUT", "new"));
-        assert_eq!((run.code, run.stderr.contains("in the rig's order")), (0, said), "{}", run.stderr);
+        assert_eq!((run.code, run.stderr.contains("in the template's order")), (0, said), "{}", run.stderr);
+        assert!(!run.stderr.contains("the rig") && !run.stderr.contains("this rig"), "there is none: {}", run.stderr);
     }
 }
 
