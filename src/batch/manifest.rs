@@ -40,7 +40,8 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Reads a manifest: comma, semicolon or tab between cells, a line of column names first, lines that start with `#` skipped.
+    /// Reads a manifest: comma, semicolon or tab between cells, a line of column names first, lines that start with `#` or have empty
+    /// cells alone skipped.
     ///
     /// A row without `name` has that of its scan's file, or, where several files have one name, of folder and file.
     ///
@@ -57,38 +58,48 @@ impl Manifest {
     /// # Errors
     /// As [`Self::read`].
     pub fn parse(text: &str, path: &Path, columns: &Columns) -> Result<Self, ReadError> {
-        let text = text.trim_start_matches('\u{feff}');
+        let (skipped, text) = without_blank_start(text.trim_start_matches('\u{feff}'));
         let wrong = |line: usize, expected: &str, found: String| {
             ReadError::malformed(path, if line == 0 { Place::File } else { Place::Line(line) }, expected, found)
         };
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(delimiter(text))
             .comment(Some(b'#'))
+            .flexible(true)
             .trim(csv::Trim::All)
             .from_reader(text.as_bytes());
-        let header = reader.headers().map_err(|e| wrong(1, "column names", e.to_string()))?.clone();
+        let first = skipped + 1;
+        let header = reader.headers().map_err(|e| wrong(first, "column names", e.to_string()))?.clone();
         let known = |name: &str| ["name", "sequence"].contains(&name) || columns.options.iter().any(|o| o == name);
         for (k, name) in header.iter().enumerate() {
             if !known(name) {
                 let expected = format!("columns name, sequence and {}", columns.options.join(", "));
-                return Err(wrong(1, &expected, format!("{name:?}")));
+                return Err(wrong(first, &expected, format!("{name:?}")));
             }
             if header.iter().take(k).any(|other| other == name) {
-                return Err(wrong(1, "every column once", format!("{name:?} twice")));
+                return Err(wrong(first, "every column once", format!("{name:?} twice")));
             }
         }
         if !header.iter().any(|name| name == columns.required) {
             let expected = format!("a column {:?}", columns.required);
-            return Err(wrong(1, &expected, format!("only {}", header.iter().collect::<Vec<_>>().join(", "))));
+            let found = header.iter().collect::<Vec<_>>().join(", ");
+            let found = if found.is_empty() { "nothing".to_owned() } else { format!("only {found}") };
+            return Err(wrong(first, &expected, found));
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut rows: Vec<(Row, Option<String>)> = Vec::new();
         for record in reader.records() {
-            let record = record.map_err(|e| {
-                let line = e.position().map_or(0, |p| line_of(text, p));
-                wrong(line, &format!("{} cells, one for each column", header.len()), e.to_string())
-            })?;
-            let line = record.position().map_or(0, |p| line_of(text, p));
+            let line_at = |position: Option<&csv::Position>| position.map_or(0, |p| skipped + line_of(text, p));
+            let record = record.map_err(|e| wrong(line_at(e.position()), "cells", e.to_string()))?;
+            // as spreadsheets leave them below a table
+            if record.iter().all(str::is_empty) {
+                continue;
+            }
+            let line = line_at(record.position());
+            if record.len() != header.len() {
+                let expected = format!("{} cells, one for each column", header.len());
+                return Err(wrong(line, &expected, record.len().to_string()));
+            }
             let mut row = Row { line, name: String::new(), sequence: None, options: Vec::new() };
             let mut name = None;
             for (column, cell) in header.iter().zip(&record).filter(|(_, cell)| !cell.is_empty()) {
@@ -147,6 +158,14 @@ fn line_of(text: &str, position: &csv::Position) -> usize {
     position.line() as usize + rest.lines().take_while(|line| line.is_empty() || line.starts_with('#')).count()
 }
 
+/// How many lines before that of the column names hold nothing, and what follows them.
+fn without_blank_start(text: &str) -> (usize, &str) {
+    let is_blank =
+        |line: &&str| line.starts_with('#') || line.trim_matches([',', ';', '\t', ' ', '\r', '\n']).is_empty();
+    let blank: Vec<&str> = text.split_inclusive('\n').take_while(is_blank).collect();
+    (blank.len(), &text[blank.iter().map(|line| line.len()).sum()..])
+}
+
 /// The separator that the first line has most of.
 fn delimiter(text: &str) -> u8 {
     let first = text.lines().find(|line| !line.starts_with('#')).unwrap_or_default();
@@ -199,13 +218,17 @@ mod tests {
         assert_eq!((rows[0].line, rows[1].sequence.as_deref(), &rows[2].sequence), (4, Some("x"), &None));
         assert_eq!(rows[2].options[0].1, "/d/e.obj.gz");
         assert_eq!(parse("target;model\nann.001.ply;arap\n").unwrap().rows[0].name, "ann.001");
+        let rows = parse("\n#scans\n;;\ntarget;model;name\nann.ply;arap;\n;;\n;\n").unwrap().rows;
+        assert_eq!((rows.len(), rows[0].line, &*rows[0].name), (1, 5, "ann"));
         assert_eq!(parse("\u{feff}target\tmodel\na.ply\tarap\n").unwrap().rows[0].options.len(), 2);
     }
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
         for (text, words) in [
-            ("", "column"),
+            ("", "expected a column \"target\", found nothing"),
+            ("\n,\n\nlandmarks\na.json\n", "line 4: expected a column \"target\", found only landmarks"),
+            ("\ntarget,model\n\na.ply\n", "line 4: expected 2 cells, one for each column, found 1"),
             ("target\n", "none"),
             ("target,colour\na.ply,red\n", "\"colour\""),
             ("target,target\na.ply,b.ply\n", "\"target\" twice"),
