@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use crate::files::LIBRARY;
+use crate::files::{LIBRARY, forget_shapes};
 use crate::record::{self, Series};
 use crate::scan::arguments::{camera_at, in_range};
 use crate::{
@@ -18,7 +18,7 @@ use crate::{
 use clap::builder::PossibleValuesParser;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, FromArgMatches as _, Parser};
-use nonrigid::console::{Failure, Stage, answer, bounded, check_plan, say, told};
+use nonrigid::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, say, told};
 use nonrigid::io::FilePlan;
 use nonrigid::render::save_png;
 
@@ -278,10 +278,12 @@ fn run(given: &Given, say: Said<'_>) -> Result<(), Failure> {
         return Err(failure);
     }
     check_plan(&files(arguments, &plans))?;
+    check_folder_path(&arguments.out)?;
     claim(arguments, &rig, &plans)?;
     let folder = arguments.rig.clone().unwrap_or_else(|| arguments.out.join("rig"));
     if arguments.rig.is_none() {
-        write_rig(&folder, &rig).map_err(Failure::writing)?;
+        // of an earlier run, as the record says
+        forget_shapes(&folder, &rig).and_then(|()| write_rig(&folder, &rig)).map_err(Failure::writing)?;
     }
     let (vertices, expressions, modes) = (rig.neutral.len(), rig.expressions.len(), rig.identities.len());
     say(format_args!(

@@ -12,7 +12,7 @@
 
 use std::fs;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nonrigid::io::{
     PlyOptions, WriteError, write_atomically, write_folder, write_json, write_npy, write_obj, write_ply,
@@ -74,13 +74,33 @@ fn write_deep_folder(folder: &Path, fill: impl FnOnce(&Path) -> Result<(), Write
 /// # Errors
 /// When a file cannot be written, or the folder has shapes of a family that this rig has none of: nothing has changed then.
 pub fn write_rig(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
-    for (family, none) in [("expression", rig.expressions.is_empty()), ("identity", rig.identities.is_empty())] {
-        let deltas = folder.join(deltas_name(family));
-        if none && deltas.exists() {
+    for family in absent_families(rig) {
+        let [deltas, _] = shape_files(folder, family);
+        if deltas.exists() {
             return Err(WriteError::data(&deltas, "no shapes of another rig here", "them: move them away"));
         }
     }
     write_deep_folder(folder, |aside| write_rig_into(aside, rig))
+}
+
+/// Takes away, of a rig that is this program's own to replace, the shapes of families that `rig` has none of.
+pub(crate) fn forget_shapes(folder: &Path, rig: &FaceRig) -> Result<(), WriteError> {
+    for family in absent_families(rig) {
+        for path in shape_files(folder, family) {
+            match fs::remove_file(&path) {
+                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(WriteError::Io { path, source });
+                }
+                _ => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+fn absent_families(rig: &FaceRig) -> impl Iterator<Item = &'static str> {
+    let families = [("expression", rig.expressions.is_empty()), ("identity", rig.identities.is_empty())];
+    families.into_iter().filter(|(_, none)| *none).map(|(family, _)| family)
 }
 
 fn write_materials(folder: &Path) -> Result<(), WriteError> {
@@ -200,13 +220,14 @@ fn start_rmse(case: &ScanCase, neutral: &[Vec3]) -> f64 {
     (errors.iter().sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 
-fn deltas_name(family: &str) -> String {
-    format!("{family}_deltas.npy")
+/// Deltas and names of a family.
+fn shape_files(folder: &Path, family: &str) -> [PathBuf; 2] {
+    ["deltas.npy", "names.json"].map(|ending| folder.join(format!("{family}_{ending}")))
 }
 
 /// Deltas and names of a family; without shapes no files.
 fn write_shapes(folder: &Path, family: &str, names: &[impl AsRef<str>], deltas: &[&[Vec3]]) -> Result<(), WriteError> {
-    let [deltas_path, names_path] = [deltas_name(family), format!("{family}_names.json")].map(|name| folder.join(name));
+    let [deltas_path, names_path] = shape_files(folder, family);
     let Some(vertices) = deltas.first().map(|d| d.len()) else { return Ok(()) };
     let items: Vec<f32> =
         deltas.iter().flat_map(|d| d.iter().flat_map(|p| [p.x, p.y, p.z])).map(|x| x as f32).collect();

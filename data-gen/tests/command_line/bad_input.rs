@@ -106,8 +106,9 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --outliers 0.6", ARGUMENTS, &["outliers", "0.6"]),
     ("--vertices 1000 --landmark-noise -0.1", ARGUMENTS, &["landmark noise", "-0.1"]),
     // the folder
-    ("--out file", WRITING, &["file"]),
-    ("--out file/below", WRITING, &["file/below"]),
+    ("--out file", WRITING, &["file: cannot be written: it is a file, not a folder"]),
+    ("--out file/below", WRITING, &["file/below: cannot be written: file is a file, not a folder"]),
+    ("--out /dev/full", WRITING, &["/dev/full: cannot be written: it is a file, not a folder"]),
     ("--vertices 1000 --cases 0 --out yours/1", WRITING, &["yours/1/rig", "no data-gen.json lists it", "move it away"]),
     ("--vertices 1000 --triangles 5000 --cases 1 --out yours/2", WRITING, &["yours/2/cases/same_0000", "move it away"]),
     ("--vertices 1000 --cases 0 --population 1 --out yours/3", WRITING, &["yours/3/population/person_0000.obj", "move it away"]),
