@@ -5,19 +5,44 @@ use std::fs;
 use std::io::Write as _;
 
 use super::animation::{ENDING, FOLDER, names};
+use super::job::remove;
 use super::run::{Ended, Run};
 use super::{Animation, Batch, BatchError, Job, Record, Start, Status};
-use crate::io::{WriteError, write_atomically};
+use crate::io::{WriteError, write_atomically, write_durably};
 
 impl Batch {
     /// Sequences of these jobs that have no animated file, and why.
     pub(super) fn without_animation(&self, jobs: &[Job]) -> Vec<(String, String)> {
-        let names = names(self, jobs.iter().map(|job| job.sequence.as_deref()));
+        if self.animation.is_none() {
+            return Vec::new();
+        }
+        let names = names(jobs.iter().map(|job| job.sequence.as_deref()));
         let failed = names.into_iter().filter_map(|name| {
-            let record = Record::read(&self.record_of(&name)).filter(|record| record.status == Status::Failed)?;
-            Some((name.trim_end_matches(ENDING).to_owned(), record.error.unwrap_or_default()))
+            let failed = || Record::read(&self.record_of(&name)).filter(|record| record.status == Status::Failed);
+            let error = self.broken_record(&name).or_else(|| failed()?.error)?;
+            Some((name.trim_end_matches(ENDING).to_owned(), error))
         });
         failed.collect()
+    }
+
+    /// Takes away what an earlier run has made of a sequence, which shows results as they were then, now that nothing is made of it.
+    /// What somebody has changed stays, and is `said`.
+    pub(super) fn forget_animation(&self, name: &str, said: &dyn Fn(&str)) -> Result<(), WriteError> {
+        let path = self.record_of(name);
+        let Some(mut record) = Record::read(&path) else { return Ok(()) };
+        record.take_away(&self.folder, |_| true)?;
+        record.others.drain(..).try_for_each(|other| remove(&self.folder.join(other)))?;
+        let changed: Vec<String> = record.changed(&self.folder).cloned().collect();
+        for file in &changed {
+            let file = self.folder.join(file);
+            said(&format!("{}: was changed since it was made, and stays: it may show earlier results", file.display()));
+        }
+        if changed.is_empty() {
+            return remove(&path);
+        }
+        record.outputs.retain(|output, _| changed.contains(output));
+        record.key = None; // it is not whole any more
+        write_durably(&path, |file| Ok(serde_json::to_writer_pretty(file, &record)?))
     }
 }
 
@@ -33,6 +58,9 @@ impl Run<'_> {
         let Some((first, _)) = frames.first() else { return Ok(true) };
         let (Some(animation), Some(sequence)) = (&self.batch.animation, &first.sequence) else { return Ok(true) };
         let job = self.batch.animation_job(animation, sequence, first);
+        if self.batch.broken_record(&job.name).is_some() {
+            return Ok(true); // the summary says so
+        }
         let lines: Vec<String> = frames.iter().map(|(job, record)| self.line(job, record)).collect();
         let known = Record::read(&self.batch.record(&job));
         let key = match job.key(Some(&lines.join("\n")), &self.hashes) {
@@ -90,14 +118,21 @@ impl Run<'_> {
     }
 
     fn make(&self, job: &Job, lines: &[String]) -> Result<Ended, WriteError> {
+        if !lines.iter().any(|line| line.contains('\t')) {
+            let error = "none of its frames is there";
+            let path = self.aside.join(format!("log/{}.txt", job.name));
+            fs::write(&path, format!("error: {error}\n")).map_err(|source| WriteError::Io { path, source })?;
+            return Ok(Ended { error: Some(error.to_owned()), interrupted: false });
+        }
         let list = self.aside.join(format!("{FOLDER}/{}.txt", job.name));
         write_atomically(&list, |file| {
             lines.iter().try_for_each(|line| writeln!(file, "{}", line.split('\t').next().unwrap_or_default()))
         })?;
-        let [report, out] = self.batch.animation_files(&job.name).map(|name| self.aside.join(name));
         let mut command = self.batch.command_of("animate");
         command.arg("--meshes").arg(&self.batch.folder).arg("--list").arg(&list).args(job.arguments.iter().flatten());
-        command.arg("--out").arg(out).arg("--report").arg(report);
+        for (option, name) in ["--report", "--out"].into_iter().zip(self.batch.animation_files(&job.name)) {
+            command.arg(option).arg(self.aside.join(name));
+        }
         let ended = self.carry_out(command, job);
         let _ = fs::remove_file(&list); // it goes with the folder
         ended
@@ -105,11 +140,11 @@ impl Run<'_> {
 }
 
 impl Batch {
-    /// Report and file of a sequence that is called so as a job.
-    pub(super) fn animation_files(&self, name: &str) -> [String; 2] {
+    /// Report and file of a sequence that is called so as a job, if one is made.
+    pub(super) fn animation_files(&self, name: &str) -> Vec<String> {
         let sequence = name.trim_end_matches(ENDING);
-        let format = self.animation.as_ref().map_or("", |animation| &animation.format);
-        ["json", format].map(|extension| format!("{FOLDER}/{sequence}.{extension}"))
+        let of = |extension| format!("{FOLDER}/{sequence}.{extension}");
+        self.animation.iter().flat_map(|animation| ["json", &animation.format].map(of)).collect()
     }
 
     /// What makes the animation of a sequence whose first frame is `first`: its rig, if the format has weights.

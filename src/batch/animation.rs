@@ -25,9 +25,9 @@ pub(super) const FOLDER: &str = "sequences";
 pub(super) const ENDING: &str = ".sequence";
 
 /// Names, as of jobs, of the sequences of some rows, each once.
-pub(super) fn names<'a>(batch: &Batch, sequences: impl Iterator<Item = Option<&'a str>>) -> Vec<String> {
+pub(super) fn names<'a>(sequences: impl Iterator<Item = Option<&'a str>>) -> Vec<String> {
     let mut seen = HashSet::new();
-    let of_sequences = sequences.flatten().filter(|_| batch.animation.is_some()).filter(|name| seen.insert(*name));
+    let of_sequences = sequences.flatten().filter(|name| seen.insert(*name));
     of_sequences.map(|name| format!("{name}{ENDING}")).collect()
 }
 
@@ -80,8 +80,10 @@ impl AllTold {
 
 impl Told {
     fn read(batch: &Batch, sequence: &str) -> Self {
-        let record = Record::read(&batch.record_of(&format!("{sequence}{ENDING}")));
-        let Some(record) = record else { return Self::default() };
+        let name = format!("{sequence}{ENDING}");
+        let Some(record) = Record::read(&batch.record_of(&name)) else {
+            return Self { error: batch.broken_record(&name), ..Self::default() };
+        };
         if record.status == Status::Failed {
             return Self { error: record.error, ..Self::default() };
         }

@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::{sha256, sha256_of_file};
+use crate::io::{WriteError, sha256, sha256_of_file};
 
 /// What is to be run.
 #[derive(Debug, Clone)]
@@ -120,6 +120,16 @@ fn hash_of(path: &Path) -> Option<String> {
     sha256_of_file(path).ok()
 }
 
+/// Removes a file, if it is there.
+pub(super) fn remove(path: &Path) -> Result<(), WriteError> {
+    match std::fs::remove_file(path) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+            Err(WriteError::Io { path: path.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// How a job ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -197,18 +207,35 @@ impl Record {
     #[must_use]
     pub fn of_done(&self, key: &str, folder: &Path) -> Option<Self> {
         let there = |(name, hash): (&String, &String)| {
-            hash_of(&folder.join(name)).is_some_and(|found| found == *hash || self.replaced.get(name) != Some(&found))
+            let found = hash_of(&folder.join(name));
+            found.is_some_and(|found| found == *hash || self.is_of_somebody(folder, name, &found))
         };
         self.standing().filter(|done| done.key.as_deref() == Some(key) && done.outputs.iter().all(there))
+    }
+
+    /// Whether an output whose hash is not the one it was written with is somebody's work: not what an earlier run has left, nor, empty
+    /// or nothing but zeros, what a power cut has.
+    fn is_of_somebody(&self, folder: &Path, name: &str, found: &str) -> bool {
+        let is_blank = || std::fs::read(folder.join(name)).is_ok_and(|bytes| bytes.iter().all(|byte| *byte == 0));
+        self.replaced.get(name).is_none_or(|replaced| replaced != found) && !is_blank()
     }
 
     /// The outputs in `folder` that somebody has changed since they were written.
     pub fn changed<'a>(&'a self, folder: &'a Path) -> impl Iterator<Item = &'a String> {
         let changed = move |(name, hash): &(&String, &String)| {
             let found = hash_of(&folder.join(name));
-            found.is_some_and(|found| found != **hash && self.replaced.get(*name) != Some(&found))
+            found.is_some_and(|found| found != **hash && self.is_of_somebody(folder, name, &found))
         };
         self.outputs.iter().filter(changed).map(|output| output.0)
+    }
+
+    /// Takes those of its outputs away that are `left` over and nobody has changed: they would be taken for those of a later run.
+    pub(super) fn take_away(&self, folder: &Path, left: impl Fn(&str) -> bool) -> Result<(), WriteError> {
+        let changed: Vec<&String> = self.changed(folder).collect();
+        for name in self.outputs.keys().filter(|name| left(name) && !changed.contains(name)) {
+            remove(&folder.join(name))?;
+        }
+        Ok(())
     }
 
     /// Whether a file of the folder of results is one that this job has written.
@@ -309,6 +336,10 @@ mod tests {
         let replaced = Record::hashes(folder.path(), &["a.obj".to_owned()]);
         let ended = Record { replaced, ..record.clone() };
         assert!(!holds(&ended, "k") && ended.changed(folder.path()).next().is_none(), "it is of the run before");
+        for blank in ["", "\0\0\0"] {
+            std::fs::write(folder.path().join("a.obj"), blank).unwrap();
+            assert!(!holds(&record, "k") && record.changed(folder.path()).next().is_none(), "a power cut has left it");
+        }
         std::fs::remove_file(folder.path().join("a.obj")).unwrap();
         assert!(!holds(&record, "k"));
     }

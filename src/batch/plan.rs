@@ -48,7 +48,7 @@ impl Plan {
 
     /// Names, as of jobs, of the sequences of all parts.
     pub(super) fn sequences(&self) -> Vec<String> {
-        animation::names(&self.batch, self.jobs.iter().map(|job| job.sequence.as_deref()))
+        animation::names(self.jobs.iter().map(|job| job.sequence.as_deref()))
     }
 
     /// Name of the file that this part writes its times to.
@@ -89,22 +89,21 @@ pub(super) fn check<J: Borrow<Job>, I: Iterator<Item = J>>(
         });
         std::iter::once(("the manifest".to_owned(), manifest.to_owned())).chain(of_jobs)
     };
+    let written = |what: String, name: &str, beside: &[String]| {
+        let names: Vec<String> = batch.names(name).chain(beside.iter().cloned()).collect();
+        // those that it would replace by others, or take away
+        let earlier = Record::read(&batch.record_of(name)).map(|record| record.outputs).unwrap_or_default();
+        let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
+        let all = names.into_iter().chain(earlier);
+        all.map(|name| (what.clone(), batch.folder.join(name))).collect::<Vec<_>>()
+    };
+    let written = &written;
     let writes = || {
         let of_jobs = jobs().flat_map(|job| {
-            let job = job.borrow();
-            let name = &job.name;
-            let names: Vec<String> = batch.names(name).chain(job.beside.iter().cloned()).collect();
-            // those that it would replace by others
-            let earlier = Record::read(&batch.record_of(name)).map(|record| record.outputs).unwrap_or_default();
-            let earlier = earlier.into_keys().filter(|name| !names.contains(name)).collect::<Vec<_>>();
-            let what = format!("result of {name:?}");
-            let all = names.into_iter().chain(earlier);
-            all.map(|name| (what.clone(), batch.folder.join(name))).collect::<Vec<_>>()
+            let Job { name, beside, .. } = job.borrow();
+            written(format!("result of {name:?}"), name, beside)
         });
-        let of_sequences = sequences.iter().flat_map(|name| {
-            let what = format!("animation {name:?}");
-            batch.names(name).map(move |name| (what.clone(), batch.folder.join(name)))
-        });
+        let of_sequences = sequences.iter().flat_map(|name| written(format!("animation {name:?}"), name, &[]));
         let shared = SUMMARY.map(str::to_owned).into_iter().chain([timing.to_owned()]);
         of_jobs.chain(of_sequences).chain(shared.map(|name| ("summary".to_owned(), batch.folder.join(name))))
     };

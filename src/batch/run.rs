@@ -16,7 +16,7 @@ use super::job::InputHash;
 use super::lock::{HIDDEN, Lock};
 use super::plan::{self, SUMMARY};
 use super::{Animation, BatchError, Hashes, Job, Kept, Plan, Record, Row, Shard, Start, Status, Summary, animation};
-use crate::io::{WriteError, replace, write_atomically};
+use crate::io::{WriteError, replace, sync_files, write_atomically, write_durably};
 
 /// How and where jobs run.
 #[derive(Debug, Clone)]
@@ -114,6 +114,22 @@ impl Batch {
         self.folder.join(format!("log/{name}.json"))
     }
 
+    /// Why a job of this name cannot be done: its record cannot be read, and it has outputs that then may be anybody's.
+    pub(super) fn broken_record(&self, name: &str) -> Option<String> {
+        let path = self.record_of(name);
+        if fs::symlink_metadata(&path).is_err() || Record::read(&path).is_some() {
+            return None;
+        }
+        let files = self.outputs(name).into_iter().chain(others(name)).map(|name| self.folder.join(name));
+        let there: Vec<PathBuf> = files.filter(|path| fs::symlink_metadata(path).is_ok()).collect();
+        let (path, first) = (path.display(), there.first()?.display());
+        let whose = match there.len() - 1 {
+            0 => format!("{first} is"),
+            more => format!("{first} and {more} more are"),
+        };
+        Some(format!("{path}: is no record, so nobody knows whose {whose}; move all of them away, or delete them"))
+    }
+
     /// Names of what a job writes, in the folder of results: the report first, the record last.
     pub(super) fn names(&self, name: &str) -> impl Iterator<Item = String> {
         let others = others(name).into_iter().chain([format!("log/{name}.json")]);
@@ -130,7 +146,7 @@ impl Batch {
     /// Names of a job's results; the report first.
     pub(super) fn outputs(&self, name: &str) -> Vec<String> {
         if name.ends_with(animation::ENDING) {
-            return self.animation_files(name).to_vec();
+            return self.animation_files(name);
         }
         let extensions = ["json", &self.format].into_iter().chain(self.pictures.then_some("png"));
         let mut names: Vec<String> = extensions.map(|e| format!("{name}.{e}")).collect();
@@ -174,12 +190,9 @@ impl Plan {
     /// Refuses what must not run, takes the folder, and makes it ready.
     fn begin(&self, said: &dyn Fn(&str)) -> Result<Lock, BatchError> {
         self.check()?;
-        let of_part = animation::names(&self.batch, self.chains.iter().map(|c| self.jobs[c[0]].sequence.as_deref()));
-        let names = || {
-            let of_jobs = self.chains.iter().flatten().map(|&k| &*self.jobs[k].name);
-            of_jobs.chain(of_part.iter().map(String::as_str))
-        };
-        self.batch.begin(self.shard, &self.fingerprint(), names, said)
+        let of_part = animation::names(self.chains.iter().map(|c| self.jobs[c[0]].sequence.as_deref()));
+        let names = || self.chains.iter().flatten().map(|&k| &*self.jobs[k].name);
+        self.batch.begin(self.shard, &self.fingerprint(), names, &of_part, said)
     }
 
     /// Writes the table of all jobs. Other parts may do so at the same time: who writes last sees in what it reads then whether that
@@ -219,11 +232,10 @@ impl Held {
         said: &dyn Fn(&str),
     ) -> Result<Self, BatchError> {
         let shard = Shard::whole();
-        let sequences = animation::names(&batch, rows.iter().map(|row| row.sequence.as_deref()));
+        let sequences = animation::names(rows.iter().map(|row| row.sequence.as_deref()));
         plan::check(&batch, path, &plan::timing(shard), &sequences, || rows.iter().map(&job))?;
         // a whole goes with no other part, so that its fingerprint is compared with none
-        let names = || rows.iter().map(|row| &*row.name).chain(sequences.iter().map(String::as_str));
-        let lock = batch.begin(shard, "", names, said)?;
+        let lock = batch.begin(shard, "", || rows.iter().map(|row| &*row.name), &sequences, said)?;
         Ok(Self { batch, lock })
     }
 
@@ -271,14 +283,17 @@ pub fn run_jobs(
 }
 
 impl Batch {
-    /// Takes the folder for jobs of these names, and makes it ready.
+    /// Takes the folder for jobs of these names and their sequences, and makes it ready.
     fn begin<'a, I: Iterator<Item = &'a str>>(
         &self,
         shard: Shard,
         fingerprint: &str,
         names: impl Fn() -> I,
+        sequences: &'a [String],
         said: &dyn Fn(&str),
     ) -> Result<Lock, BatchError> {
+        let animated = if self.animation.is_some() { sequences } else { &[] };
+        let names = || names().chain(animated.iter().map(String::as_str));
         self.refuse_strangers(shard, names())?;
         let folder = &self.folder;
         let lock = Lock::take(folder, shard, fingerprint, said)?;
@@ -287,6 +302,9 @@ impl Batch {
         self.claim(shard)?;
         for folder in [folder, lock.aside()].iter().flat_map(|at| self.folders().map(|name| at.join(name))) {
             fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
+        }
+        if self.animation.is_none() {
+            sequences.iter().try_for_each(|name| self.forget_animation(name, said))?;
         }
         Ok(lock)
     }
@@ -305,7 +323,7 @@ impl Batch {
     fn claim(&self, shard: Shard) -> Result<(), WriteError> {
         let names: Vec<String> = Self::shared(shard).collect();
         let path = self.folder.join(HIDDEN).join(format!("wrote-{shard}.json"));
-        write_atomically(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
+        write_durably(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
     }
 
     fn write_timing(&self, shard: Shard, timing: &Timing) -> Result<(), WriteError> {
@@ -326,7 +344,12 @@ impl Batch {
         let claimed = self.claimed();
         let mut strangers = Vec::new();
         for job in jobs {
-            let record = Record::read(&self.record_of(job));
+            let path = self.record_of(job);
+            let record = Record::read(&path);
+            // a batch has been here, and its record broke: that is said of this job alone
+            if record.is_none() && !claimed.is_empty() && path.exists() {
+                continue;
+            }
             let known =
                 |name: &String| record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{job}.json"));
             let there = self.names(job).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
@@ -438,8 +461,10 @@ impl<'a> Run<'a> {
     ) -> Result<Option<Outcome>, BatchError> {
         let (clock, job) = (Instant::now(), &self.jobs[index]);
         let outcome = |record, before| Outcome { job: index, record, before, seconds: clock.elapsed().as_secs_f64() };
-        let path = self.batch.record(job);
-        let known = Record::read(&path);
+        if let Some(broken) = self.batch.broken_record(&job.name) {
+            return Ok(Some(outcome(Record::failed(None, Start::Cold, broken, None), false)));
+        }
+        let known = Record::read(&self.batch.record(job));
         let key = match job.arguments.clone().and_then(|_| job.key(before.map(|b| b.1), &self.hashes)) {
             Ok(key) => key,
             // nobody knows what is done, so what is there stays as it is
@@ -537,14 +562,11 @@ impl<'a> Run<'a> {
             record.replaced = Record::hashes(folder, &record.outputs.keys().cloned().collect::<Vec<_>>());
             record.replaced.retain(|name, hash| record.outputs[name] != *hash);
         }
-        if let (Status::Done, Some(known)) = (record.status, known) {
-            // of an earlier format, or a picture: nobody has changed it since, and it would be taken for one of this run's
-            for (name, hash) in known.outputs.iter().filter(|(name, _)| !record.outputs.contains_key(*name)) {
-                if Record::hashes(folder, std::slice::from_ref(name)).get(name) == Some(hash) {
-                    let path = folder.join(name);
-                    fs::remove_file(&path).map_err(|source| WriteError::Io { path, source })?;
-                }
-            }
+        if record.status == Status::Done {
+            // what the record says is done is so after a power cut, too
+            sync_files(&record.outputs.keys().map(|name| self.aside.join(name)).collect::<Vec<_>>())?;
+            // of an earlier format, or a picture
+            known.map_or(Ok(()), |known| known.take_away(folder, |name| !record.outputs.contains_key(name)))?;
         }
         self.write_record(job, &record)?;
         for name in names.iter().filter(|name| made(name)) {
@@ -559,7 +581,7 @@ impl<'a> Run<'a> {
     }
 
     pub(super) fn write_record(&self, job: &Job, record: &Record) -> Result<(), WriteError> {
-        write_atomically(&self.batch.record(job), |file| Ok(serde_json::to_writer_pretty(file, record)?))
+        write_durably(&self.batch.record(job), |file| Ok(serde_json::to_writer_pretty(file, record)?))
     }
 
     /// Takes away what was made aside.

@@ -117,7 +117,10 @@ impl SummaryRow {
         let name = job.name.clone();
         let known = Record::read(&batch.record(job));
         let Some(record) = record.or(known.as_ref()) else {
-            return Self { name, status: "pending".into(), ..Self::default() };
+            return match batch.broken_record(&name) {
+                Some(note) => Self { name, status: "failed".into(), start: "cold".into(), note, ..Self::default() },
+                None => Self { name, status: "pending".into(), ..Self::default() },
+            };
         };
         let start = match record.start {
             Start::Cold => "cold",
@@ -130,8 +133,12 @@ impl SummaryRow {
             let note = record.error.clone().unwrap_or_default() + kept;
             return Self { name, status: "failed".into(), start: start.into(), note, ..Self::default() };
         }
-        let report = std::fs::read(batch.folder.join(format!("{name}.json")));
-        let report: Value = report.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        let report = std::fs::read(batch.folder.join(format!("{name}.json"))).ok();
+        let report = report.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).filter(Value::is_object);
+        let Some(report) = report else {
+            let note = format!("{name}.json, its report, cannot be read; delete it, and the scan is done again");
+            return Self { name, status: "doubtful".into(), start: start.into(), note, ..Self::default() };
+        };
         let doubts: Vec<&str> =
             report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
         let quality = &report["quality"];

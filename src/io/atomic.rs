@@ -22,7 +22,28 @@ pub fn write_atomically(
     fill: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
 ) -> Result<(), WriteError> {
     let mut fill = Some(fill);
-    fill_and_rename(path, &mut |writer| fill.take().expect("proven: it is called once")(writer))
+    fill_and_rename(path, false, &mut |writer| fill.take().expect("proven: it is called once")(writer))
+}
+
+/// [`write_atomically`] of what is to be whole after a power cut, too: it reaches the disk before it has its name. That takes some
+/// milliseconds.
+pub(crate) fn write_durably(
+    path: &Path,
+    mut fill: impl FnMut(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), WriteError> {
+    fill_and_rename(path, true, &mut fill)
+}
+
+/// Waits until files are on the disk. All at once: the disk does so in hardly more time than for one.
+pub(crate) fn sync_files(paths: &[PathBuf]) -> Result<(), WriteError> {
+    let sync = |path: &PathBuf| {
+        let synced = OpenOptions::new().write(true).open(path).and_then(|file| file.sync_all());
+        synced.map_err(|source| WriteError::Io { path: path.clone(), source })
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = paths.iter().map(|path| scope.spawn(move || sync(path))).collect();
+        threads.into_iter().try_for_each(|t| t.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
 }
 
 /// Writes a value as JSON, indented, with a line break at the end.
@@ -36,6 +57,7 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Writ
 /// [`write_atomically`], compiled once.
 fn fill_and_rename(
     path: &Path,
+    sync: bool,
     fill: &mut dyn FnMut(&mut BufWriter<File>) -> std::io::Result<()>,
 ) -> Result<(), WriteError> {
     let fail = |source| WriteError::Io { path: path.to_owned(), source };
@@ -56,6 +78,9 @@ fn fill_and_rename(
         let file = writer.into_inner().map_err(std::io::IntoInnerError::into_error)?;
         if let Some(existing) = &existing {
             file.set_permissions(existing.permissions())?;
+        }
+        if sync {
+            file.sync_all()?;
         }
         drop(file);
         std::fs::rename(&temporary, &target)
