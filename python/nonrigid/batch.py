@@ -451,7 +451,7 @@ def run(
     format: str = "obj",
     pictures: bool = False,
     animation: str | None = "usda",
-    fps: int = 60,
+    fps: float = 60,
     smooth: float | None = 4.0,
     again: bool = False,
     retries: int = 3,
@@ -469,7 +469,7 @@ def run(
     sequence stay together. jobs: scans at once, of "local", one a core unless stated. threads: of each scan.
 
     format: "obj", "ply" or "glb". pictures: NAME.png for each scan. animation: format of the one animated file of each sequence, "usda",
-    "pc2", "glb" or None; fps: its frames a second; smooth: above how many Hz motion counts as noise there, or None. again: do what is done again. retries: how often Ray tries a task whose
+    "pc2", "glb" or None; fps: its frames a second, from 1 to 1000, such as 23.976; smooth: above how many Hz motion counts as noise there, or None. again: do what is done again. retries: how often Ray tries a task whose
     worker was lost; Dask has a setting of its own (distributed.scheduler.allowed-failures). storage_options: {protocol: options of fsspec}.
     callback: sees every row of the summary as it comes; what it raises ends the batch. options: those of `nonrigid register`, for every
     scan, with underscores: template="face.obj", rig="rig", expression_bounds=(0, 1).
@@ -486,7 +486,12 @@ def run(
     storage = dict(storage_options or {})
     known, path_names = _nonrigid.batch_columns()
     paths = frozenset(path_names)
-    threads, fps, retries = count("threads", threads, 1, 1024), count("fps", fps, 1, 1000), count("retries", retries, -1)
+    threads, retries = count("threads", threads, 1, 1024), count("retries", retries, -1)
+    if isinstance(fps, bool) or not isinstance(fps, Real):
+        raise TypeError(f"fps: expected a number from 1 to 1000, found {fps!r}")
+    if not 1 <= fps <= 1000:
+        raise ValueError(f"fps: expected a number from 1 to 1000, found {fps!r}")
+    fps = float(fps)
     chunk, jobs = count_or_none("chunk", chunk, 1), count_or_none("jobs", jobs, 1)
     for what, flag in (("pictures", pictures), ("again", again)):
         if not isinstance(flag, (bool, np.bool_)):

@@ -41,7 +41,7 @@ struct Setting {
     pictures: bool,
     /// Format of animated files, or none.
     animation: Option<String>,
-    fps: u16,
+    fps: f64,
     /// Hz.
     smooth: Option<f64>,
     threads: usize,
@@ -58,7 +58,7 @@ impl Setting {
         if let Some(other) = self.animation.as_ref().filter(|format| !ANIMATIONS.contains(&format.as_str())) {
             return Err(value(format!("animation: {other:?}; there are usda, pc2, glb and None")));
         }
-        if !(1..=1000).contains(&self.fps) || self.smooth.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
+        if !(1.0..=1000.0).contains(&self.fps) || self.smooth.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
             return Err(value("fps: give a number from 1 to 1000; smooth: a frequency above 0, or None"));
         }
         Ok(Batch {

@@ -14,7 +14,7 @@ pub struct Animation {
     /// Extension: usda, pc2 or glb.
     pub format: String,
     /// Frames a second.
-    pub frames_per_second: u16,
+    pub frames_per_second: f64,
     /// Cutoff of smoothing in time, Hz; `None` for the frames as they are.
     pub smooth: Option<f64>,
 }

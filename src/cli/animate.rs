@@ -9,7 +9,9 @@ use serde::Serialize;
 
 use super::inputs::{Align, ShapeKindArgument, frames, read_rig, rig_files};
 use super::units::{UnitArguments, Units};
-use super::{Failure, Stage, check_output, check_plan, say, warn, warn_of_format, warn_of_materials};
+use super::{
+    Failure, Stage, check_output, check_plan, has_extension, same_place, say, warn, warn_of_format, warn_of_materials,
+};
 use crate::io::{
     Clip, FilePlan, MaterialFiles, MeshFile, Motion, write_animated_glb, write_json, write_pc2, write_usda,
 };
@@ -45,9 +47,9 @@ pub struct Arguments {
     /// How many of the first identity modes explain frames as well
     #[arg(long, value_name = "N", default_value_t = 0, requires = "rig")]
     identity_modes: usize,
-    /// Frames a second, 1 to 1000
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=1000))]
-    fps: u16,
+    /// Frames a second, 1 to 1000, such as 23.976 [default: 60]
+    #[arg(long, value_name = "N", value_parser = frame_rate)]
+    fps: Option<f64>,
     /// Smooth the frames in time: what changes HZ times a second is halved, what changes slower stays, what changes faster goes;
     /// or none: the frames as they are
     #[arg(long, value_name = "HZ", default_value = "none")]
@@ -66,7 +68,7 @@ pub struct Arguments {
 #[derive(Debug, Serialize)]
 struct Report<'a> {
     version: &'static str,
-    frames_per_second: u16,
+    frames_per_second: serde_json::Number,
     smooth_hz: Option<f64>,
     /// Root mean square of the vertices' second differences in time, millimetres, before and after smoothing; motion counts, too.
     second_difference_mm: [f64; 2],
@@ -80,6 +82,30 @@ struct FrameReport<'a> {
     name: &'a str,
     /// Why it is lost.
     lost: Option<String>,
+}
+
+/// Frames a second, where nothing else is asked for.
+pub const FRAME_RATE: f64 = 60.0;
+
+/// Frames a second from text.
+pub fn frame_rate(text: &str) -> Result<f64, String> {
+    let found = text.parse().ok().filter(|rate| (1.0..=1000.0).contains(rate));
+    found.ok_or_else(|| format!("'{text}' is no number from 1 to 1000"))
+}
+
+/// What of the options of an animation of this format has no effect, if anything: `asked` and `rate` frames a second, smoothing at `smooth`
+/// Hz.
+pub fn without_effect(format: &str, asked: Option<f64>, smooth: Option<f64>) -> Option<String> {
+    let rate = asked.unwrap_or(FRAME_RATE);
+    match smooth {
+        Some(hz) if hz >= rate / 2.0 => {
+            Some(format!("--smooth {hz}: nothing is smoothed, as that is half of --fps {rate} or more"))
+        }
+        None if format == "pc2" && asked.is_some() => {
+            Some("--fps: has no effect on a .pc2 with --smooth none: frames are all it holds".to_owned())
+        }
+        _ => None,
+    }
 }
 
 /// A frequency, Hz, or none.
@@ -107,6 +133,13 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Stage::Arguments, "--rig: only .glb has weights; leave it out, or write .glb"));
     }
     let files = files(a)?;
+    // in another folder, or beside frames of another format, it is none
+    let folder = a.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let of_frames = |(_, path): &(_, Option<PathBuf>)| path.as_ref().is_some_and(|path| has_extension(path, "glb"));
+    if a.list.is_none() && extension == "glb" && same_place(&a.meshes, folder) && files.iter().any(of_frames) {
+        let message = "--out is in the folder of --meshes: it would be one of the frames the next time";
+        return Err(Failure::new(Stage::Arguments, format!("{message}; give another folder")));
+    }
     let plan = FilePlan::new()
         .reads_all(files.iter().filter_map(|(_, path)| Some(("meshes", path.clone()?))))
         .reads_all(a.list.iter().map(|list| ("list", list.clone())))
@@ -120,9 +153,11 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
     let before = flicker(&given.iter().flatten().collect::<Vec<_>>());
     let smooth = a.smooth.0;
-    let cutoff = smooth.map(|hz| hz / f64::from(a.fps));
+    let rate = a.fps.unwrap_or(FRAME_RATE);
+    without_effect(extension.to_str().unwrap_or_default(), a.fps, smooth).iter().for_each(warn);
+    let cutoff = smooth.map(|hz| hz / rate);
     let track = Track::follow(given, cutoff).map_err(|e| Failure::loading(format!("{}: {e}", a.meshes.display())))?;
-    let clip = Clip { frames: &track.frames, frames_per_second: a.fps.into(), lost: &track.lost_frames() };
+    let clip = Clip { frames: &track.frames, frames_per_second: rate, lost: &track.lost_frames() };
     match extension.to_str() {
         Some("usda") => write_usda(&a.out, &mesh, colors, &clip, None).map_err(Failure::writing)?,
         Some("pc2") => write_pc2(&a.out, clip.frames).map_err(Failure::writing)?,
@@ -146,11 +181,13 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &a.report {
         let frames = names.iter().enumerate().map(|(k, name)| FrameReport { name, lost: lost(k) }).collect();
         let second_difference_mm = [before, flicker(&track.frames)];
-        let (version, frames_per_second) = (env!("CARGO_PKG_VERSION"), a.fps);
+        let whole = (rate.fract() == 0.0).then(|| (rate as u64).into());
+        let frames_per_second = whole.or_else(|| serde_json::Number::from_f64(rate)).unwrap_or_else(|| 0.into());
+        let version = env!("CARGO_PKG_VERSION");
         write_json(path, &Report { version, frames_per_second, smooth_hz: smooth, second_difference_mm, frames, cuts })
             .map_err(Failure::writing)?;
     }
-    say(format_args!("{} frames of {} vertices, {} a second", names.len(), mesh.positions.len(), a.fps))?;
+    say(format_args!("{} frames of {} vertices, {rate} a second", names.len(), mesh.positions.len()))?;
     say(format_args!("wrote {}", a.out.display()))
 }
 

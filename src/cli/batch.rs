@@ -9,7 +9,7 @@ use std::time::Instant;
 use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::animate::Cutoff;
+use super::animate::{Cutoff, FRAME_RATE, frame_rate, without_effect};
 use super::inputs::refuse_as_shape;
 use super::interrupt::Interrupt;
 use super::{Failure, Program, Stage, bounded, check_output_folder, register, say, tell, warn};
@@ -53,16 +53,16 @@ pub struct Arguments {
     /// Format of results
     #[arg(long, value_enum, default_value_t = Format::Obj)]
     format: Format,
-    /// Format of the animated file of each sequence
-    #[arg(long, value_enum, value_name = "FORMAT", default_value_t = AnimationFormat::Usda)]
-    animation: AnimationFormat,
-    /// Frames a second of sequences, 1 to 1000
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=1000))]
-    fps: u16,
+    /// Format of the animated file of each sequence [default: usda]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    animation: Option<AnimationFormat>,
+    /// Frames a second of sequences, 1 to 1000, such as 23.976 [default: 60]
+    #[arg(long, value_name = "N", value_parser = frame_rate)]
+    fps: Option<f64>,
     /// Smooth animated files in time: what changes HZ times a second is halved, what changes slower stays, what changes faster goes;
-    /// or none. The frames' own files stay as they are
-    #[arg(long, value_name = "HZ", default_value = "4")]
-    smooth: Cutoff,
+    /// or none. The frames' own files stay as they are [default: 4]
+    #[arg(long, value_name = "HZ")]
+    smooth: Option<Cutoff>,
     /// Do again what is done
     #[arg(long)]
     again: bool,
@@ -164,6 +164,34 @@ pub fn settings(batch: &Batch) -> [(String, String); 2] {
     [("format".to_owned(), batch.format.clone()), ("pictures".to_owned(), batch.pictures.to_string())]
 }
 
+impl Arguments {
+    /// What becomes of sequences. Of options that have no effect on them it is said.
+    fn animation(&self, manifest: &Manifest) -> Option<Animation> {
+        let format = self.animation.unwrap_or(AnimationFormat::Usda);
+        let smooth = self.smooth.unwrap_or(Cutoff(Some(4.0))).0;
+        let animation = (format != AnimationFormat::None).then(|| Animation {
+            format: format!("{format:?}").to_lowercase(),
+            frames_per_second: self.fps.unwrap_or(FRAME_RATE),
+            smooth,
+        });
+        let is_given = [self.animation.is_some(), self.fps.is_some(), self.smooth.is_some()];
+        let given = |from: usize| {
+            let names = ["--animation", "--fps", "--smooth"].into_iter().zip(is_given).skip(from);
+            Some(names.filter(|(_, is)| *is).map(|(name, _)| name).collect::<Vec<_>>().join(", "))
+                .filter(|n| !n.is_empty())
+        };
+        let without_effect = match &animation {
+            _ if manifest.rows.iter().all(|row| row.sequence.is_none()) => {
+                given(0).map(|names| format!("{names}: no effect, as no row of the manifest has a sequence"))
+            }
+            None => given(1).map(|names| format!("{names}: no effect with --animation none")),
+            Some(animation) => without_effect(&animation.format, self.fps, smooth),
+        };
+        without_effect.iter().for_each(warn);
+        animation
+    }
+}
+
 /// Runs the command.
 pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
     check_output_folder(&a.out)?;
@@ -171,6 +199,7 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
     refuse_as_shape(rig, &a.out, "--out")?;
     let columns = columns();
     let manifest = Manifest::read(&a.manifest, &columns).map_err(Failure::loading)?;
+    let animation = a.animation(&manifest);
     let cores = a.threads.map_or_else(rayon::current_num_threads, |asked| bounded("--threads", asked.into()));
     let at_once = a.jobs.map_or(cores, |asked| bounded("--jobs", asked.into()));
     let batch = Batch {
@@ -179,11 +208,7 @@ pub fn run(a: &Arguments, program: &Program) -> Result<(), Failure> {
         folder: a.out.clone(),
         format: format!("{:?}", a.format).to_lowercase(),
         pictures: a.pictures,
-        animation: (a.animation != AnimationFormat::None).then(|| Animation {
-            format: format!("{:?}", a.animation).to_lowercase(),
-            frames_per_second: a.fps,
-            smooth: a.smooth.0,
-        }),
+        animation,
         at_once,
         threads: (cores / at_once).max(1),
         again: a.again,

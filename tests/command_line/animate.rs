@@ -149,6 +149,53 @@ fn frames_may_be_packed_or_glb() {
 }
 
 #[test]
+fn a_result_that_would_be_a_frame_is_refused() {
+    let bench = Bench::new();
+    frames(&bench);
+    // frames are not .glb while there are .obj
+    bench.done("animate --meshes frames --out frames/ann.glb");
+    bench.done("animate --meshes frames --out frames/ann.glb");
+    std::fs::create_dir(bench.path("glb")).unwrap();
+    let mesh = read_obj(&bench.path("frames/f0.obj")).unwrap();
+    write_polygon_mesh(&bench.path("glb/f0.glb"), &mesh).unwrap();
+    let run = bench.run("animate --meshes glb --out ./glb/ann.glb");
+    assert!(run.code == 1 && run.stderr.contains("would be one of the frames"), "{}", run.stderr);
+    assert!(!bench.path("glb/ann.glb").exists());
+    bench.done("animate --meshes glb --out glb/ann.usda");
+    bench.write("list.txt", "f0.glb\n");
+    bench.done("animate --meshes glb --list list.txt --out glb/ann.glb");
+}
+
+#[test]
+fn frames_a_second_may_be_those_of_video_and_what_has_no_effect_is_said() {
+    let bench = Bench::new();
+    frames(&bench);
+    let report = || serde_json::from_slice::<Value>(&bench.read("face.json")).unwrap();
+    for (asked, found) in [("23.976", serde_json::json!(23.976)), ("60", 60.into()), ("25.0", 25.into())] {
+        let plain = asked.trim_end_matches(".0");
+        let said = bench.done(&format!("animate --meshes frames --fps {asked} --out face.usda --report face.json"));
+        assert!(said.contains(&format!(" vertices, {plain} a second")), "{said}");
+        assert_eq!(report()["frames_per_second"], found);
+        let stage = String::from_utf8(bench.read("face.usda")).unwrap();
+        assert!(stage.contains(&format!("timeCodesPerSecond = {plain}\n")), "{asked}");
+    }
+    for asked in ["0", "0.9", "1000.5", "NaN", "fast"] {
+        let run = bench.run(&format!("animate --meshes frames --fps {asked} --out none.usda"));
+        assert!(run.code == 1 && run.stderr.contains("no number from 1 to 1000"), "{}", run.stderr);
+    }
+    for (options, says) in [
+        ("--fps 8 --smooth 4 --out face.usda", "--smooth 4: nothing is smoothed, as that is half of --fps 8 or more"),
+        ("--fps 30 --out face.pc2", "--fps: has no effect on a .pc2 with --smooth none"),
+        ("--fps 8.1 --smooth 4 --out face.usda", ""),
+        ("--fps 30 --smooth 4 --out face.pc2", ""),
+    ] {
+        let run = bench.run(&format!("animate --meshes frames {options}"));
+        let warned = run.stderr.contains("effect") || run.stderr.contains("nothing is smoothed");
+        assert!(run.code == 0 && run.stderr.contains(says) && warned != says.is_empty(), "{options}: {}", run.stderr);
+    }
+}
+
+#[test]
 fn lost_frames_are_named_and_bridged() {
     let bench = Bench::new();
     let template = read_obj(&bench.path("rig/template.obj")).unwrap();

@@ -194,6 +194,56 @@ fn what_somebody_has_changed_stays() {
 }
 
 #[test]
+fn what_a_power_cut_leaves_is_done_again_and_concerns_its_scan_alone() {
+    let bench = bench();
+    list(&bench, &["case/scan.ply,case/landmarks.json,,person,rigid", "f0/scan.ply,f0/landmarks.json,,other,rigid"]);
+    let command = format!("batch scans.csv --out out {OPTIONS}");
+    let run = bench.run(&format!("{command} --fps 30 --smooth none"));
+    assert!(
+        run.stderr.contains("--fps, --smooth: no effect, as no row of the manifest has a sequence"),
+        "{}",
+        run.stderr
+    );
+    let made = left(&bench, "out");
+    for (file, blank) in [("person.obj", ""), ("other.json", "\0\0\0\0"), ("state/other.json", "")] {
+        bench.write(&format!("out/{file}"), blank);
+        let run = bench.run(&command);
+        assert!(run.code == 0 && run.stderr.matches("done before").count() == 1 + 1, "{file}: {}", run.stderr);
+        assert!(left(&bench, "out") == made, "{file}");
+    }
+    // half a report is not known to be nobody's
+    bench.write("out/other.json", "{ \"doubts\": [");
+    let run = bench.run(&command);
+    assert!(run.stderr.contains("other: done before; other.json was changed since, and stays"), "{}", run.stderr);
+    assert_eq!(summary(&bench, "out")["other"].0, "doubtful");
+    assert!(
+        String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("other.json, its report, cannot be read")
+    );
+    fs::remove_file(bench.path("out/other.json")).unwrap();
+    // a record that broke
+    for broken in ["", "{ \"key\": "] {
+        bench.write("out/log/person.json", broken);
+        let run = bench.run(&command);
+        assert!(run.code == 2 && !run.stderr.contains("other: failed"), "{}", run.stderr);
+        assert!(run.stderr.contains("person: failed: out/log/person.json: is no record"), "{}", run.stderr);
+        assert_eq!(bench.read("out/person.obj"), made["person.obj"]);
+    }
+    for file in ["person.obj", "person.json", "person.timing.json", "state/person.json", "log/person.txt"] {
+        fs::remove_file(bench.path(&format!("out/{file}"))).unwrap();
+    }
+    bench.done(&command);
+    assert!(left(&bench, "out") == made);
+    // nor does it take a link that leads nowhere for a folder
+    std::os::unix::fs::symlink("nowhere", bench.path("link")).unwrap();
+    let run = bench.run(&command.replace("--out out", "--out link"));
+    assert!(
+        run.code == 3 && run.stderr.contains("link: cannot be written: it is a link that leads nowhere"),
+        "{}",
+        run.stderr
+    );
+}
+
+#[test]
 fn parts_give_what_the_whole_gives_also_by_the_recipe_for_gnu_parallel() {
     let bench = bench();
     let mut rows = FRAMES.to_vec();
@@ -288,7 +338,29 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     bench.done(&command);
     assert!(bench.path("out/sequences/walk.usda").exists() && !bench.path("out/sequences/walk.glb").exists());
     assert!(!String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("lost"));
+    // and without one, all that was made of the sequence; what somebody has changed stays
+    let there = |name: &str| bench.path(&format!("out/{name}")).exists();
     bench.done(&format!("{command} --animation none"));
+    for gone in ["sequences/walk.usda", "sequences/walk.json", "log/walk.sequence.txt", "log/walk.sequence.json"] {
+        assert!(!there(gone), "{gone}");
+    }
+    bench.done(&format!("{command} --fps 23.976"));
+    assert!(String::from_utf8(bench.read("out/sequences/walk.usda")).unwrap().contains("PerSecond = 23.976\n"));
+    bench.write("out/sequences/walk.usda", "retouched");
+    for _ in 0..2 {
+        let run = bench.run(&format!("{command} --animation none --fps 30"));
+        assert!(run.code == 0 && run.stderr.contains("walk.usda: was changed since it was made"), "{}", run.stderr);
+        assert!(run.stderr.contains("--fps: no effect with --animation none"), "{}", run.stderr);
+        assert!(bench.read("out/sequences/walk.usda") == b"retouched" && !there("sequences/walk.json"));
+    }
+    let run = bench.run(&command);
+    assert!(run.code == 2 && run.stderr.contains("walk.usda: was changed since it was made"), "{}", run.stderr);
+    // nothing is there of what all frames have failed of
+    list(&bench, &["empty.ply,f2/landmarks.json,gone,,"]);
+    let run = bench.run(&format!("batch scans.csv --out gone {OPTIONS} --fps 8"));
+    assert!(run.code == 2 && run.stderr.contains("--smooth 4: nothing is smoothed"), "{}", run.stderr);
+    let text = String::from_utf8(bench.read("gone/summary.csv")).unwrap();
+    assert!(text.contains("no animated file of \"\"gone\"\": none of its frames is there"), "{text}");
 
     // nobody's file stays, and another template in the middle is no sequence
     bench.write("other/sequences/walk.usda", "mine");

@@ -260,7 +260,8 @@ fn generating(options: &Options, effort: &Effort) -> f64 {
 
 /// The folders of results: the data, and those of studies that have one, of the study's name.
 fn folders(effort: &Effort, chosen: &[&Study]) -> Vec<String> {
-    let of_studies = chosen.iter().map(|study| study.name.to_owned()).filter(|name| studies::WITH_FOLDER.contains(&&**name));
+    let of_studies =
+        chosen.iter().map(|study| study.name.to_owned()).filter(|name| studies::WITH_FOLDER.contains(&&**name));
     std::iter::once(data_folder(effort)).chain(of_studies).collect()
 }
 

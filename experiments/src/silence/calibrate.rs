@@ -86,10 +86,7 @@ pub fn write(path: &Path, rows: &[SilenceRow]) -> Result<()> {
     }
     let calibration = calibrate(&examples);
     let text = toml::to_string(&calibration).map_err(|e| Failure::writing(format!("{}: {e}", path.display())))?;
-    let head = format!(
-        "{HEAD} from {} results, {bad} of them bad; not by hand.\n",
-        examples.len()
-    );
+    let head = format!("{HEAD} from {} results, {bad} of them bad; not by hand.\n", examples.len());
     write_file(path, head + &text)
 }
 
