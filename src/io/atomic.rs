@@ -27,7 +27,10 @@ pub fn write_atomically(
 
 /// [`write_atomically`] of what is to be whole after a power cut, too: it reaches the disk before it has its name. That takes some
 /// milliseconds.
-pub(crate) fn write_durably(
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_durably(
     path: &Path,
     mut fill: impl FnMut(&mut BufWriter<File>) -> std::io::Result<()>,
 ) -> Result<(), WriteError> {
@@ -35,9 +38,14 @@ pub(crate) fn write_durably(
 }
 
 /// Waits until files are on the disk. All at once: the disk does so in hardly more time than for one.
-pub(crate) fn sync_files(paths: &[PathBuf]) -> Result<(), WriteError> {
+///
+/// # Errors
+/// When one cannot be opened, or the disk fails.
+pub fn sync_files(paths: &[PathBuf]) -> Result<(), WriteError> {
+    // it may be a copy of a file that must not be written; where that is no matter, it is opened to be read
+    let open = |path: &PathBuf| OpenOptions::new().read(true).write(cfg!(not(unix))).open(path);
     let sync = |path: &PathBuf| {
-        let synced = OpenOptions::new().write(true).open(path).and_then(|file| file.sync_all());
+        let synced = open(path).and_then(|file| sync_file(&file));
         synced.map_err(|source| WriteError::Io { path: path.clone(), source })
     };
     std::thread::scope(|scope| {
@@ -52,6 +60,12 @@ pub(crate) fn sync_files(paths: &[PathBuf]) -> Result<(), WriteError> {
 /// When the file cannot be written: see [`write_atomically`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), WriteError> {
     write_atomically(path, |file| writeln!(file, "{}", text::json(serde_json::to_string_pretty(value)?)))
+}
+
+/// Waits until a file is on the disk, where the file system knows how.
+fn sync_file(file: &File) -> std::io::Result<()> {
+    use std::io::ErrorKind::{InvalidInput, Unsupported};
+    file.sync_all().or_else(|e| if [InvalidInput, Unsupported].contains(&e.kind()) { Ok(()) } else { Err(e) })
 }
 
 /// [`write_atomically`], compiled once.
@@ -80,7 +94,7 @@ fn fill_and_rename(
             file.set_permissions(existing.permissions())?;
         }
         if sync {
-            file.sync_all()?;
+            sync_file(&file)?;
         }
         drop(file);
         std::fs::rename(&temporary, &target)

@@ -25,8 +25,7 @@ mod xyz;
 
 use std::path::{Path, PathBuf};
 
-pub(crate) use atomic::{sync_files, write_durably};
-pub use atomic::{write_atomically, write_json};
+pub use atomic::{sync_files, write_atomically, write_durably, write_json};
 pub use error::{Place, ReadError, WriteError, read_text};
 pub(crate) use error::{check_side_file, excerpt, extension, read_file, without_mark};
 #[cfg(feature = "cli")]
