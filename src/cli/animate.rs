@@ -93,7 +93,7 @@ pub fn frame_rate(text: &str) -> Result<f64, String> {
     found.ok_or_else(|| format!("'{text}' is no number from 1 to 1000"))
 }
 
-/// What of the options of an animation of this format has no effect, if anything: `asked` and `rate` frames a second, smoothing at `smooth`
+/// What of the options of an animation of this format has no effect, if anything: `asked` frames a second, if any were, smoothing at `smooth`
 /// Hz.
 pub fn without_effect(format: &str, asked: Option<f64>, smooth: Option<f64>) -> Option<String> {
     let rate = asked.unwrap_or(FRAME_RATE);
