@@ -21,6 +21,9 @@ pub const TIMES: f64 = 4.0;
 pub const AT_LEAST: f64 = 3.0;
 /// The share of the frames that the median is of.
 const CALM: f64 = 0.75;
+/// How many times the usual step of the motion one has to be, of a frame before the first or after the last of the series, to be a jump:
+/// nothing tells where the motion leads there.
+const STRIDE: f64 = 2.0;
 /// How many frames a series may leave out at once, and one more.
 pub const REACH: usize = 8;
 /// About so many vertices are looked at.
@@ -82,7 +85,6 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Jumps {
             kept.extend(from + 1..to);
         }
     }
-    // before the first and after the last of the series nothing tells where the motion leads: what moves on as fast is not lost
     let mut steps: Vec<f64> =
         series.windows(2).map(|s| moved(s[0], s[1]) / (there[s[1]].0 - there[s[0]].0) as f64).collect();
     steps.sort_by(f64::total_cmp);
@@ -96,7 +98,7 @@ pub fn jumps(frames: &[Option<Vec<Vec3>>]) -> Jumps {
                 (apart(f, &|v| there[a].1[v].lerp(&there[b].1[v], share)), AT_LEAST)
             }
             [Some(one), None] | [None, Some(one)] => {
-                (moved(one, f), AT_LEAST.max(TIMES * usual * (at(one) - at(f)).abs()))
+                (moved(one, f), AT_LEAST.max(STRIDE * usual * (at(one) - at(f)).abs()))
             }
             [None, None] => continue,
         };
