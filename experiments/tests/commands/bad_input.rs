@@ -124,7 +124,7 @@ const ROWS: &[Row] = &[
     ("real-scans --rig rig --scans cases --identity-modes 1000", ARGUMENTS, &["--identity-modes: 1000", "the rig has"]),
     ("real-scans --rig rig --scans cases --models rigid,rigid", ARGUMENTS, &["--models names rigid twice"]),
     ("real-scans --rig rig --scans cases --models rigid --out old", WRITING, &["old/claims.json", "move it away"]),
-    ("real-scans --rig rig --scans cases --models rigid --out mine", WRITING, &["mine/same_smile/rigid.obj", "move it away"]),
+    ("real-scans --rig rig --scans cases --models rigid --out mine", WRITING, &["mine/scan/rigid.obj", "move it away"]),
     // unseen
     ("unseen cases", ARGUMENTS, &["--rig"]),
     ("unseen nowhere --rig rig", LOADING, &["nowhere"]),
@@ -253,7 +253,12 @@ fn data(folder: &Path) {
     write("garbage.npz", b"PK\x03\x04 and no more");
     write("bad.toml", b"stepps = 3\n");
     write("bad_nist/Misra1a.dat", b"NIST/ITL StRD\nDataset Name:  Misra1a\n");
-    let mine = ["mine/same_smile/rigid.obj", "of_report/extreme/hybrid.obj", "of_data/data/quick/rig/template.obj"];
+    let mine = [
+        "mine/same_smile/rigid.obj",
+        "mine/scan/rigid.obj",
+        "of_report/extreme/hybrid.obj",
+        "of_data/data/quick/rig/template.obj",
+    ];
     let old = ["old/index.html", "old/extreme.csv", "old/claims.json", "of_paper/inputs.tex"];
     for name in old.into_iter().chain(mine) {
         write(name, b"from last week");
