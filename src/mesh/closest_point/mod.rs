@@ -563,13 +563,22 @@ mod tests {
 
     #[test]
     fn slivers_and_triangles_without_area() {
-        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 1e-9, 0.0]].map(v).to_vec();
-        let q = Vec3::new(0.5, 1.0, 0.0);
-        for (triangle, distance) in [([0, 1, 2], 1.0), ([0, 0, 0], 1.25f64.sqrt()), ([1, 1, 0], 1.0), ([0, 1, 3], 1.0)]
-        {
-            let mesh = TriangleMesh { positions: positions.clone(), triangles: vec![triangle] };
-            let found = ClosestPoint::new(&mesh).unwrap().query(&q).unwrap();
-            assert!((found.squared_distance.sqrt() - distance).abs() < 2e-9, "{found:?}");
+        let (origin, x, two_x) = ([0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]);
+        let (over, under) = ([1e-9, 0.0, 100.0], [0.0, 1e-9, 100.0]); // their distance has five digits, seen from afar
+        let cases = [
+            ([origin, x, two_x], [0.5, 1.0, 0.0], 1.0),
+            ([origin; 3], [0.5, 1.0, 0.0], 1.25f64.sqrt()),
+            ([x, x, origin], [0.5, 1.0, 0.0], 1.0),
+            ([origin, x, [0.5, 1e-9, 0.0]], [0.5, 1.0, 0.0], 1.0),
+            ([[100.0, 100.0, -2.0], over, under], over, 0.0),
+            ([[0.0, 0.0, -3.0], under, over], [100.0, 100.0, 1.5], 2e4f64.sqrt()),
+        ];
+        for (corners, q, distance) in cases {
+            let mesh = TriangleMesh { positions: corners.map(v).to_vec(), triangles: vec![[0, 1, 2]] };
+            let found = ClosestPoint::new(&mesh).unwrap().query(&v(q)).unwrap();
+            assert!((found.squared_distance.sqrt() - distance).abs() < 2e-9, "{distance} {found:?}");
+            let by_weights: Vec3 = corners.iter().zip(found.barycentric).map(|(&corner, w)| v(corner) * w).sum();
+            assert!((by_weights - found.point).norm() < 2e-9, "{by_weights} {found:?}");
         }
     }
 

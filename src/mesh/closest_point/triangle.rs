@@ -66,35 +66,48 @@ pub(super) fn on_line(a: Point, b: Point, c: Point, d: Point) -> Option<([f64; 3
 /// so slivers stay accurate); otherwise on a side that the projection lies beyond.
 #[inline(always)]
 pub(super) fn closest_on_triangle(a: Point, b: Point, c: Point) -> ([f64; 3], Point, f64) {
-    let normal = cross(sub(b, a), sub(c, a));
+    /// Squared error of a normal, in units of rounding, from which on the projection along it may miss the triangle.
+    const ROUNDED: f64 = 1e-12;
+    let (ab, ac) = (sub(b, a), sub(c, a));
+    let normal = cross(ab, ac);
     let areas = [dot(normal, cross(b, c)), dot(normal, cross(c, a)), dot(normal, cross(a, b))];
     let inside = areas.map(|area| area > 0.0);
-    let (barycentric, mut point) = if inside == [true; 3] {
+    let mut beyond = inside.map(|inside| !inside);
+    let mut best = ([1.0, 0.0, 0.0], a, f64::INFINITY);
+    if inside == [true; 3] {
         let sum = areas[0] + areas[1] + areas[2];
         let w = [areas[0] / sum, areas[1] / sum, areas[2] / sum];
-        // the projection of the origin along the normal
-        let height = dot(normal, a) / squared(normal);
-        (w, [height * normal[0], height * normal[1], height * normal[2]])
-    } else {
-        let mut best = ([1.0, 0.0, 0.0], a, f64::INFINITY);
-        if !inside[2] {
-            let (t, point, d) = closest_on_segment(a, b);
+        let (area, sides) = (squared(normal), squared(ab) + squared(ac));
+        if area > ROUNDED * sides * (sides + squared(a)) {
+            // the projection of the origin along the normal
+            let height = dot(normal, a) / area;
+            best = (w, [height * normal[0], height * normal[1], height * normal[2]], 0.0);
+        } else {
+            // a sliver, or small and far away: a point of it, which one of a side may be closer than
+            let point = [0, 1, 2].map(|i| w[0] * a[i] + w[1] * b[i] + w[2] * c[i]);
+            best = (w, point, squared(point));
+            beyond = [true; 3];
+        }
+    }
+    if beyond[2] {
+        let (t, point, d) = closest_on_segment(a, b);
+        if d < best.2 {
             best = ([1.0 - t, t, 0.0], point, d);
         }
-        if !inside[0] {
-            let (t, point, d) = closest_on_segment(b, c);
-            if d < best.2 {
-                best = ([0.0, 1.0 - t, t], point, d);
-            }
+    }
+    if beyond[0] {
+        let (t, point, d) = closest_on_segment(b, c);
+        if d < best.2 {
+            best = ([0.0, 1.0 - t, t], point, d);
         }
-        if !inside[1] {
-            let (t, point, d) = closest_on_segment(c, a);
-            if d < best.2 {
-                best = ([t, 0.0, 1.0 - t], point, d);
-            }
+    }
+    if beyond[1] {
+        let (t, point, d) = closest_on_segment(c, a);
+        if d < best.2 {
+            best = ([t, 0.0, 1.0 - t], point, d);
         }
-        (best.0, best.1)
-    };
+    }
+    let (barycentric, mut point, _) = best;
     // rounding may have left the triangle's box: see "Ties" of the module
     for i in 0..3 {
         let low = a[i].min(b[i]).min(c[i]);
