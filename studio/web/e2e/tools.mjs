@@ -234,7 +234,8 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await until("the chin", () => !heard.plan.preview && heard.plan.steps.some((s) => s.preset === "chin-forward"));
   await slide("preset-chin-forward", 1e9);
   const far = await closed(page, "chin forward");
-  check(far.includes("not taken over") && (await page.locator('[data-key="preset-chin-forward#"]').inputValue()) === "6", `a number out of range is refused: ${far}`);
+  check(far.includes("not taken over"), `a number out of range is refused: ${far}`);
+  await until("the number before it", async () => (await page.locator('[data-key="preset-chin-forward#"]').inputValue()) === "6");
   const plain = await report();
   await slide("blend", 0);
   const save = panel.getByRole("button", { name: "obj", exact: true });
