@@ -66,7 +66,8 @@ pub(super) fn on_line(a: Point, b: Point, c: Point, d: Point) -> Option<([f64; 3
 /// so slivers stay accurate); otherwise on a side that the projection lies beyond.
 #[inline(always)]
 pub(super) fn closest_on_triangle(a: Point, b: Point, c: Point) -> ([f64; 3], Point, f64) {
-    /// Squared error of a normal, in units of rounding, from which on the projection along it may miss the triangle.
+    /// Where the squares of area, sides and distance are in this proportion, the normal has ten digits; with fewer the projection along it
+    /// may miss the triangle.
     const ROUNDED: f64 = 1e-12;
     let (ab, ac) = (sub(b, a), sub(c, a));
     let normal = cross(ab, ac);
