@@ -25,7 +25,17 @@ const fn rmse(csv: &'static str, rows: Rows) -> Pick {
 
 /// Mean rmse of some rows over that of others.
 const fn rmses(csv: &'static str, value: Rows, over: Rows, is: Bound) -> Rule {
-    ratio(rmse(csv, value), rmse(csv, over), is)
+    means(csv, "rmse", value, over, is)
+}
+
+/// Mean of a column in some rows of a table over that in others.
+const fn means(csv: &'static str, column: &'static str, value: Rows, over: Rows, is: Bound) -> Rule {
+    ratio(pick(csv, value, column, Mean), pick(csv, over, column, Mean), is)
+}
+
+/// How much a column varies in some rows of a table over how much in others.
+const fn variations(csv: &'static str, column: &'static str, value: Rows, over: Rows, is: Bound) -> Rule {
+    ratio(pick(csv, value, column, Variation), pick(csv, over, column, Variation), is)
 }
 
 /// The rmse on the finest template over that on the coarsest.
@@ -70,6 +80,8 @@ const TO_PLANE: Rows = &[("study", "scan"), ("size", "2000"), ("name", "point_to
 
 const PRIOR: Rows = &[("group", "prior"), ("name", "lambda_blend x 1")];
 const NO_PRIOR: Rows = &[("group", "prior"), ("name", "lambda_blend x 0")];
+const NODES_50: Rows = &[("group", "nodes"), ("name", "50")];
+const NODES_800: Rows = &[("group", "nodes"), ("name", "800")];
 const ROTATION: (&str, &str) = ("group", "rotation");
 const MATRICES: Rows = &[ROTATION, ("name", "matrix")];
 const QUATERNIONS: Rows = &[ROTATION, ("name", "quaternion")];
@@ -160,11 +172,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "[...] but do not suit capturing fine detail, such as wrinkles.",
         section: "1.1, again 2.1",
         rule: "The blendshape model's error off the surface is on average at least 1.5 times the hybrid's.",
-        rules: &[ratio(
-            pick("comparison", BLENDSHAPE, "normal", Mean),
-            pick("comparison", HYBRID, "normal", Mean),
-            AtLeast(1.5),
-        )],
+        rules: &[means("comparison", "normal", BLENDSHAPE, HYBRID, AtLeast(1.5))],
         remark: "",
     },
     Claim {
@@ -193,11 +201,7 @@ pub const KLIMOV: &[Claim] = &[
         section: "1.2",
         rule: "The rmse varies (standard deviation over mean) at least 1.5 times as much from model to model as from data term to \
                data term.",
-        rules: &[ratio(
-            pick("comparison", &[("group", "model")], "rmse", Variation),
-            pick("comparison", &[("group", "term")], "rmse", Variation),
-            AtLeast(1.5),
-        )],
+        rules: &[variations("comparison", "rmse", &[MODEL], &[("group", "term")], AtLeast(1.5))],
         remark: "Both vary with the scan as well.",
     },
     Claim {
@@ -206,11 +210,7 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.1, eq. (5)",
         rule: "Without the prior, the largest weight is at least 1.5 times as large, and the rmse larger.",
         rules: &[
-            ratio(
-                pick("ablations", NO_PRIOR, "largest_weight", Mean),
-                pick("ablations", PRIOR, "largest_weight", Mean),
-                AtLeast(1.5),
-            ),
+            means("ablations", "largest_weight", NO_PRIOR, PRIOR, AtLeast(1.5)),
             rmses("ablations", NO_PRIOR, PRIOR, AtLeast(1.0)),
         ],
         remark: "",
@@ -231,11 +231,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "One may choose a different number of nodes: a small one for coarse deformations, a large one for fine ones.",
         section: "2.1",
         rule: "With 50 nodes, the error off the surface is at least 1.3 times that with 800.",
-        rules: &[ratio(
-            pick("ablations", &[("group", "nodes"), ("name", "50")], "normal", Mean),
-            pick("ablations", &[("group", "nodes"), ("name", "800")], "normal", Mean),
-            AtLeast(1.3),
-        )],
+        rules: &[means("ablations", "normal", NODES_50, NODES_800, AtLeast(1.3))],
         remark: "",
     },
     Claim {
@@ -284,12 +280,8 @@ pub const KLIMOV: &[Claim] = &[
         section: "2.2",
         rule: "With 50 components, rmse and steps vary (standard deviation over mean) less from scan to scan than with 50 raw shapes.",
         rules: &[
-            ratio(pick("shapes", PCA_50, "rmse", Variation), pick("shapes", RAW_50, "rmse", Variation), AtMost(1.0)),
-            ratio(
-                pick("shapes", PCA_50, "iterations", Variation),
-                pick("shapes", RAW_50, "iterations", Variation),
-                AtMost(1.0),
-            ),
+            variations("shapes", "rmse", PCA_50, RAW_50, AtMost(1.0)),
+            variations("shapes", "iterations", PCA_50, RAW_50, AtMost(1.0)),
         ],
         remark: "Few scans: the variation itself is uncertain.",
     },
@@ -311,11 +303,7 @@ pub const KLIMOV: &[Claim] = &[
         quote: "The time may differ with topology and implementation, but its dependence on the number of blendshapes will remain.",
         section: "2.2",
         rule: "By our differentiation, the share of the time that grows with the shapes is at least half of that by the paper's.",
-        rules: &[ratio(
-            pick("shapes-fit.timing", OURS, "growing_share", Mean),
-            pick("shapes-fit.timing", PAPER, "growing_share", Mean),
-            AtLeast(0.5),
-        )],
+        rules: &[means("shapes-fit.timing", "growing_share", OURS, PAPER, AtLeast(0.5))],
         remark: "",
     },
 ];

@@ -37,6 +37,35 @@ const fn drag(model: Rows) -> Pick {
     pick("mask-cost.timing", model, "drag", Mean)
 }
 
+const DRAWING: Rows = &[("stage", "draw and blur"), ("size", "100000")];
+const WEIGHING: Rows = &[("stage", "weights, visible"), ("size", "100000")];
+const MORPHING: Rows = &[("stage", "direct morph"), ("size", "100000")];
+
+/// Milliseconds of a stage of masking.
+const fn time(stage: Rows) -> Pick {
+    pick("mask-speed.timing", stage, "milliseconds", Mean)
+}
+
+/// The disc of Table 1 after so many mean blurs.
+const BLURS_0: Rows = &[("blur", "mean"), ("iterations", "0")];
+const BLURS_20: Rows = &[("blur", "mean"), ("iterations", "20")];
+const BLURS_40: Rows = &[("blur", "mean"), ("iterations", "40")];
+
+/// The morph of Fig. 3 under each blur.
+const UNBLURRED: Rows = &[("blur", "none")];
+const MEAN: Rows = &[("blur", "mean")];
+const GAUSSIAN: Rows = &[("blur", "gaussian")];
+const WIDE_GAUSSIAN: Rows = &[("blur", "wide gaussian")];
+const MEDIAN: Rows = &[("blur", "median")];
+
+const fn jump(blur: Rows) -> Pick {
+    pick("blurred-morphs", blur, "largest_jump", First)
+}
+
+const fn reached(blur: Rows) -> Pick {
+    pick("blurred-morphs", blur, "reached", First)
+}
+
 /// Every sentence of the paper that claims something which can be measured.
 pub const LI: &[Claim] = &[
     Claim {
@@ -115,10 +144,7 @@ pub const LI: &[Claim] = &[
         quote: "A set of texture coordinates is computed for the vertices in real time.",
         section: "Abstract, 1.1",
         rule: "Every one of 100,000 vertices gets its weight, visibility included, within 40 ms of one core, a frame of 25 a second.",
-        rules: &[alone(
-            pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", Mean),
-            AtMost(40.0),
-        )],
+        rules: &[alone(time(WEIGHING), AtMost(40.0))],
         remark: "The paper does without a test of visibility.",
     },
     Claim {
@@ -142,18 +168,9 @@ pub const LI: &[Claim] = &[
         section: "Abstract, 5",
         rule: "From region to moved vertices, 100,000 of them, everything takes at most 100 ms of one core: drawing and blurring, weights, morph.",
         rules: &[
-            alone(
-                pick("mask-speed.timing", &[("stage", "draw and blur"), ("size", "100000")], "milliseconds", Mean),
-                AtMost(50.0),
-            ),
-            alone(
-                pick("mask-speed.timing", &[("stage", "weights, visible"), ("size", "100000")], "milliseconds", Mean),
-                AtMost(40.0),
-            ),
-            alone(
-                pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", Mean),
-                AtMost(10.0),
-            ),
+            alone(time(DRAWING), AtMost(50.0)),
+            alone(time(WEIGHING), AtMost(40.0)),
+            alone(time(MORPHING), AtMost(10.0)),
         ],
         remark: "Nothing is kept from one morph to the next.",
     },
@@ -162,8 +179,8 @@ pub const LI: &[Claim] = &[
         section: "1.3, Table 1",
         rule: "After 20 mean blurs no two neighbouring pixels differ by more than 3 %; before, they differ by the whole.",
         rules: &[
-            alone(pick("blurs", &[("blur", "mean"), ("iterations", "20")], "steepest", First), AtMost(0.03)),
-            alone(pick("blurs", &[("blur", "mean"), ("iterations", "0")], "steepest", First), AtLeast(0.9)),
+            alone(pick("blurs", BLURS_20, "steepest", First), AtMost(0.03)),
+            alone(pick("blurs", BLURS_0, "steepest", First), AtLeast(0.9)),
         ],
         remark: "",
     },
@@ -172,8 +189,8 @@ pub const LI: &[Claim] = &[
         section: "1.3, Table 1",
         rule: "After 40 mean blurs the highest grey is at least 0.9 of the one before.",
         rules: &[ratio(
-            pick("blurs", &[("blur", "mean"), ("iterations", "40")], "highest", First),
-            pick("blurs", &[("blur", "mean"), ("iterations", "0")], "highest", First),
+            pick("blurs", BLURS_40, "highest", First),
+            pick("blurs", BLURS_0, "highest", First),
             AtLeast(0.9),
         )],
         remark: "A matter of the region's size: a disc of 50 pixels here, twice the blur's deviation of 24.",
@@ -182,29 +199,14 @@ pub const LI: &[Claim] = &[
         quote: "The median blur works worst: the rim does not go over smoothly after the morph.",
         section: "1.3, Fig. 3",
         rule: "The largest jump across an edge is at least twice that under the mean.",
-        rules: &[ratio(
-            pick("blurred-morphs", &[("blur", "median")], "largest_jump", First),
-            pick("blurred-morphs", &[("blur", "mean")], "largest_jump", First),
-            AtLeast(2.0),
-        )],
+        rules: &[ratio(jump(MEDIAN), jump(MEAN), AtLeast(2.0))],
         remark: "",
     },
     Claim {
         quote: "Mean and Gaussian blur both solve this problem well.",
         section: "1.3, Fig. 3",
         rule: "Under each of them the largest jump is at most half of that without blur.",
-        rules: &[
-            ratio(
-                pick("blurred-morphs", &[("blur", "mean")], "largest_jump", First),
-                pick("blurred-morphs", &[("blur", "none")], "largest_jump", First),
-                AtMost(0.5),
-            ),
-            ratio(
-                pick("blurred-morphs", &[("blur", "gaussian")], "largest_jump", First),
-                pick("blurred-morphs", &[("blur", "none")], "largest_jump", First),
-                AtMost(0.5),
-            ),
-        ],
+        rules: &[ratio(jump(MEAN), jump(UNBLURRED), AtMost(0.5)), ratio(jump(GAUSSIAN), jump(UNBLURRED), AtMost(0.5))],
         remark: "",
     },
     Claim {
@@ -212,11 +214,7 @@ pub const LI: &[Claim] = &[
                 [At equal kernel size]",
         section: "1.3, Fig. 3",
         rule: "With 13 x 13 for both, the mean reaches more than the Gaussian (by at least 0.1 %).",
-        rules: &[ratio(
-            pick("blurred-morphs", &[("blur", "mean")], "reached", First),
-            pick("blurred-morphs", &[("blur", "gaussian")], "reached", First),
-            AtLeast(1.001),
-        )],
+        rules: &[ratio(reached(MEAN), reached(GAUSSIAN), AtLeast(1.001))],
         remark: "The Gaussian that fits into a kernel is narrower than the mean, so that it blurs less.",
     },
     Claim {
@@ -224,21 +222,14 @@ pub const LI: &[Claim] = &[
                 [At equal variance]",
         section: "1.3, Fig. 3",
         rule: "With the Gaussian as wide as the mean, the mean reaches more (by at least 0.1 %).",
-        rules: &[ratio(
-            pick("blurred-morphs", &[("blur", "mean")], "reached", First),
-            pick("blurred-morphs", &[("blur", "wide gaussian")], "reached", First),
-            AtLeast(1.001),
-        )],
+        rules: &[ratio(reached(MEAN), reached(WIDE_GAUSSIAN), AtLeast(1.001))],
         remark: "Twenty means are all but a Gaussian: the central limit theorem.",
     },
     Claim {
         quote: "The system [...] runs efficiently.",
         section: "3",
         rule: "Dragging moves 100,000 vertices within 40 ms of one core.",
-        rules: &[alone(
-            pick("mask-speed.timing", &[("stage", "direct morph"), ("size", "100000")], "milliseconds", Mean),
-            AtMost(40.0),
-        )],
+        rules: &[alone(time(MORPHING), AtMost(40.0))],
         remark: "",
     },
 ];
