@@ -2,6 +2,7 @@
 
 use anyhow::{Result, bail};
 
+use crate::output::make_folder;
 use crate::peers::{METHODS, OURS, plot, run_others};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, write_runs};
 use crate::report::table::{Table, counted, number};
@@ -32,7 +33,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     };
     let mut rows = measure(setting.program, &source, &Variant::models(&OURS)?, threads, None, &mut on_row)?;
     let out = setting.out.join("peers");
-    std::fs::create_dir_all(&out)?;
+    make_folder(&out)?;
     let methods = METHODS.map(String::from);
     rows.extend(run_others(&methods, python, &data.cases, threads, TIMEOUT, &out, &mut on_row)?);
 
