@@ -6,7 +6,6 @@
 //! from the median place (by coordinate), root mean square over all faces and over the vertices that lie within `--within` of
 //! every face; and how many vertices these are, without which a result that leaves the faces could look consistent.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -17,7 +16,7 @@ use nonrigid::io::{read_polygon_mesh, write_polygon_mesh};
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
-    ModelFactory, ModelKind, RegistrationInput, RegistrationResult, Schedule, StepRecord, register,
+    ModelFactory, ModelKind, RegistrationInput, RegistrationResult, Schedule, Silent, register,
 };
 use nonrigid::render::{ColourScale, View, error_sheet, save_png};
 use nonrigid::rig::{Population, ShapeBasis, ShapeSelection};
@@ -194,7 +193,7 @@ fn row_of(
     let (mut places, mut failed) = (Vec::new(), Vec::new());
     for (face, &name) in population.faces.iter().zip(names) {
         let input = RegistrationInput { shapes, ..RegistrationInput::new(rig.template(), face) };
-        match register(&input, &model, schedule, &mut |_: &StepRecord| ControlFlow::Continue(())) {
+        match register(&input, &model, schedule, &mut Silent) {
             Ok(result) => {
                 if a.meshes {
                     let path = a.out.join(format!("{model}_{name:02}.obj"));

@@ -6,7 +6,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -16,7 +15,7 @@ use nonrigid::io::{self, Scan, write_polygon_mesh};
 use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
-use nonrigid::registration::{ModelKind, Quality, RegistrationInput, StepRecord, assess, register};
+use nonrigid::registration::{ModelKind, Quality, RegistrationInput, Silent, assess, register};
 use nonrigid::render::{
     Camera, Frame, RgbImage, Scene, Sheet, Style, View, draw_text, render, save_png, text_height, text_size,
 };
@@ -295,7 +294,7 @@ fn fit(model: &ModelKind, template: &Template, target: &Target) -> Result<(Fit, 
         landmarks: &target.landmarks,
         ..RegistrationInput::new(&template.mesh, &target.scan.mesh)
     };
-    let result = register(&input, model, &model.schedule()?, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
+    let result = register(&input, model, &model.schedule()?, &mut Silent)?;
     if !result.positions.iter().all(|p| p.iter().all(|x| x.is_finite())) {
         bail!("the result is not finite");
     }

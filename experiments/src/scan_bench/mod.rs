@@ -11,7 +11,6 @@ mod measure;
 mod row;
 mod variant;
 
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -22,7 +21,7 @@ use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, Vec3};
 use nonrigid::registration::{
-    Level, ModelFactory, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Stage, StepRecord,
+    Level, ModelFactory, RegistrationError, RegistrationInput, RegistrationResult, Schedule, Silent, Stage,
     TermFactory, register_with,
 };
 use nonrigid::rig::{Regions, Rig, ShapeBasis, ShapeSelection};
@@ -163,8 +162,8 @@ impl BenchCase {
     pub fn score(&self, positions: &[Vec3]) -> Result<(TruthErrors, MeshQuality), EvaluationError> {
         let triangles = self.template.triangulate().triangles;
         let (errors, _) = TruthErrors::new(positions, &self.truth, &self.observed, &triangles)?;
-        let rest = self.neutral.as_ref().unwrap_or(&self.template.positions);
-        Ok((errors, MeshQuality::new(&self.template.with_positions(rest.clone()), positions)?))
+        let rest = self.template.with_positions(self.rest().to_vec());
+        Ok((errors, MeshQuality::new(&rest, positions)?))
     }
 
     /// A result in numbers, and another program's `iterations` are unknown.
@@ -300,7 +299,7 @@ pub fn fit_case(
     let (landmarks, schedule) = landmarks.apply(case, schedule);
     let input = RegistrationInput { landmarks: &landmarks, ..case.input() };
     let clock = Instant::now();
-    let result = register_with(&input, model, terms, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()))?;
+    let result = register_with(&input, model, terms, &schedule, &mut Silent)?;
     Ok((result, clock.elapsed().as_secs_f64()))
 }
 

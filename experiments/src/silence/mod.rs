@@ -10,14 +10,13 @@
 mod calibrate;
 mod degradation;
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use nonrigid::console::{Failure, say};
 use nonrigid::io::FilePlan;
 use nonrigid::registration::{
-    Handedness, ModelFactory, ModelKind, RegistrationInput, Reliability, Schedule, StepRecord, assess, register,
+    Handedness, ModelFactory, ModelKind, RegistrationInput, Reliability, Schedule, Silent, assess, register,
 };
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -317,7 +316,7 @@ pub fn run_job(sources: &Sources, job: &Job) -> Result<SilenceRow> {
         ModelKind::Hybrid => sources.schedule.clone(),
         other => other.schedule()?,
     };
-    match register(&input, &trial.model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())) {
+    match register(&input, &trial.model, &schedule, &mut Silent) {
         Ok(result) => {
             row.reliability = Some(assess(&input, &result)?.1);
             row.rmse = Some(trial.case.score(&result.positions)?.0.rmse);

@@ -1,6 +1,5 @@
 //! `scan_bench` on generated cases with all models, with a user's own model and term, and on a real case where there is one.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
@@ -11,7 +10,7 @@ use nonrigid::mesh::{PoseKind, Vec3, closest_pose};
 use nonrigid::model::ModelError;
 use nonrigid::nlls::{BlockStructure, Kernel, NormalEquations};
 use nonrigid::registration::{
-    ModelFactory, ModelInput, ModelKind, RegistrationInput, RegistrationModel, RegistrationTerm, Schedule, StepRecord,
+    ModelFactory, ModelInput, ModelKind, RegistrationInput, RegistrationModel, RegistrationTerm, Schedule, Silent,
     TERMS, TermFactory, TermInput, register,
 };
 use nonrigid::term::{Landmarks, TermError};
@@ -69,7 +68,7 @@ fn every_model_gets_a_row_for_every_case() {
                 ..RegistrationInput::new(&case.template, &case.scan.mesh)
             };
             let schedule = model.schedule().unwrap();
-            let again = register(&input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(())).unwrap();
+            let again = register(&input, &model, &schedule, &mut Silent).unwrap();
             let triangles = case.template.triangulate().triangles;
             let errors = TruthErrors::new(&again.positions, &case.truth, &case.observed, &triangles).unwrap().0;
             assert_eq!((&score.errors, score.iterations), (&errors, Some(again.history.len())));
