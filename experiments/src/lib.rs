@@ -63,6 +63,19 @@ fn identity_modes(rig: &nonrigid::rig::Rig, asked: Option<usize>) -> Result<usiz
     }
 }
 
+/// Which shapes of a rig are expressions, and which identity modes.
+fn families(rig: &nonrigid::rig::Rig) -> (Vec<usize>, Vec<usize>) {
+    let expression = |k: &usize| rig.shapes()[*k].family != nonrigid::rig::Family::Identity;
+    (0..rig.shapes().len()).partition(expression)
+}
+
+/// Adds a shape of a rig to points, one for each vertex.
+fn add_shape(points: &mut [nonrigid::mesh::Vec3], rig: &nonrigid::rig::Rig, shape: usize, weight: f64) {
+    for (p, d) in points.iter_mut().zip(rig.deltas(shape).chunks_exact(3)) {
+        *p += nonrigid::mesh::Vec3::new(d[0].into(), d[1].into(), d[2].into()) * weight;
+    }
+}
+
 /// The file of this program, whose processes measure what needs one of its own.
 ///
 /// # Errors

@@ -6,11 +6,11 @@ use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::io::files_of_mesh;
 use nonrigid::mesh::{Pose, PoseKind, Vec3, closest_pose};
-use nonrigid::registration::InputFile;
+use nonrigid::registration::{InputFile, ModelKind};
 
 use super::effort::Effort;
 use crate::generated::write_standard_cases;
-use crate::real_scans::{ScanFile, scans_in};
+use crate::real_scans::{Arguments, ScanFile, scans_in};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders};
 use crate::unread;
 
@@ -136,6 +136,13 @@ impl RealScans {
             (!scans.is_empty()).then(|| Self { rig: rig.to_owned(), folder, scans })
         };
         [scans.join("scans"), scans.to_owned()].into_iter().find_map(in_folder)
+    }
+
+    /// How `real-scans` registers them with these models.
+    #[must_use]
+    pub fn arguments(&self, models: Vec<ModelKind>, out: PathBuf) -> Arguments {
+        let (scans, rig) = (self.folder.clone(), self.rig.clone());
+        Arguments { scans, rig, identity_modes: None, models, out, threads: None }
     }
 }
 

@@ -8,7 +8,6 @@ use std::time::Instant;
 use anyhow::Result;
 use nonrigid::console::Failure;
 use nonrigid::energy::{Deformation, DeformationModel as _, Pointwise, Samples};
-use nonrigid::mesh::Vec3;
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::model::{Hybrid, Linearisation, NodeGraph, Stiffness};
 use nonrigid::morph::{EnergyOptions, MorphModel};
@@ -25,7 +24,7 @@ use crate::generated::{Face, bend, face, first_standard_case};
 use crate::processor_time::busy_share;
 use crate::scan_bench::BenchRig;
 use crate::surgery::{Masked, Patient};
-use crate::unread;
+use crate::{add_shape, unread};
 
 /// What a run does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -211,9 +210,7 @@ fn face_of_rig(folder: &Path, shapes: usize, seed: u64) -> Result<Face> {
     let mut goal = mesh.positions.clone();
     for _ in 0..if rig.shapes().is_empty() { 0 } else { 3 } {
         let (k, weight) = (rng.random_range(0..rig.shapes().len()), rng.random_range(0.3..0.8));
-        for (p, d) in goal.iter_mut().zip(rig.deltas(k).chunks_exact(3)) {
-            *p += weight * Vec3::new(d[0].into(), d[1].into(), d[2].into());
-        }
+        add_shape(&mut goal, rig, k, weight);
     }
     bend(&mut goal, BUMP, &mut rng);
     let count = shapes.min(rig.shapes().len());

@@ -3,13 +3,13 @@
 use anyhow::Result;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::render::{Camera, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
-use nonrigid::rig::Family;
 
 use crate::report::data::upright;
 use crate::report::study::{Block, Section, Setting, Study};
 use crate::report::table::{Table, counted};
 use crate::report::view3d::{View3d, ViewMesh};
 use crate::scan_bench::BenchCase;
+use crate::{add_shape, families};
 
 pub const STUDY: Study = Study {
     name: "inputs",
@@ -59,19 +59,16 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     blocks.push(setting.picture("scans", &sheet.render(), "Fig. 2: the scans that the template is registered to: irregular triangles, holes, noise, spikes, loose parts. Their true correspondences are known to the last digit.")?);
 
     let shapes = rig.shapes();
-    let of = |identity: bool| {
-        (0..shapes.len()).filter(|k| (shapes[*k].family == Family::Identity) == identity).collect::<Vec<_>>()
-    };
-    let (expressions, modes) = (of(false), of(true));
+    let (expressions, modes) = families(rig);
     let spread = (0..EXPRESSIONS.min(expressions.len()))
         .map(|k| expressions[k * expressions.len() / EXPRESSIONS.min(expressions.len())]);
     let chosen: Vec<(usize, f64)> =
         spread.map(|k| (k, 1.0)).chain(modes.iter().take(MODES).map(|k| (*k, 2.0))).collect();
     let camera = Camera::framing(&Frame::of(&template.positions), View::Angles { yaw: 15.0, pitch: 2.0 }, PANEL);
     let shape = |&(k, weight): &(usize, f64)| {
-        let moved = template.positions.iter().zip(rig.deltas(k).chunks_exact(3));
-        let positions = moved.map(|(p, d)| p + weight * Vec3::new(d[0].into(), d[1].into(), d[2].into())).collect();
-        TriangleMesh { positions, triangles: template.triangulate().triangles }
+        let mut mesh = template.triangulate();
+        add_shape(&mut mesh.positions, rig, k, weight);
+        mesh
     };
     let panel = |chosen: &(usize, f64)| {
         let mesh = shape(chosen);

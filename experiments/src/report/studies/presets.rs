@@ -12,10 +12,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::generated::Studio;
-use crate::real_scans::{Arguments, register_all};
+use crate::real_scans::register_all;
 use crate::report::study::{Block, Section, Setting, Study, spread};
 use crate::report::table::{Table, counted, number, shown};
 use crate::surgery::Patient;
+use crate::{add_shape, families};
 
 pub const STUDY: Study = Study {
     name: "presets",
@@ -110,15 +111,7 @@ fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
     }
     let Some(real) = &setting.data.real else { return Ok(all) };
     let out = setting.out.join("presets");
-    let arguments = Arguments {
-        scans: real.folder.clone(),
-        rig: real.rig.clone(),
-        identity_modes: None,
-        models: vec![ModelKind::Hybrid],
-        out: out.clone(),
-        threads: None,
-    };
-    register_all(&arguments, &real.scans)?;
+    register_all(&real.arguments(vec![ModelKind::Hybrid], out.clone()), &real.scans)?;
     for scan in &real.scans {
         let path = out.join(&scan.name).join("hybrid.obj");
         if path.exists() {
@@ -132,12 +125,8 @@ fn patients(setting: &Setting<'_>) -> Result<Vec<Patient>> {
 fn person(rig: &Rig, neutral: &[Vec3], seed: u64) -> Vec<Vec3> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut positions = neutral.to_vec();
-    let modes = (0..rig.shapes().len()).filter(|k| rig.shapes()[*k].family == nonrigid::rig::Family::Identity);
-    for k in modes.take(IDENTITY_MODES) {
-        let weight: f64 = StandardNormal.sample(&mut rng);
-        for (p, d) in positions.iter_mut().zip(rig.deltas(k).chunks_exact(3)) {
-            *p += Vec3::new(d[0].into(), d[1].into(), d[2].into()) * weight;
-        }
+    for mode in families(rig).1.into_iter().take(IDENTITY_MODES) {
+        add_shape(&mut positions, rig, mode, StandardNormal.sample(&mut rng));
     }
     positions
 }

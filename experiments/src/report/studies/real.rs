@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 
-use crate::real_scans::{Arguments, COLUMNS, numbers, register_all};
+use crate::real_scans::{COLUMNS, numbers, register_all};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked};
 use crate::report::table::Table;
 
@@ -21,14 +21,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let Some(real) = &setting.data.real else {
         bail!("--scans holds no scan but cases with truth");
     };
-    let arguments = Arguments {
-        scans: real.folder.clone(),
-        rig: real.rig.clone(),
-        identity_modes: None,
-        models: setting.effort.models.clone(),
-        out: setting.out.join("real"),
-        threads: None,
-    };
+    let arguments = real.arguments(setting.effort.models.clone(), setting.out.join("real"));
     let (rows, picture) = register_all(&arguments, &real.scans)?;
     let mut table = Table::new(&[&["scan", "model"][..], &COLUMNS, &["error"]].concat());
     for row in &rows {
