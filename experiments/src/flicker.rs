@@ -6,7 +6,6 @@
 //! where the two before lead. Held: person, motion, scans. Measured: rmse over the vertices that a frame's scan shows; flicker, the
 //! second difference in time of the vertices' errors against truth, root mean square; and frames that are taken for lost.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -14,14 +13,14 @@ use comfy_table::Table;
 use nonrigid::console::{Failure, Stage, say};
 use nonrigid::mesh::Vec3;
 use nonrigid::motion::{Track, flicker};
-use nonrigid::registration::{ModelKind, RegistrationInput, StepRecord, WarmStart, register};
+use nonrigid::registration::{ModelKind, RegistrationInput, Silent, WarmStart, register};
 use serde::Serialize;
 use serde_json::json;
 
 use crate::generated::Studio;
 use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::BenchCase;
-use crate::tables::{table, write_json};
+use crate::tables::{grouped, table, write_json};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -141,7 +140,7 @@ fn track(cases: &[BenchCase], model: ModelKind) -> Result<Vec<Vec<Vec3>>> {
     let mut frames = Vec::with_capacity(cases.len());
     for case in cases {
         let input = RegistrationInput { warm_start: last.as_ref(), ..case.input() };
-        let result = register(&input, &model, &schedule, &mut |_: &StepRecord| ControlFlow::Continue(()));
+        let result = register(&input, &model, &schedule, &mut Silent);
         let result = result.map_err(|e| Failure::computation(format!("{}: {e}", case.name)))?;
         frames.push(result.positions);
         last = Some(result.end);
@@ -200,24 +199,14 @@ fn pulled(frames: &[Vec<Vec3>], weight: f64, steps: usize) -> Vec<Vec<Vec3>> {
 
 /// By rate and way.
 fn means(rows: &[Row]) -> Vec<Row> {
-    let mut found: Vec<Row> = Vec::new();
-    for row in rows {
-        if found.iter().any(|f| (f.frames_per_second, &f.way) == (row.frames_per_second, &row.way)) {
-            continue;
-        }
-        let alike: Vec<&Row> =
-            rows.iter().filter(|r| (r.frames_per_second, &r.way) == (row.frames_per_second, &row.way)).collect();
+    let alike = grouped(rows.iter().map(|r| ((r.frames_per_second, &r.way), r))).into_iter().map(|group| group.1);
+    let mean_of = |alike: Vec<&Row>| {
         let mean = |of: fn(&Row) -> f64| alike.iter().map(|r| of(r)).sum::<f64>() / alike.len() as f64;
         let lost = alike.iter().map(|r| r.lost).sum();
-        found.push(Row {
-            rmse: mean(|r| r.rmse),
-            flicker: mean(|r| r.flicker),
-            ratio: mean(|r| r.ratio),
-            lost,
-            ..row.clone()
-        });
-    }
-    found
+        let (rmse, flicker, ratio) = (mean(|r| r.rmse), mean(|r| r.flicker), mean(|r| r.ratio));
+        Row { rmse, flicker, ratio, lost, ..alike[0].clone() }
+    };
+    alike.map(mean_of).collect()
 }
 
 fn shown(rows: &[Row]) -> Table {

@@ -259,8 +259,7 @@ fn case_for_others(case: &BenchCase) -> Result<NpzContents> {
 pub fn plot(rows: &[BenchRow]) -> Result<String> {
     let mut series = Vec::new();
     for summary in summarize(rows) {
-        let of = rows.iter().filter(|r| (&r.group, &r.model) == (&summary.group, &summary.model));
-        let errors: Vec<f64> = of.filter_map(|r| Some(r.score.as_ref()?.errors.rmse)).collect();
+        let errors = summary.errors(rows);
         if let (Some(seconds), false) = (summary.mean_seconds, errors.is_empty()) {
             let [low, high] =
                 [errors.iter().copied().fold(f64::INFINITY, f64::min), errors.iter().copied().fold(0.0, f64::max)];

@@ -19,6 +19,7 @@ use crate::output::write_file;
 use crate::plots::{Point, Series};
 pub use crate::processor_time::cpu_seconds;
 use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
+use crate::tables::grouped;
 
 /// One figure, table or group of them on the page.
 #[derive(Debug)]
@@ -250,14 +251,8 @@ pub fn error_text<T>(result: &Result<T>) -> String {
 /// When a column does not exist.
 pub fn ranked(table: &Table, holding: &[(&str, &str)], name: &str, column: &str) -> Result<Vec<(String, f64)>> {
     let (key, value) = (table.column(name)?, table.column(column)?);
-    let mut all: Vec<(String, Vec<f64>)> = Vec::new();
-    for (_, row) in table.find(holding)? {
-        let number = row[value].parse().unwrap_or(f64::NAN);
-        match all.iter_mut().find(|(name, _)| *name == row[key]) {
-            Some((_, numbers)) => numbers.push(number),
-            None => all.push((row[key].clone(), vec![number])),
-        }
-    }
+    let named = |(_, row): (usize, &[String])| (row[key].clone(), row[value].parse().unwrap_or(f64::NAN));
+    let all = grouped(table.find(holding)?.into_iter().map(named));
     let mut means: Vec<(String, f64)> = all.into_iter().map(|(name, of)| (name, spread(&of).0)).collect();
     means.retain(|(_, mean)| mean.is_finite());
     means.sort_by(|a, b| a.1.total_cmp(&b.1));

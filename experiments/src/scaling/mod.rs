@@ -19,7 +19,7 @@ use serde_json::Value;
 use crate::generated::shapes_at_most;
 use crate::output::{each_once, make_output_folder, write_file};
 use crate::plots::{Axis, Plot, Point, PowerLaw, Series};
-use crate::tables::{csv_text, table, write_csv};
+use crate::tables::{csv_text, grouped, table, write_csv};
 use crate::this_program;
 
 mod measure;
@@ -317,16 +317,18 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
         write_rows(&a.out.join(format!("{study}.csv")), &rows)?;
         for quantity in quantities {
             let lines = lines(&rows, x, quantity);
-            for line in &lines {
-                if let Some(law) = PowerLaw::fit(&line.points) {
-                    exponents.push((study, quantity, line.name.clone(), law));
+            for (name, points) in &lines {
+                if let Some(law) = PowerLaw::fit(points) {
+                    exponents.push((study, quantity, name.clone(), law));
                 }
             }
-            if lines.iter().any(|l| l.points.iter().any(|p| p[1] > 0.0)) {
+            if lines.iter().any(|(_, points)| points.iter().any(|p| p[1] > 0.0)) {
                 let stem = quantity.key.trim_end_matches("_seconds").trim_end_matches("_bytes");
                 let x = format!("{x} of the {}", if study == "solver" { "template" } else { "scan" });
                 let point = |p: &[f64; 2]| Point { x: p[0], y: p[1], spread: None };
-                let series = |l: &Line| Series::line(&l.name, l.points.iter().map(point).collect()).with_power_law();
+                let series = |(name, points): &(String, Vec<[f64; 2]>)| {
+                    Series::line(name, points.iter().map(point).collect()).with_power_law()
+                };
                 let plot = Plot::new(&format!("{title}: {}", quantity.name), Axis::log(&x), Axis::log(quantity.unit));
                 let plot = plot.series(lines.iter().map(series).collect()).with_proportional();
                 write_file(&a.out.join(format!("{study}-{stem}.svg")), plot.svg()?)?;
@@ -348,32 +350,22 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
     Ok(())
 }
 
-/// Points that belong together.
-struct Line {
-    name: String,
-    /// (x, y), x ascending.
-    points: Vec<[f64; 2]>,
-}
-
-/// One line for each solver, linearisation and number of threads: what was repeated counts by its median.
-fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<Line> {
-    let mut lines: Vec<Line> = Vec::new();
-    for row in rows {
+/// One line for each solver, linearisation and number of threads: its name and points (x, y), x ascending. What was repeated counts by
+/// its median.
+fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<(String, Vec<[f64; 2]>)> {
+    let points = rows.iter().filter_map(|row| {
         let measured = &row[quantity.key];
-        let Some(y) = measured["median"].as_f64().or_else(|| measured.as_f64()) else { continue };
+        let y = measured["median"].as_f64().or_else(|| measured.as_f64())?;
         let threads = format!("threads {}", row["threads"]);
         let name = match (row["linear_solver"].as_str(), row["reference"].as_bool()) {
             (Some(solver), Some(true)) => format!("{}, reference, {threads}", solver.replace('_', "-")),
             (Some(solver), _) => format!("{}, {threads}", solver.replace('_', "-")),
             _ => threads,
         };
-        let point = [row[x].as_f64().unwrap_or(f64::NAN), y / quantity.worth];
-        match lines.iter_mut().find(|l| l.name == name) {
-            Some(line) => line.points.push(point),
-            None => lines.push(Line { name, points: vec![point] }),
-        }
-    }
-    lines.iter_mut().for_each(|l| l.points.sort_by(|a, b| a[0].total_cmp(&b[0])));
+        Some((name, [row[x].as_f64().unwrap_or(f64::NAN), y / quantity.worth]))
+    });
+    let mut lines = grouped(points);
+    lines.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a[0].total_cmp(&b[0])));
     lines
 }
 

@@ -8,7 +8,7 @@ use nonrigid::evaluation::{ApertureErrors, MeshQuality, TruthErrors};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::tables::{csv_text, grouped, table, write_csv, write_json};
 
 /// One variant, or another program's result, on one case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -111,21 +111,23 @@ pub struct BenchSummary {
     pub peak_bytes: Option<u64>,
 }
 
+impl BenchSummary {
+    /// The rmse of every case with a result, of the rows that it sums up.
+    #[must_use]
+    pub fn errors(&self, rows: &[BenchRow]) -> Vec<f64> {
+        let of = rows.iter().filter(|r| (&r.group, &r.model) == (&self.group, &self.model));
+        of.filter_map(|r| Some(r.score.as_ref()?.errors.rmse)).collect()
+    }
+}
+
 /// Summaries by group and name, in the order of the rows.
 #[must_use]
 pub fn summarize(rows: &[BenchRow]) -> Vec<BenchSummary> {
-    let mut order: Vec<[&str; 2]> = Vec::new();
-    for row in rows {
-        let key = [row.group.as_str(), &row.model];
-        if !order.contains(&key) {
-            order.push(key);
-        }
-    }
-    order.into_iter().map(|key| summary(key, rows)).collect()
+    let groups = grouped(rows.iter().map(|row| ([row.group.as_str(), &row.model], row)));
+    groups.into_iter().map(|(key, rows)| summary(key, &rows)).collect()
 }
 
-fn summary(key: [&str; 2], rows: &[BenchRow]) -> BenchSummary {
-    let rows: Vec<&BenchRow> = rows.iter().filter(|r| [r.group.as_str(), &r.model] == key).collect();
+fn summary(key: [&str; 2], rows: &[&BenchRow]) -> BenchSummary {
     let scores: Vec<&Score> = rows.iter().filter_map(|r| r.score.as_ref()).collect();
     let mean = |of: fn(&Score) -> f64| mean(scores.iter().map(|s| of(s))).unwrap_or(0.0);
     let worst = |of: fn(&Score) -> f64| scores.iter().map(|s| of(s)).fold(0.0, f64::max);

@@ -70,12 +70,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     let mut shown = Table::new(&columns);
     let mut bars = Vec::new();
     for s in summarize(&rows) {
-        let of: Vec<f64> = rows
-            .iter()
-            .filter(|r| (&r.group, &r.model) == (&s.group, &s.model))
-            .filter_map(|r| Some(r.score.as_ref()?.errors.rmse))
-            .collect();
-        bars.push((s.group.clone(), Bar { name: s.model.clone(), value: s.mean_rmse, spread: Some(spread(&of).1) }));
+        let (_, range) = spread(&s.errors(&rows));
+        bars.push((s.group.clone(), Bar { name: s.model.clone(), value: s.mean_rmse, spread: Some(range) }));
         let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
         let mut cells = vec![s.group, s.model];
         cells.extend([s.mean_rmse, s.worst_rmse, s.mean_normal, s.mean_tangential, s.mean_p95].map(number));

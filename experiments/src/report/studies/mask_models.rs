@@ -20,6 +20,7 @@ use crate::report::study::{
 use crate::report::table::{Table, number};
 use crate::scaling::{Configuration, MorphRun, run_apart};
 use crate::surgery::{Masked, Patient};
+use crate::tables::grouped;
 
 pub const STUDY: Study = Study {
     name: "mask-models",
@@ -414,7 +415,7 @@ const ACROSS: usize = 6;
 /// Milliseconds of each stage over the number of vertices.
 fn speed(setting: &Setting<'_>, meshes: &[(&str, &TriangleMesh)]) -> Result<Vec<Block>> {
     let mut table = Table::new(&["stage", "size", "vertices", "moving", "repetition", "milliseconds"]);
-    let mut series: Vec<(&str, Vec<Point>)> = Vec::new();
+    let mut points: Vec<(&str, Point)> = Vec::new();
     for &(size, mesh) in meshes {
         let frame = Frame::of(&mesh.positions);
         let camera = Camera::framing_orthographic(&frame, View::Front, [SIDE as u32; 2]);
@@ -470,15 +471,11 @@ fn speed(setting: &Setting<'_>, meshes: &[(&str, &TriangleMesh)]) -> Result<Vec<
                 let of = [name, size, &all, &moving].map(str::to_owned);
                 table.push([&of[..], &[repetition.to_string(), number(*time)]].concat());
             }
-            let point = mean_point(mesh.positions.len() as f64, &milliseconds);
-            match series.iter_mut().find(|s| s.0 == name) {
-                Some((_, points)) => points.push(point),
-                None => series.push((name, vec![point])),
-            }
+            points.push((name, mean_point(mesh.positions.len() as f64, &milliseconds)));
         }
     }
     table.write(setting.out, "mask-speed.timing")?;
-    let lines = series.into_iter().map(|(name, points)| Series::line(name, points)).collect();
+    let lines = grouped(points).into_iter().map(|(name, points)| Series::line(name, points)).collect();
     let svg = Plot::new("", Axis::log("vertices"), Axis::log("milliseconds")).series(lines).svg()?;
     let caption = format!(
         "Processor time on one thread: mean and range of n = {RUNS} repetitions. A frame at 25 pictures a second is 40 ms."

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use nonrigid::mesh::{PolygonMesh, PoseKind, Vec3};
 use nonrigid::registration::{ModelKind, Schedule};
-use nonrigid::rig::{Family, Population, Rig, ShapeBasis, ShapePca, ShapeSelection};
+use nonrigid::rig::{Population, Rig, ShapeBasis, ShapePca, ShapeSelection};
 use rand::seq::{IndexedRandom as _, SliceRandom as _};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -15,7 +15,9 @@ use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, cpu_seconds, error_cells, mean_point, register_variant, spread,
 };
 use crate::report::table::{Table, counted, number, shown};
-use crate::scan_bench::{BenchCase, LandmarkUse, Variant};
+use crate::scan_bench::{BenchCase, Variant};
+use crate::tables::grouped;
+use crate::{add_shape, families};
 
 pub const STUDY: Study = Study {
     name: "shapes",
@@ -83,11 +85,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             "pca" => components.select(ShapeSelection { names: Some(&[]), identity_modes: run.components })?,
             _ => raw_shapes(&rig, run.components, setting.seed)?,
         };
-        let variant = Variant {
-            schedule: schedule(run.paper)?,
-            landmarks: LandmarkUse::All,
-            ..Variant::of_model(ModelKind::Hybrid)?
-        };
+        let variant = Variant { schedule: schedule(run.paper)?, ..Variant::of_model(ModelKind::Hybrid)? };
         let (registered, seconds) = cpu_seconds(|| register_variant(&variant, &case))?;
         let (score, result, _) = registered?;
         anyhow::Ok((score, seconds, result.history.len()))
@@ -161,19 +159,14 @@ fn source(setting: &Setting<'_>) -> Result<Source> {
 /// The neutral with five expressions of 0.2 to 1, and every identity mode by a normal weight.
 fn linear_faces(rig: &Rig, count: usize, seed: u64) -> Vec<Vec<Vec3>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let of = |identity: bool| -> Vec<usize> {
-        (0..rig.shapes().len()).filter(|k| (rig.shapes()[*k].family == Family::Identity) == identity).collect()
-    };
-    let (expressions, identities) = (of(false), of(true));
+    let (expressions, identities) = families(rig);
     let mut face = || {
         let mut weights: Vec<(usize, f64)> = identities.iter().map(|k| (*k, StandardNormal.sample(&mut rng))).collect();
         let shown = expressions.choose_multiple(&mut rng, 5).copied().collect::<Vec<_>>();
         weights.extend(shown.into_iter().map(|k| (k, rng.random_range(0.2..1.0))));
         let mut positions = rig.neutral().to_vec();
         for (k, weight) in weights {
-            for (p, d) in positions.iter_mut().zip(rig.deltas(k).chunks_exact(3)) {
-                *p += Vec3::new(d[0].into(), d[1].into(), d[2].into()) * weight;
-            }
+            add_shape(&mut positions, rig, k, weight);
         }
         positions
     };
@@ -210,33 +203,16 @@ fn schedule(paper: bool) -> Result<Schedule> {
 
 /// Numbers of a column by number of shapes, in the order of the table: (shapes, one number for each scan).
 fn by_shapes(table: &Table, rows: &[(&str, &str)], column: &str) -> Result<Vec<(f64, Vec<f64>)>> {
-    let (shapes, numbers) = (table.numbers(rows, "shapes")?, table.numbers(rows, column)?);
-    let mut found: Vec<(f64, Vec<f64>)> = Vec::new();
-    for (x, y) in shapes.into_iter().zip(numbers) {
-        match found.iter_mut().find(|f| f.0 == x) {
-            Some(f) => f.1.push(y),
-            None => found.push((x, vec![y])),
-        }
-    }
-    Ok(found)
+    Ok(grouped(table.numbers(rows, "shapes")?.into_iter().zip(table.numbers(rows, column)?)))
 }
 
 /// Times of a differentiation with principal components: for each number of them, the least of the repetitions on each scan.
 fn times_of(times: &Table, differentiation: &str, column: &str) -> Result<Vec<(f64, Vec<f64>)>> {
     let rows = [("family", "pca"), ("differentiation", differentiation)];
-    let (shapes, scans) = (times.numbers(&rows, "shapes")?, times.numbers(&rows, "scan")?);
-    let mut found: Vec<(f64, Vec<(f64, f64)>)> = Vec::new();
-    for ((x, scan), time) in shapes.into_iter().zip(scans).zip(times.numbers(&rows, column)?) {
-        let k = found.iter().position(|f| f.0 == x).unwrap_or_else(|| {
-            found.push((x, Vec::new()));
-            found.len() - 1
-        });
-        match found[k].1.iter_mut().find(|s| s.0 == scan) {
-            Some(least) => least.1 = least.1.min(time),
-            None => found[k].1.push((scan, time)),
-        }
-    }
-    Ok(found.into_iter().map(|(x, scans)| (x, scans.into_iter().map(|s| s.1).collect())).collect())
+    let of_scans = times.numbers(&rows, "scan")?.into_iter().zip(times.numbers(&rows, column)?);
+    let least = |(_, repetitions): (f64, Vec<f64>)| repetitions.into_iter().reduce(f64::min).unwrap_or(f64::NAN);
+    let found = grouped(times.numbers(&rows, "shapes")?.into_iter().zip(of_scans));
+    Ok(found.into_iter().map(|(x, of_scans)| (x, grouped(of_scans).into_iter().map(least).collect())).collect())
 }
 
 const DIFFERENTIATIONS: [(&str, &str); 2] = [("paper", "as in the paper"), ("ours", "ours")];

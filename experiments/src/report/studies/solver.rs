@@ -8,6 +8,7 @@ use crate::plots::{Axis, Grid, Plot, Point, Series, StackedBars};
 use crate::report::study::{Section, Setting, Study};
 use crate::report::table::{Table, counted, number, shown};
 use crate::scaling::{Configuration, SolverRun, run_apart};
+use crate::tables::grouped;
 
 pub const STUDY: Study = Study {
     name: "solver",
@@ -150,18 +151,14 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 
 /// A line for each number of threads and each differentiation.
 fn plot(growth: &Growth, measured: &[(&SolverRun, Value)]) -> Plot {
-    let mut series: Vec<(String, Vec<Point>)> = Vec::new();
-    for (run, row) in measured {
+    let points = measured.iter().map(|(run, row)| {
         let name = format!("{}, threads {}", if run.reference { "as in the paper" } else { "ours" }, run.threads);
         let of = |key: &str| 1e3 * row["iteration_seconds"][key].as_f64().unwrap_or(f64::NAN);
         let x = row[growth.column].as_f64().unwrap_or(f64::NAN);
-        let point = Point { x, y: of("median"), spread: Some([of("min"), of("max")]) };
-        match series.iter_mut().find(|s| s.0 == name) {
-            Some(s) => s.1.push(point),
-            None => series.push((name, vec![point])),
-        }
-    }
-    let series = series.into_iter().map(|(name, points)| Series::line(&name, points).with_power_law()).collect();
+        (name, Point { x, y: of("median"), spread: Some([of("min"), of("max")]) })
+    });
+    let line = |(name, points): (String, Vec<Point>)| Series::line(&name, points).with_power_law();
+    let series = grouped(points).into_iter().map(line).collect();
     Plot::new(growth.title, Axis::log(growth.axis), Axis::log("milliseconds an iteration")).series(series)
 }
 
