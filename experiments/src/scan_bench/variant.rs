@@ -105,7 +105,11 @@ impl Variant {
         }
     }
 
-    fn hybrid(group: &str, name: &str, change: impl FnOnce(&mut Schedule)) -> Result<Self, ScheduleError> {
+    /// The hybrid with another schedule.
+    ///
+    /// # Errors
+    /// As [`of_model`](Self::of_model).
+    pub fn hybrid(group: &str, name: &str, change: impl FnOnce(&mut Schedule)) -> Result<Self, ScheduleError> {
         let mut variant = Self { group: group.to_owned(), name: name.to_owned(), ..Self::of_model(ModelKind::Hybrid)? };
         change(&mut variant.schedule);
         Ok(variant)

@@ -9,7 +9,7 @@ use nonrigid::landmark::Landmark;
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::normals::{NormalWeighting, face_cross, vertex_normals};
-use nonrigid::mesh::{Pose, PoseKind, TriangleMesh, Vec3, closest_pose};
+use nonrigid::mesh::{Pose, TriangleMesh, Vec3, rms_size};
 use nonrigid::registration::ModelKind;
 use nonrigid::rig::{Family, ShapeBasis};
 use rand::Rng as _;
@@ -18,6 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use crate::random_pose::{direction, random_pose};
+use crate::report::data::upright;
 use crate::scan_bench::BenchCase;
 
 /// How far from the face a point of the scan moves with it, and how far apart corners of a triangle may come before it tears, millimetres.
@@ -156,12 +157,9 @@ impl Trial<'_> {
 
     /// Size of the true face, and its frame: from the template's axes (Y up, Z forward) to the scan.
     fn frame(&self) -> (f64, Pose) {
-        let pairs: Vec<(Vec3, Vec3)> = self.case.rest().iter().copied().zip(self.case.truth.iter().copied()).collect();
-        let pose = closest_pose(&pairs, PoseKind::Rigid).unwrap_or_else(|_| Pose::identity());
-        let count = pairs.len() as f64;
-        let rest = pairs.iter().map(|p| p.0).sum::<Vec3>() / count;
-        let size = (pairs.iter().map(|p| (p.0 - rest).norm_squared()).sum::<f64>() / count).sqrt();
-        (size, Pose { translation: pose.apply(rest), ..pose })
+        let (rest, pose) = (self.case.rest(), upright(&self.case));
+        let middle = rest.iter().sum::<Vec3>() / rest.len() as f64;
+        (rms_size(rest), Pose { translation: pose.apply(middle), ..pose })
     }
 
     fn scan_normals(&self) -> Vec<Vec3> {

@@ -83,25 +83,23 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 /// Every variant, by group; the default is the first of all. Kernels and terms only where the comparison has them not.
 fn variants(effort: &Effort) -> Result<Vec<Variant>> {
     let mut all = vec![Variant { group: "default".into(), ..Variant::of_model(ModelKind::Hybrid)? }];
-    let mut add = |group: &str, name: String, change: &dyn Fn(&mut Schedule)| -> Result<()> {
-        let mut variant = Variant { group: group.to_owned(), name, ..Variant::of_model(ModelKind::Hybrid)? };
-        change(&mut variant.schedule);
-        all.push(variant);
+    let mut add = |group: &str, name: &str, change: &dyn Fn(&mut Schedule)| -> Result<()> {
+        all.push(Variant::hybrid(group, name, change)?);
         Ok(())
     };
     for nodes in [50, 100, 200, 400, 800, 1600] {
-        add("nodes", nodes.to_string(), &|s| s.model.set("nodes", nodes as i64))?;
+        add("nodes", &nodes.to_string(), &|s| s.model.set("nodes", nodes as i64))?;
     }
     for influences in [1, 2, 4, 6, 8] {
-        add("influences", format!("K = {influences}"), &|s| s.model.set("influences", influences as i64))?;
+        add("influences", &format!("K = {influences}"), &|s| s.model.set("influences", influences as i64))?;
     }
     for (name, distance) in [("along the surface", "surface"), ("through space", "euclidean")] {
-        add("distance", name.into(), &|s| s.model.set("distance", distance))?;
+        add("distance", name, &|s| s.model.set("distance", distance))?;
     }
     for (name, rotation) in [("matrix", "matrix"), ("quaternion", "quaternion"), ("angle-axis", "angle_axis")] {
-        add("rotation", name.into(), &|s| s.model.set("rotation", rotation))?;
+        add("rotation", name, &|s| s.model.set("rotation", rotation))?;
     }
-    add("nodes' motion", "affine".into(), &|s| {
+    add("nodes' motion", "affine", &|s| {
         s.model.set("node", "affine");
         s.levels.iter_mut().for_each(|level| level.model.set("lambda_rotation", 1.0));
     })?;
@@ -110,10 +108,10 @@ fn variants(effort: &Effort) -> Result<Vec<Variant>> {
         ("Levenberg-Marquardt", StepAlgorithm::LevenbergMarquardt),
         ("dogleg", StepAlgorithm::Dogleg),
     ] {
-        add("minimiser", name.into(), &|s| s.solver.algorithm = algorithm)?;
+        add("minimiser", name, &|s| s.solver.algorithm = algorithm)?;
     }
     for factor in [0.0, 0.1, 1.0, 10.0] {
-        add("prior", format!("lambda_blend x {factor}"), &|s| {
+        add("prior", &format!("lambda_blend x {factor}"), &|s| {
             for level in &mut s.levels {
                 let lambda = level.model.number("lambda_blend").unwrap_or(0.0);
                 level.model.set("lambda_blend", factor * lambda);
