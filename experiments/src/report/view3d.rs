@@ -17,7 +17,7 @@ pub struct ViewMesh {
     values: Vec<Vec<f64>>,
 }
 
-/// Meshes in one frame, one of them shown at a time.
+/// Meshes in one frame, one of them shown at a time, the first at first.
 #[derive(Debug)]
 pub struct View3d {
     /// What can be chosen.
@@ -26,8 +26,6 @@ pub struct View3d {
     pub quantities: Vec<&'static str>,
     /// Their common scale, from zero.
     pub scale: ColourScale,
-    /// The mesh that is shown first.
-    pub first: usize,
     /// What it shows.
     pub caption: String,
 }
@@ -58,7 +56,7 @@ impl View3d {
     #[must_use]
     pub fn of_shapes(meshes: Vec<ViewMesh>, caption: String) -> Self {
         let scale = ColourScale::new(ColourMap::Viridis, 0.0, 1.0, "", "");
-        Self { meshes, quantities: Vec::new(), scale, first: 0, caption }
+        Self { meshes, quantities: Vec::new(), scale, caption }
     }
 
     /// The figure, to stand in a page with [`SCRIPT`].
@@ -84,7 +82,6 @@ impl View3d {
             "colours": STANDARD.encode(colours),
             "high": self.scale.high,
             "unit": self.scale.unit,
-            "first": self.first,
         });
         // Within a script, only "</" could end it.
         let data = data.to_string().replace("</", "<\\/");
@@ -184,12 +181,12 @@ mod tests {
         let valued =
             ViewMesh::new("b </script>", "b".into(), quad(5.0)).with_values(vec![vec![0.0, 1.0, 9.0, f64::NAN]]);
         let meshes = vec![ViewMesh::new("a", "a".into(), quad(0.0)), valued];
-        let view = View3d { meshes, quantities: vec!["off"], scale, first: 1, caption: "A < B.".into() };
+        let view = View3d { meshes, quantities: vec!["off"], scale, caption: "A < B.".into() };
         let data = data(&view);
         assert_eq!(data["topologies"].as_array().unwrap().len(), 1);
         assert_eq!(numbers(&data["topologies"][0]["triangles"]), [0, 1, 2, 0, 2, 3]);
-        assert_eq!((&data["meshes"][1]["name"], &data["first"]), (&json!("b </script>"), &json!(1)));
         let mesh = &data["meshes"][1];
+        assert_eq!(mesh["name"], "b </script>");
         for (stored, point) in numbers(&mesh["positions"]).chunks_exact(3).zip(quad(5.0).positions) {
             for axis in 0..3 {
                 let (low, size) = (mesh["low"][axis].as_f64().unwrap(), mesh["size"][axis].as_f64().unwrap());

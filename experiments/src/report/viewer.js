@@ -130,7 +130,7 @@ class Viewer {
     data.quantities.forEach((name, k) => this.values.add(new Option(name, k)));
     this.values.add(new Option("shape alone", -1));
     this.slider.max = data.meshes.length - 1;
-    this.choice.value = this.slider.value = data.first;
+    this.choice.value = this.slider.value = 0;
     const coloured = data.quantities.length > 0;
     figure.querySelectorAll("[data-values]").forEach((part) => { part.hidden = !coloured; });
     this.slider.addEventListener("input", () => { this.choice.value = this.slider.value; this.show(); });

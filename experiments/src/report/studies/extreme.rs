@@ -49,29 +49,31 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 
     let columns = [&["model"][..], &ERROR_COLUMNS, &["mouth_rmse", "eyes_rmse", "error"]].concat();
     let mut table = Table::new(&columns);
+    let triangles = case.template.triangulate().triangles;
+    let pose = upright(case);
+    let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
     let mut results = Vec::new();
     for (entrant, outcome) in entrants.iter().zip(outcomes) {
-        let (row, positions) = match outcome {
-            Ok((row, result, _)) => (Ok(row), Some(result.positions)),
-            Err(e) => (Err(e), None),
-        };
-        let errors = positions
-            .as_ref()
-            .map(|p| TruthErrors::new(p, &case.truth, &case.observed, &case.template.triangulate().triangles));
-        let errors: Option<VertexErrors> = errors.transpose()?.map(|e| e.1);
-        let near =
-            regions.each_ref().map(|r| errors.as_ref().map_or_else(String::new, |e| number(rmse_of(&e.distance, r))));
         let mut cells = vec![entrant.name().to_owned()];
-        cells.extend(error_cells(row.as_ref().ok()));
-        cells.extend(near);
-        cells.push(error_text(&row));
-        table.push(cells);
-        if let (Ok(row), Some(positions), Some(errors)) = (row, positions, errors) {
-            let mesh = case.template.with_positions(positions);
+        cells.extend(error_cells(outcome.as_ref().ok().map(|(score, ..)| score)));
+        let error = error_text(&outcome);
+        if let Ok((score, result, _)) = outcome {
+            let (_, errors) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
+            cells.extend(regions.each_ref().map(|r| number(rmse_of(&errors.distance, r))));
+            let mesh = case.template.with_positions(result.positions);
             write_polygon_mesh(&folder.join(format!("{}.obj", entrant.name())), &mesh).map_err(Failure::writing)?;
-            results.push((entrant.name(), row, mesh, errors));
+            results.push((entrant.name(), score, mesh.with_positions(stand(&mesh.positions)), errors));
+        } else {
+            cells.extend(regions.each_ref().map(|_| String::new()));
         }
+        cells.push(error);
+        table.push(cells);
     }
+    let given = Given {
+        template: case.template.with_positions(case.rest().to_vec()),
+        truth: case.template.with_positions(stand(&case.truth)),
+        scan: TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() },
+    };
     table.write(setting.out, "extreme")?;
     let caption = format!(
         "Fig. 5: {}, one scan (n = 1). First row: the template and the scan, each with its mouth. Then a row for each model, with its \
@@ -80,8 +82,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
          folder extreme, as OBJ.",
         case.name
     );
-    let picture = setting.picture("extreme", &draw(setting, case, &results), caption)?;
-    let turned = Block::View(turnable(case, &results));
+    let picture = setting.picture("extreme", &draw(setting, case, &given, &results), caption)?;
+    let turned = Block::View(turnable(case, &given, &results));
     let finding = least_and_most("rmse", &ranked(&table, &[], "model", "rmse")?, " mm");
     let numbers =
         Block::Table { table, caption: "The same in numbers, millimetres.".into(), file: "extreme.csv".into() };
@@ -105,7 +107,14 @@ fn rmse_of(distance: &[f64], vertices: &[usize]) -> f64 {
     (vertices.iter().map(|v| distance[*v].powi(2)).sum::<f64>() / vertices.len() as f64).sqrt()
 }
 
-/// A model's name, score, mesh and errors.
+/// What is given, upright.
+struct Given {
+    template: PolygonMesh,
+    truth: PolygonMesh,
+    scan: TriangleMesh,
+}
+
+/// A model's name, score, mesh, upright, and errors.
 type Outcome<'a> = (&'a str, Score, PolygonMesh, VertexErrors);
 
 /// Values of the vertices that the scan shows, of the others none.
@@ -120,35 +129,26 @@ fn scale(case: &BenchCase, results: &[Outcome<'_>]) -> ColourScale {
     ColourScale::for_magnitudes(&all, "normal or tangential error", "mm")
 }
 
-/// Every result with its errors, then template, truth and scan, upright.
-fn turnable(case: &BenchCase, results: &[Outcome<'_>]) -> View3d {
-    let pose = upright(case);
-    let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
+/// Every result with its errors, then template, truth and scan.
+fn turnable(case: &BenchCase, given: &Given, results: &[Outcome<'_>]) -> View3d {
     let of_model = |(model, score, mesh, errors): &Outcome<'_>| {
         let said = format!("rmse {} mm", shown(score.errors.rmse));
-        ViewMesh::of_polygons(model, said, &mesh.with_positions(stand(&mesh.positions)))
+        ViewMesh::of_polygons(model, said, mesh)
             .with_values([&errors.normal, &errors.tangential].map(|e| seen(case, e)).to_vec())
     };
     let mut meshes: Vec<ViewMesh> = results.iter().map(of_model).collect();
-    let truth = case.template.with_positions(stand(&case.truth));
-    let rest = case.template.with_positions(case.rest().to_vec());
-    let scan = TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() };
-    meshes.push(ViewMesh::of_polygons("template", "before the registration".into(), &rest));
-    meshes.push(ViewMesh::of_polygons("truth", "what every model should find".into(), &truth));
-    meshes.push(ViewMesh::new("scan", "what every model is given".into(), scan));
+    meshes.push(ViewMesh::of_polygons("template", "before the registration".into(), &given.template));
+    meshes.push(ViewMesh::of_polygons("truth", "what every model should find".into(), &given.truth));
+    meshes.push(ViewMesh::new("scan", "what every model is given".into(), given.scan.clone()));
     let caption =
         format!("The results of Fig. 5 on {}, coloured by their errors off the true surface or along it.", case.name);
     let quantities = vec!["off the surface", "along the surface"];
-    View3d { meshes, quantities, scale: scale(case, results), first: 0, caption }
+    View3d { meshes, quantities, scale: scale(case, results), caption }
 }
 
 /// First template, truth and scan; then a row for each model.
-fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[Outcome<'_>]) -> RgbImage {
-    let pose = upright(case);
-    let stand = |points: &[Vec3]| points.iter().map(|p| pose.apply_inverse(*p)).collect::<Vec<_>>();
-    let truth = case.template.with_positions(stand(&case.truth));
-    let rest = case.template.with_positions(case.rest().to_vec());
-    let scan = TriangleMesh { positions: stand(&case.scan.mesh.positions), ..case.scan.mesh.clone() };
+fn draw(setting: &Setting<'_>, case: &BenchCase, given: &Given, results: &[Outcome<'_>]) -> RgbImage {
+    let Given { template: rest, truth, scan } = given;
     let panel = |scene: &Scene, frame: &Frame, view: View| render(scene, &Camera::framing(frame, view, PANEL), PANEL);
     let clay = |mesh: &TriangleMesh| Scene::new().mesh(mesh, Style::Clay);
     let wired = |mesh: &PolygonMesh| clay(&mesh.triangulate()).wireframe(mesh);
@@ -160,19 +160,18 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[Outcome<'_>]) -> Rgb
         let marks: Vec<Vec3> = mouth.iter().map(|v| mesh.positions[*v]).collect();
         if marks.is_empty() { Frame::of(&mesh.positions) } else { Frame::of(&marks).scaled(1.35) }
     };
-    let open = lips(&truth);
+    let open = lips(truth);
     let seen = |values: &[f64]| seen(case, values);
     let scale = scale(case, results);
 
     let first = vec![
-        Panel::new(panel(&wired(&rest), &face, angle), "template"),
-        Panel::new(panel(&wired(&rest), &lips(&rest).at_scale_of(open), View::Front), "its mouth"),
-        Panel::new(panel(&clay(&scan), &face, angle), "scan"),
-        Panel::new(panel(&clay(&scan), &open, View::Front), "its mouth"),
+        Panel::new(panel(&wired(rest), &face, angle), "template"),
+        Panel::new(panel(&wired(rest), &lips(rest).at_scale_of(open), View::Front), "its mouth"),
+        Panel::new(panel(&clay(scan), &face, angle), "scan"),
+        Panel::new(panel(&clay(scan), &open, View::Front), "its mouth"),
     ];
     let mut sheet = Sheet::new("").colour_bar(&scale).row("", first);
     for (model, row, mesh, errors) in results {
-        let mesh = mesh.with_positions(stand(&mesh.positions));
         let heat = |values: &[f64]| {
             panel(
                 &Scene::new().mesh(&mesh.triangulate(), Style::Values(seen(values), scale.clone())),
@@ -185,7 +184,7 @@ fn draw(setting: &Setting<'_>, case: &BenchCase, results: &[Outcome<'_>]) -> Rgb
                 panel(&clay(&mesh.triangulate()), &face, angle),
                 &format!("{model} {} mm", shown(row.errors.rmse)),
             ),
-            Panel::new(panel(&wired(&mesh), &open, View::Front), "mouth"),
+            Panel::new(panel(&wired(mesh), &open, View::Front), "mouth"),
             Panel::new(heat(&errors.normal), "normal"),
             Panel::new(heat(&errors.tangential), "tangential"),
         ];
