@@ -8,7 +8,6 @@ use std::error::Error;
 use data_gen::{FaceOptions, FaceRig, ScanOptions, simulate_scan};
 use nonrigid::energy::{OptionsError, Pointwise, SampleResidual};
 use nonrigid::evaluation::TruthErrors;
-use nonrigid::landmark::{Landmark, TemplatePoint};
 use nonrigid::mesh::Vec3;
 use nonrigid::nlls::{Kernel, Scalar};
 use nonrigid::registration::{
@@ -78,13 +77,7 @@ impl SampleResidual<3> for Rays {
 fn main() -> Result<(), Box<dyn Error>> {
     let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
     let case = simulate_scan(&rig, &ScanOptions::default(), 4)?;
-    let mark = |(v, p): &(u32, Vec3)| Landmark {
-        name: v.to_string(),
-        template: TemplatePoint::Vertex(*v),
-        target: *p,
-        sigma: None,
-    };
-    let landmarks: Vec<Landmark> = case.landmarks.iter().map(mark).collect();
+    let landmarks = case.landmark_pairs();
     let input = RegistrationInput { landmarks: &landmarks, ..RegistrationInput::new(&rig.mesh, &case.scan) };
 
     // Every 20th vertex that the scan shows is a freckle, seen from 700 mm to within 0.3 mm.

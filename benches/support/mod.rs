@@ -92,15 +92,6 @@ pub enum Data {
     PointToPoint,
 }
 
-impl Data {
-    pub fn rows(self) -> usize {
-        match self {
-            Self::PointToPlane => 1,
-            Self::PointToPoint => 3,
-        }
-    }
-}
-
 /// A problem and points at which to linearise it in turn: models keep what they know of the last one.
 pub struct Step<M> {
     pub problem: Deformation<M, Box<dyn DataTerm>>,

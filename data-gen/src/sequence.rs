@@ -1,6 +1,6 @@
 //! Sequences: one person's expressions and head moving smoothly from frame to frame.
 
-use std::fmt::Write as _;
+use std::f64::consts::{PI, TAU};
 use std::io::Write as _;
 use std::path::Path;
 
@@ -60,17 +60,10 @@ impl Motion {
         }
         options.shared_seed = options.shared_seed.or(Some(seed));
         let mut sway = |share: f64, slow: f64| {
-            let reach = [options.rotation, options.rotation, options.rotation]
-                .into_iter()
-                .chain([options.translation; 3])
-                .map(|most| share * most * rng.random_range(-1.0..1.0) / 3f64.sqrt());
-            let mut amplitudes = [0.0; 6];
-            amplitudes.iter_mut().zip(reach).for_each(|(a, r)| *a = r);
-            (
-                amplitudes,
-                std::f64::consts::TAU / (slow * rng.random_range(0.7..1.3)),
-                rng.random_range(0.0..std::f64::consts::TAU),
-            )
+            let (turn, way) = (options.rotation, options.translation);
+            let reach = |most: f64| share * most * rng.random_range(-1.0..1.0) / 3f64.sqrt();
+            let amplitudes = [turn, turn, turn, way, way, way].map(reach);
+            (amplitudes, TAU / (slow * rng.random_range(0.7..1.3)), rng.random_range(0.0..TAU))
         };
         let sways = vec![sway(0.6, SWAY), sway(0.3, 0.5 * SWAY), sway(0.1, 0.25 * SWAY)];
         Ok(Self { options, names, keys, sways })
@@ -81,7 +74,7 @@ impl Motion {
     pub fn weights(&self, seconds: f64) -> Vec<f64> {
         let at = (seconds / KEY).clamp(0.0, (self.keys.len() - 2) as f64);
         let key = (at as usize).min(self.keys.len() - 2);
-        let ease = 0.5 - 0.5 * (std::f64::consts::PI * (at - key as f64)).cos();
+        let ease = 0.5 - 0.5 * (PI * (at - key as f64)).cos();
         self.keys[key].iter().zip(&self.keys[key + 1]).map(|(a, b)| a + ease * (b - a)).collect()
     }
 
@@ -110,17 +103,16 @@ impl Motion {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_weights(path: &Path, rig: &FaceRig, frames: &[(f64, Vec<f64>)]) -> Result<()> {
-    let mut text = String::from("frame,time");
-    rig.expressions.iter().for_each(|(name, _)| {
-        let _ = write!(text, ",{name}"); // never fails on a string
+    let written = write_atomically(path, |file| {
+        write!(file, "frame,time")?;
+        rig.expressions.iter().try_for_each(|(name, _)| write!(file, ",{name}"))?;
+        for (frame, (time, weights)) in frames.iter().enumerate() {
+            write!(file, "\n{frame},{time}")?;
+            weights.iter().try_for_each(|weight| write!(file, ",{weight}"))?;
+        }
+        writeln!(file)
     });
-    for (frame, (time, weights)) in frames.iter().enumerate() {
-        let _ = write!(text, "\n{frame},{time}");
-        weights.iter().for_each(|w| {
-            let _ = write!(text, ",{w}");
-        });
-    }
-    Ok(write_atomically(path, |file| writeln!(file, "{text}"))?)
+    Ok(written?)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 
 use nonrigid::mesh::normals::{NormalWeighting::Angle, vertex_normals};
-use nonrigid::mesh::{Pose, Vec3};
+use nonrigid::mesh::{Pose, Vec3, bounding_box};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -39,9 +39,7 @@ impl Wave {
 
 /// Largest extent of points along an axis.
 pub(super) fn extent(points: &[Vec3]) -> f64 {
-    let low = points.iter().fold(Vec3::repeat(f64::MAX), |a, p| a.inf(p));
-    let high = points.iter().fold(Vec3::repeat(f64::MIN), |a, p| a.sup(p));
-    (high - low).max()
+    bounding_box(points).map_or(0.0, |(low, high)| (high - low).max())
 }
 
 /// The person that these weights make, posed: the expression in a manner of their own, deformed, and with skin of their own.
