@@ -1,6 +1,6 @@
 //! `nonrigid animate`: one file of the frames of a sequence.
 
-use crate::support::{Bench, farthest};
+use crate::support::{Bench, farthest, glb_parts};
 use nonrigid::io::{read_gltf, read_obj, write_obj, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
@@ -86,9 +86,7 @@ fn shapes_a_pose_and_what_is_left_give_every_frame() {
         bench.done(&format!("animate --meshes frames --fps 10 {rig} --out face.glb"));
         let mesh = read_gltf(&bench.path("face.glb")).unwrap();
         let bytes = bench.read("face.glb");
-        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-        let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
-        let binary = &bytes[28 + length..];
+        let (document, binary) = glb_parts(&bytes);
         let animation = &document["animations"][0];
         let track = |path: &str| {
             let channel =
@@ -170,7 +168,7 @@ fn a_result_that_would_be_a_frame_is_refused() {
 fn frames_a_second_may_be_those_of_video_and_what_has_no_effect_is_said() {
     let bench = Bench::new();
     frames(&bench);
-    let report = || serde_json::from_slice::<Value>(&bench.read("face.json")).unwrap();
+    let report = || bench.json("face.json");
     for (asked, found) in [("23.976", serde_json::json!(23.976)), ("60", 60.into()), ("25.0", 25.into())] {
         let plain = asked.trim_end_matches(".0");
         let said = bench.done(&format!("animate --meshes frames --fps {asked} --out face.usda --report face.json"));
@@ -219,7 +217,7 @@ fn lost_frames_are_named_and_bridged() {
         for frame in ["\"walk5\" is lost: it jumps 4", "\"walk8\" is lost: there is none"] {
             assert!(stderr.contains(frame), "{stderr}");
         }
-        let report: Value = serde_json::from_slice(&bench.read("walk.json")).unwrap();
+        let report = bench.json("walk.json");
         let lost: Vec<usize> = (0..12).filter(|&k| !report["frames"][k]["lost"].is_null()).collect();
         assert_eq!(lost, [5, 8], "{report}");
         let [before, after] = [0, 1].map(|k| report["second_difference_mm"][k].as_f64().unwrap());
@@ -228,8 +226,7 @@ fn lost_frames_are_named_and_bridged() {
     let text = String::from_utf8(bench.read("walk.usda")).unwrap();
     assert!(text.contains("int[] lostFrames = [5, 8]"));
     let bytes = bench.read("walk.glb");
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let (document, _) = glb_parts(&bytes);
     assert_eq!(document["animations"][0]["extras"]["lostFrames"], serde_json::json!([5, 8]));
     // the cache has the frames that are bridged where the others lead
     let bytes = bench.read("walk.pc2");

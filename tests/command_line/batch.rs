@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::support::{Bench, endless_schedule, files_in, landmarks_json};
+use crate::support::{Bench, endless_schedule, files_in, glb_parts, landmarks_json};
 use data_gen::{Motion, ScanOptions, Subject, simulate_scan, write_case};
 use nonrigid::io::{PlyOptions, read_npy_points, read_polygon_mesh, read_scan, sha256, write_ply, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
@@ -63,7 +63,7 @@ fn left(bench: &Bench, folder: &str) -> BTreeMap<String, Vec<u8>> {
 }
 
 fn steps(bench: &Bench, report: &str) -> usize {
-    let report: Value = serde_json::from_slice(&bench.read(report)).unwrap();
+    let report = bench.json(report);
     report["history"].as_array().unwrap().len()
 }
 
@@ -184,7 +184,7 @@ fn what_somebody_has_changed_stays() {
     assert!(bench.read("out/person.obj") == made);
 
     // A run that ends between its record and its results leaves those of the run before: they are nobody's work.
-    let mut ended: serde_json::Value = serde_json::from_slice(&record).unwrap();
+    let mut ended: Value = serde_json::from_slice(&record).unwrap();
     ended["replaced"] = serde_json::json!({ "person.obj": ended["outputs"]["person.obj"] });
     ended["outputs"]["person.obj"] = "another".into();
     bench.write("out/log/person.json", ended.to_string());
@@ -323,7 +323,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
     let empty = text.lines().find(|line| line.starts_with("empty,failed")).unwrap();
     assert!(empty.contains("lost in \"\"walk\"\": there is none; the motion of those round it"), "{text}");
-    let report: Value = serde_json::from_slice(&bench.read("out/sequences/walk.json")).unwrap();
+    let report = bench.json("out/sequences/walk.json");
     let names: Vec<&str> = report["frames"].as_array().unwrap().iter().map(|f| f["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["f0_scan", "f1_scan", "empty", "f2_scan", "f3_scan"]);
     assert_eq!((report["frames_per_second"].as_u64(), report["smooth_hz"].as_f64()), (Some(15), Some(4.0)));
@@ -432,7 +432,7 @@ fn a_frame_that_cannot_go_on_starts_cold() {
         "f3/scan.ply,f3/landmarks.json,walk,,graph",
     ];
     list(&bench, &rows);
-    let text: Value = serde_json::from_slice(&bench.read("f2/landmarks.json")).unwrap();
+    let text = bench.json("f2/landmarks.json");
     let marks: Vec<(u32, Vec3)> = text
         .as_object()
         .unwrap()
@@ -641,12 +641,10 @@ fn buffers_of_gltf_belong_to_what_is_read() {
     let scan = read_polygon_mesh(&bench.path("f0/scan.ply")).unwrap();
     write_polygon_mesh(&bench.path("scan.glb"), &scan).unwrap();
     let glb = bench.read("scan.glb");
-    let json_length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
-    let mut json: Value = serde_json::from_slice(&glb[20..20 + json_length]).unwrap();
+    let (mut json, buffer) = glb_parts(&glb);
     json["buffers"][0]["uri"] = "points%20of.bin".into();
-    let buffer = glb[28 + json_length..].to_vec();
     bench.write("scan.gltf", json.to_string());
-    bench.write("points of.bin", &buffer);
+    bench.write("points of.bin", buffer);
     list(&bench, &["scan.gltf,f0/landmarks.json,,,rigid"]);
     let command = format!("batch scans.csv --out out {OPTIONS} --unit landmarks=mm");
     let done_before = |is: bool| {
@@ -655,19 +653,19 @@ fn buffers_of_gltf_belong_to_what_is_read() {
     };
     done_before(false);
     done_before(true);
-    let report: Value = serde_json::from_slice(&bench.read("out/scan.json")).unwrap();
+    let report = bench.json("out/scan.json");
     let inputs: Vec<(&str, &str)> = report["inputs"]
         .as_array()
         .unwrap()
         .iter()
         .map(|i| (i["name"].as_str().unwrap(), i["sha256"].as_str().unwrap()))
         .collect();
-    assert!(inputs.contains(&("points of.bin", &sha256(&buffer))), "{inputs:?}");
-    let mut other = buffer.clone();
+    assert!(inputs.contains(&("points of.bin", &sha256(buffer))), "{inputs:?}");
+    let mut other = buffer.to_vec();
     other.push(0);
     bench.write("points of.bin", &other);
     done_before(false);
-    bench.write("points of.bin", &buffer);
+    bench.write("points of.bin", buffer);
     done_before(false);
     done_before(true);
 }

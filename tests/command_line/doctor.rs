@@ -12,15 +12,11 @@ fn nonrigid(arguments: &str) -> Command {
     command
 }
 
-fn json(bytes: &[u8]) -> Value {
-    serde_json::from_slice(bytes).unwrap()
-}
-
 #[test]
 fn a_healthy_machine_passes_on_as_many_threads_as_asked() {
     let output = nonrigid("doctor --json").env("RAYON_NUM_THREADS", "3").output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let report = json(&output.stdout);
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&report["ok"], &report["machine"]["threads"]), (&true.into(), &3.into()));
     assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(report["checks"].as_array().unwrap().len(), CHECKS.len());

@@ -58,7 +58,7 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     let mut template = template.with_positions(result.positions.clone());
     template.metadata.material_libraries = vec!["r.mtl".into()];
     assert!(template == result);
-    let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     assert_eq!(report["stop"], "stopped_by_observer");
     let steps = report["history"].as_array().unwrap().len();
     assert!((1..1_000_000).contains(&steps), "{steps}");
@@ -89,7 +89,7 @@ fn sigterm_is_as_ctrl_c() {
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(143), "{said}");
     assert!(said.contains("warning: interrupted: r.obj holds") && !said.contains("error"), "{said}");
-    let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     assert_eq!(report["stop"], "stopped_by_observer");
 
     let child = start_endless(&bench, "--out s.obj");
@@ -101,7 +101,7 @@ fn sigterm_is_as_ctrl_c() {
 
 /// Name and hash of what a report says was read in this role.
 fn read_as(bench: &Bench, report: &str, role: &str) -> Vec<(String, String)> {
-    let report: Value = serde_json::from_slice(&bench.read(report)).unwrap();
+    let report = bench.json(report);
     let text = |value: &Value| value.as_str().unwrap().to_owned();
     let of_role = report["inputs"].as_array().unwrap().iter().filter(|input| input["role"] == role);
     of_role.map(|input| (text(&input["name"]), text(&input["sha256"]))).collect()

@@ -67,7 +67,7 @@ fn a_check_finds_what_is_wrong() {
     assert_eq!((code, &json["mirrored"]), (4, &Value::Bool(true)), "{json}");
 
     // One pair swapped, one landmark off the surface, one twice.
-    let set: Value = serde_json::from_slice(&bench.read(NUMBERED)).unwrap();
+    let set = bench.json(NUMBERED);
     let mut vertices: Vec<i64> = set.as_array().unwrap().iter().map(|v| v.as_i64().unwrap()).collect();
     vertices.swap(36, 45);
     vertices[28] = vertices[27];

@@ -3,7 +3,6 @@
 use crate::support::{Bench, files_in};
 use nonrigid::io::{read_obj, write_npy, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
-use serde_json::Value;
 
 const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
 
@@ -11,7 +10,7 @@ const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks
 fn numbers_are_the_same_in_the_table_the_json_and_the_csv() {
     let bench = Bench::new();
     let printed = bench.done(&format!("{MEASURE} --after case/truth.npy --rig rig --json m.json --csv m.csv"));
-    let json: Value = serde_json::from_slice(&bench.read("m.json")).unwrap();
+    let json = bench.json("m.json");
     let csv = String::from_utf8(bench.read("m.csv")).unwrap();
     assert_eq!(json["units"]["volume"], "mm^3");
     let measurements = json["measurements"].as_array().unwrap();
@@ -69,7 +68,7 @@ fn a_moved_head_is_brought_back() {
     write_obj(&bench.path("moved.obj"), &bench.rig.mesh.with_positions(moved)).unwrap();
     let change = |options: &str| -> f64 {
         bench.done(&format!("{MEASURE} --after moved.obj {options} --json m.json"));
-        let json: Value = serde_json::from_slice(&bench.read("m.json")).unwrap();
+        let json = bench.json("m.json");
         json["regions"][0]["change"]["displacement_max"].as_f64().unwrap()
     };
     assert!(change("") > 20.0 && change("--align") < 1e-9);
@@ -116,8 +115,7 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
     let (measure, morph) = ("measure --mesh rig/template.obj", "morph --mesh rig/template.obj --preset chin-forward=2");
     bench.done(&format!("{measure} --landmarks rig/landmarks_multipie68.json --json given.json"));
     bench.done(&format!("{morph} --landmarks rig/landmarks_multipie68.json --out given.obj"));
-    let measurements =
-        |name: &str| -> Value { serde_json::from_slice::<Value>(&bench.read(name)).unwrap()["measurements"].take() };
+    let measurements = |name: &str| bench.json(name)["measurements"].take();
     for rig in ["rig.npz", "rig.glb"] {
         bench.done(&format!("rig convert --rig rig --out {rig}"));
         bench.done(&format!("{measure} --rig {rig} --json found.json"));
@@ -128,7 +126,7 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
     }
     std::fs::remove_file(bench.path("rig/regions.json")).unwrap();
     bench.done(&format!("{measure} --rig rig --landmarks rig/landmarks_multipie68.json --json rig.json"));
-    let regions = |name: &str| serde_json::from_slice::<Value>(&bench.read(name)).unwrap()["regions"].take();
+    let regions = |name: &str| bench.json(name)["regions"].take();
     assert_eq!(regions("rig.json"), regions("given.json"));
     std::fs::remove_file(bench.path("rig/landmarks_multipie68.json")).unwrap();
     std::fs::remove_file(bench.path("rig/landmarks_anthropometric.json")).unwrap();
@@ -167,11 +165,11 @@ fn several_plans_stand_beside_each_other() {
     let row = printed.lines().find(|l| l.starts_with("lower lip to E-line")).unwrap();
     let at = |k: usize| -> f64 { row.split_whitespace().nth(k).unwrap().parse().unwrap() };
     assert!((at(8) - 1.01 * at(5)).abs() < 0.02, "{row}");
-    let json: Value = serde_json::from_slice(&bench.read("m.json")).unwrap();
+    let json = bench.json("m.json");
     assert_eq!((&json[0]["name"], &json[1]["name"]), (&"truth".into(), &"larger".into()));
     // Each is what it is alone.
     bench.done(&format!("{MEASURE} --after larger.obj --rig rig --json alone.json"));
-    let alone: Value = serde_json::from_slice(&bench.read("alone.json")).unwrap();
+    let alone = bench.json("alone.json");
     assert_eq!(json[1]["measurements"], alone["measurements"]);
     let page = String::from_utf8(bench.read("page/index.html")).unwrap();
     assert!(page.contains("<th>truth</th>") && page.contains("change: larger"));

@@ -108,7 +108,7 @@ fn a_template_whose_corners_are_all_its_own_stays_together() {
     let stderr = bench.ends("register --template soup.obj --target case/scan.ply --out s.obj --report s.json", 0);
     let twice = corners.len() - template.positions.len();
     assert!(stderr.contains(&format!("{twice} vertices of the template stand where another does")), "{stderr}");
-    assert_eq!(json(bench.read("s.json"))["template_repair"]["sewn"], twice);
+    assert_eq!(bench.json("s.json")["template_repair"]["sewn"], twice);
     let result = read_obj(&bench.path("s.obj")).unwrap().positions;
     let mut at = vec![None; template.positions.len()];
     for (&v, p) in corners.iter().zip(&result) {
@@ -125,7 +125,7 @@ fn a_few_wild_vertices_make_a_result_doubtful() {
     let fit = FIT.replace("case/neutral.npy", "wild.npy");
     let stderr = bench.ends(&format!("{fit} {INPUTS} --out wild.obj --report wild.json"), 0);
     assert_eq!(stderr.matches("stand out from their neighbours").count(), 2, "{stderr}"); // the neutral; the result
-    let report = json(bench.read("wild.json"));
+    let report = bench.json("wild.json");
     assert!(report["error_probability"].as_f64().unwrap() >= 0.5);
     assert_eq!(report["doubts"][0]["sign"], "spikes");
 }
@@ -168,7 +168,7 @@ fn a_result_is_divided_and_its_finer_vertices_go_to_the_scan() {
 fn times_and_a_picture_are_written() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --threads 1 --out r.obj --report r.json --picture r.png"));
-    let timing = json(bench.read("r.timing.json"));
+    let timing = bench.json("r.timing.json");
     assert_eq!(timing["threads"], 1);
     assert!(timing["total_seconds"].as_f64().unwrap() > 0.0);
     let sheet = picture(&bench.path("r.png"));
@@ -183,7 +183,7 @@ fn an_unknown_subject_is_explained_by_identity_modes_and_one_with_a_neutral_is_n
     let bench = Bench::new();
     let weights = |options: &str| {
         bench.done(&format!("{options} {INPUTS} --model blendshape --out r.obj --report r.json"));
-        json(bench.read("r.json"))["weights"].as_array().unwrap().len()
+        bench.json("r.json")["weights"].as_array().unwrap().len()
     };
     let expressions = bench.rig.expressions.len();
     let modes = bench.rig.identities.len();
@@ -197,7 +197,7 @@ fn an_unknown_subject_is_explained_by_identity_modes_and_one_with_a_neutral_is_n
 fn the_report_says_what_was_read_done_and_reached() {
     let bench = Bench::new();
     let printed = bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 --out r.obj --report r.json"));
-    let report = json(bench.read("r.json"));
+    let report = bench.json("r.json");
     for key in [
         "version",
         "model",
@@ -253,7 +253,7 @@ fn bounds_hold_weights_and_the_report_says_which() {
     let bench = Bench::new();
     let fit = |options: &str| {
         let printed = bench.done(&format!("{FIT} {INPUTS} --identity-modes 2 {options} --out r.obj --report r.json"));
-        (printed, json(bench.read("r.json")))
+        (printed, bench.json("r.json"))
     };
     let weights = |report: &Value| report["weights"].as_array().unwrap().clone();
     let (printed, report) = fit("");
@@ -291,7 +291,7 @@ fn a_schedule_file_steers_the_run_and_is_reported() {
         [[level]]\nsteps = 3\nmodel = { lambda_graph = 7.0 }\nkernel = { cauchy = { delta = 2.0 } }\ndistance_cap = 20.0\nnormal_angle = 50.0\n";
     bench.write("mine.toml", text);
     bench.done(&format!("{FIT} {INPUTS} --model graph --config mine.toml --out r.obj --report r.json"));
-    let report = json(bench.read("r.json"));
+    let report = bench.json("r.json");
     assert_eq!(report["history"].as_array().unwrap().len(), 3);
     assert_eq!(report["schedule"]["model"]["nodes"], 40);
     assert_eq!(report["schedule"]["level"][0]["model"]["lambda_graph"], 7.0);
@@ -745,8 +745,8 @@ fn a_point_cloud_with_normals_is_a_target() {
         let errors = json(bench.done(&format!("eval --result r.obj {TEMPLATE} {truth} --json")));
         errors["rmse"].as_f64().unwrap()
     };
-    let (mesh, quality) = (rmse("case/scan.ply"), json(bench.read("r.json"))["quality"].clone());
-    let (cloud, of_cloud) = (rmse("cloud.ply"), json(bench.read("r.json"))["quality"].clone());
+    let (mesh, quality) = (rmse("case/scan.ply"), bench.json("r.json")["quality"].clone());
+    let (cloud, of_cloud) = (rmse("cloud.ply"), bench.json("r.json")["quality"].clone());
     assert!(cloud < 1.2 * mesh + 0.05, "mesh {mesh} mm, cloud {cloud} mm");
     let median = |quality: &Value| quality["median_within"].as_f64().unwrap();
     assert!((median(&quality) - median(&of_cloud)).abs() < 0.1, "{quality}\n{of_cloud}");
@@ -780,7 +780,7 @@ fn masks_and_regions_say_where_the_scan_counts() {
     write_npy(&bench.path("ones.npy"), &[vertices], &vec![true; vertices]).unwrap();
     let fit = |options: &str| {
         bench.done(&format!("{FIT} {INPUTS} {options} --out r.obj --report r.json"));
-        (read_obj(&bench.path("r.obj")).unwrap().positions, json(bench.read("r.json")))
+        (read_obj(&bench.path("r.obj")).unwrap().positions, bench.json("r.json"))
     };
     let (plain, plain_report) = fit("");
     assert_eq!(plain_report["regions"], Value::Array(Vec::new()));

@@ -174,7 +174,7 @@ impl Sequence {
         let said = self.bench.done(&format!("{line} --out weights.csv"));
         assert!(said.starts_with("5 frames, "), "{said}");
         self.bench.done(&format!("{line} --out weights.json"));
-        let json: Value = serde_json::from_slice(&self.bench.read("weights.json")).unwrap();
+        let json = self.bench.json("weights.json");
         let text = String::from_utf8(self.bench.read("weights.csv")).unwrap();
         let mut rows = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
         let head = rows.next().unwrap();

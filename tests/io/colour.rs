@@ -228,7 +228,7 @@ fn the_command_colours_its_result_in_every_format() {
             "register --template rig/template.obj --target scan.ply --model graph --landmarks case/landmarks.json --threads 2 \
              --out r.{format} --report r.json"
         ));
-        let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+        let report = bench.json("r.json");
         let seen = report["colors_observed"].as_u64().unwrap();
         let result = read_scan(&bench.path(&format!("r.{format}"))).unwrap();
         assert!(seen > 500 && said.contains(&format!("colour: {seen} of {} vertices", result.mesh.positions.len())));
@@ -241,7 +241,7 @@ fn the_command_colours_its_result_in_every_format() {
         "register --template rig/template.obj --target case/scan.ply --model rigid --landmarks case/landmarks.json --out r.obj \
          --report r.json",
     );
-    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     assert!(report["colors_observed"].is_null() && !said.contains("colour"));
     assert_eq!(read_mesh_file(&bench.path("r.obj")).unwrap().colors, None);
 }

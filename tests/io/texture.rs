@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crate::sheets::sheet;
-use crate::support::{Bench, Run};
+use crate::support::{Bench, Run, glb_parts};
 use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
 use nonrigid::io::{
@@ -522,7 +522,7 @@ fn the_command_writes_a_texture_that_its_result_shows() {
     ));
     assert!(said.contains("texture: 256 x 256") && said.contains("r_seen.png"), "{said}");
     assert_eq!(bench.read("scan.mtl"), before);
-    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     assert!(report["texture_seen"].as_f64().unwrap() > 0.6);
     let targets = report["inputs"].as_array().unwrap().iter().filter(|i| i["role"] == "target");
     let mut files: Vec<&str> = targets.map(|i| i["name"].as_str().unwrap()).collect();
@@ -633,8 +633,7 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     let uvs = read_polygon_mesh(&bench.path("f.glb")).unwrap().metadata.uvs;
     assert!(uvs.iter().all(|uv| uv[0] >= 2.0) && !uvs.is_empty());
     let bytes = bench.read("f.glb");
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let document: serde_json::Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let (document, _) = glb_parts(&bytes);
     let mut names: Vec<&str> =
         document["materials"].as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
     names.sort_unstable();

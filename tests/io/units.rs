@@ -53,7 +53,7 @@ fn a_registration_finds_every_unit_and_reports_it() {
              --landmarks in/{target}/marks.json --model blendshape --out r.obj --report r.json {more}"
         );
         let stderr = bench.ends(&line, 0);
-        let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+        let report = bench.json("r.json");
         (result(&bench, "r.obj").positions, units(&stderr).to_owned(), report["units"].clone())
     };
     let (truth, said, report) = run(["mm", "mm", "mm"], "");

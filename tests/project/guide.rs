@@ -60,7 +60,7 @@ fn the_chapter_on_reports_names_every_field_and_no_other() {
     let options = PlyOptions { colors: Some(&colors), ..PlyOptions::default() };
     write_ply(&bench.path("scan.ply"), &bench.case.scan, options).unwrap();
     bench.done("register --template rig/template.obj --target scan.ply --rig rig --out r.obj --report r.json --subdivide 1 --bake-texture 64");
-    let report: Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     let chapter = text("docs/src/reference/report.md");
     let said = table(&chapter, "Every field").iter().flat_map(|row| paths(&row[0])).collect::<Vec<_>>();
     let mut found = BTreeSet::new();
@@ -84,7 +84,7 @@ fn the_chapter_on_reports_names_every_field_and_no_other() {
     let extra: Vec<_> = said.difference(&found).collect();
     assert!(missing.is_empty() && extra.is_empty(), "not in the chapter: {missing:?}; not in the report: {extra:?}");
 
-    let timing: Value = serde_json::from_slice(&bench.read("r.timing.json")).unwrap();
+    let timing = bench.json("r.timing.json");
     for field in timing.as_object().unwrap().keys() {
         assert!(chapter.contains(&format!("`{field}`")), "{field}");
     }

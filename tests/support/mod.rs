@@ -7,6 +7,7 @@ use std::process::Command;
 
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use nonrigid::mesh::Vec3;
+use serde_json::Value;
 
 /// A temporary folder with `rig/` and `case/` (a person whose neutral is known), removed with this value.
 pub struct Bench {
@@ -49,6 +50,10 @@ impl Bench {
 
     pub fn read(&self, name: &str) -> Vec<u8> {
         fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+    }
+
+    pub fn json(&self, name: &str) -> Value {
+        serde_json::from_slice(&self.read(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
     /// Runs the program in the folder with arguments separated by spaces.
@@ -98,6 +103,12 @@ pub fn landmarks_json(landmarks: &[(u32, Vec3)]) -> String {
     let entries: Vec<String> =
         landmarks.iter().map(|(v, p)| format!("\"{v}\": [{:?}, {:?}, {:?}]", p.x, p.y, p.z)).collect();
     format!("{{{}}}", entries.join(", "))
+}
+
+/// Document and buffer of a glTF file that is one.
+pub fn glb_parts(bytes: &[u8]) -> (Value, &[u8]) {
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    (serde_json::from_slice(&bytes[20..20 + length]).unwrap(), &bytes[28 + length..])
 }
 
 /// Largest distance between two lists of points.
