@@ -195,7 +195,7 @@ fn kernels_scaled_by_the_residuals_fit_through_outliers_whatever_their_own_unit(
     let scan = TriangleMesh { positions, triangles: rig.mesh.triangulate().triangles };
     // Landmarks on the other side, for a smooth face says little along itself.
     let on = (0..truth.len()).filter(|&v| rig.neutral[v].x < 20.0).step_by(40);
-    let landmarks = on.map(|v| nonrigid::landmark::Landmark::new(v.to_string(), v as u32, truth[v])).collect();
+    let landmarks = on.map(|v| Landmark::new(v.to_string(), v as u32, truth[v])).collect();
     let task = Task { template: rig.mesh.clone(), shapes: ShapeBasis::none(), scan, landmarks, ..small_task() };
     let error = |kernel: &str| {
         let text = ModelKind::Rigid.default_schedule();
@@ -391,10 +391,7 @@ fn lengths_scale_with_the_model() {
 fn the_same_bits_at_one_two_and_four_threads() {
     let task = small_task();
     for model in ModelKind::ALL {
-        let [one, two, four] = [1, 2, 4].map(|threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| task.fit(model))
-        });
+        let [one, two, four] = [1, 2, 4].map(|threads| on_threads(threads, || task.fit(model)));
         for other in [&two, &four] {
             assert!(bits(&one.positions) == bits(&other.positions), "{model}");
             assert_eq!((&one.history, &one.weights, &one.accepted), (&other.history, &other.weights, &other.accepted));

@@ -41,12 +41,17 @@ fn schedule(kind: PoseKind) -> Schedule {
     Schedule { start: kind, ..ModelKind::Hybrid.schedule().unwrap() }
 }
 
-fn search(rig: &FaceRig, scan: &TriangleMesh) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
-    find_start(&RegistrationInput::new(&rig.mesh, scan), &schedule(PoseKind::Rigid))
+fn searched(
+    rig: &FaceRig,
+    scan: &TriangleMesh,
+    landmarks: &[Landmark],
+) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
+    let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
+    find_start(&input, &schedule(PoseKind::Rigid))
 }
 
 fn found(rig: &FaceRig, scan: &TriangleMesh) -> (Pose, StartSearch) {
-    let (pose, search) = search(rig, scan).unwrap();
+    let (pose, search) = searched(rig, scan, &[]).unwrap();
     (pose, search.unwrap())
 }
 
@@ -102,6 +107,11 @@ fn off(rig: &FaceRig, found: &Pose, truth: &Pose) -> (f64, f64) {
     (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (found.apply(centre) - truth.apply(centre)).norm())
 }
 
+fn assert_near(rig: &FaceRig, found: &Pose, truth: &Pose, what: &str) {
+    let (turn, distance) = off(rig, found, truth);
+    assert!(turn < 6.0 && distance < 10.0, "{what}: {turn} degrees, {distance} mm");
+}
+
 /// Largest distance between the template in two poses.
 fn apart(rig: &FaceRig, a: &Pose, b: &Pose) -> f64 {
     let place = |pose: &Pose| rig.neutral.iter().map(|&p| pose.apply(p)).collect::<Vec<_>>();
@@ -115,9 +125,7 @@ fn any_pose_is_found() {
     for seed in 0..8 {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let (pose, search) = found(&rig, &moved(&case.scan, &place));
-        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
-        println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
-        assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
+        assert_near(&rig, &pose, &place.after(&case.pose), &format!("seed {seed}: {search:?}"));
         assert!(search.fit.share > 0.5 && search.tried > 1000, "seed {seed}: {search:?}");
     }
 }
@@ -130,9 +138,7 @@ fn shoulders_a_wall_and_holes_do_not_lead_away_from_the_face() {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let scan = moved(&bust(&rig, &case, &mut rng), &place);
         let (pose, search) = found(&rig, &scan);
-        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
-        println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
-        assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
+        assert_near(&rig, &pose, &place.after(&case.pose), &format!("seed {seed}: {search:?}"));
     }
 }
 
@@ -142,8 +148,7 @@ fn stray_parts_far_away_decide_nothing() {
     let case = case(&rig, 20);
     let stray = sheet(2, |u, v| Vec3::new(1e7 + 1e6 * u, 1e6 * v, -3e8));
     let (pose, _) = found(&rig, &joined(&[&case.scan, &stray]));
-    let (turn, distance) = off(&rig, &pose, &case.pose);
-    assert!(turn < 6.0 && distance < 10.0, "{turn} degrees, {distance} mm");
+    assert_near(&rig, &pose, &case.pose, "with stray parts");
 }
 
 #[test]
@@ -185,27 +190,17 @@ fn the_given_pose_wins_if_it_is_as_good_and_a_landmark_decides_between_two() {
     // Away from both faces nothing tells them apart, except a landmark.
     let away = Pose::rigid(Vec3::zeros(), Vec3::new(0.0, 700.0, 0.0));
     let both = moved(&joined(&[&twin, &truth.scan]), &away);
-    assert!(matches!(search_of(&rig, &both, &[]), Err(RegistrationError::AmbiguousStart { .. })));
+    assert!(matches!(searched(&rig, &both, &[]), Err(RegistrationError::AmbiguousStart { .. })));
     for (place, marks) in [(away, 1), (away.after(&aside), 1), (away.after(&aside), 2)] {
         let marks: Vec<Landmark> =
             truth.landmarks[..marks].iter().map(|(v, p)| landmark(*v, place.apply(*p))).collect();
-        let (pose, search) = search_of(&rig, &both, &marks).unwrap();
-        let (turn, distance) = off(&rig, &pose, &place);
-        assert!(turn < 6.0 && distance < 10.0, "{} landmarks: {turn} degrees, {distance} mm, {search:?}", marks.len());
+        let (pose, search) = searched(&rig, &both, &marks).unwrap();
+        assert_near(&rig, &pose, &place, &format!("{} landmarks: {search:?}", marks.len()));
     }
 }
 
 fn landmark(vertex: u32, target: Vec3) -> Landmark {
     Landmark::new(vertex.to_string(), vertex, target)
-}
-
-fn search_of(
-    rig: &FaceRig,
-    scan: &TriangleMesh,
-    landmarks: &[Landmark],
-) -> Result<(Pose, Option<StartSearch>), RegistrationError> {
-    let input = RegistrationInput { landmarks, ..RegistrationInput::new(&rig.mesh, scan) };
-    find_start(&input, &schedule(PoseKind::Rigid))
 }
 
 /// Of a lip of a wide-open mouth the landmarks of the other lip are the nearest, and go another way.
@@ -242,7 +237,7 @@ fn what_is_no_face_is_refused_by_name() {
         Vec3::new(85.0 * cos + 500.0, -300.0 * v, 85.0 * sin)
     });
     for (name, scan) in [("wall", &wall), ("barrel", &barrel)] {
-        let error = search(&rig, scan).expect_err(name);
+        let error = searched(&rig, scan, &[]).expect_err(name);
         println!("{name}: {error}");
         let refused = matches!(error, RegistrationError::NoStart { .. } | RegistrationError::AmbiguousStart { .. });
         assert!(refused && !error.is_input(), "{name}: {error}");
@@ -388,9 +383,7 @@ fn rivals_are_held_to_the_size_of_the_start() {
     for seed in [84, 124, 132] {
         let (case, place) = (case(&rig, seed), any_pose(&mut rng));
         let (pose, search) = found(&rig, &moved(&upper(&case.scan, 0.6), &place));
-        let (turn, distance) = off(&rig, &pose, &place.after(&case.pose));
-        println!("seed {seed}: {turn:.2} degrees, {distance:.2} mm, rival {:.2}", search.rival());
-        assert!(turn < 6.0 && distance < 10.0, "seed {seed}: {turn} degrees, {distance} mm, {search:?}");
+        assert_near(&rig, &pose, &place.after(&case.pose), &format!("seed {seed}: {search:?}"));
     }
 }
 
@@ -464,8 +457,7 @@ fn a_landmark_far_off_is_named_and_does_no_harm() {
 fn hybrid_by(rig: &FaceRig, shapes: &ShapeBasis, case: &ScanCase, landmarks: &[Landmark]) -> (f64, LandmarkStart) {
     let input = RegistrationInput { landmarks, shapes, ..RegistrationInput::new(&rig.mesh, &case.scan) };
     let schedule = ModelKind::Hybrid.schedule().unwrap();
-    let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
-    let result = result.unwrap();
+    let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap();
     (error(case, &result.positions), result.start_landmarks.unwrap())
 }
 
@@ -529,8 +521,7 @@ fn a_mouth_wide_open_is_found_without_landmarks_and_a_shut_one_stays_shut() {
         [0.0, StartOptions::default().expression].map(|expression| {
             let mut schedule = ModelKind::Hybrid.schedule().unwrap();
             schedule.search.expression = expression;
-            let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
-            let result = result.unwrap();
+            let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap();
             (error(&case, &result.positions), result.start_expression)
         })
     };
@@ -627,8 +618,7 @@ fn a_closed_subject_is_found_bent_and_only_wrong_landmarks_are_suspect() {
             schedule.closed.as_mut().unwrap().bend.clear();
         }
         let input = RegistrationInput { landmarks: &marks, ..RegistrationInput::new(&template, &scan) };
-        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
-        let result = result.unwrap();
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap();
         let square: f64 = result.positions.iter().zip(&truth).map(|(a, b)| (a - b).norm_squared()).sum();
         let suspects: Vec<String> =
             result.start_landmarks.iter().flat_map(|l| l.suspects.iter().map(|s| s.name.clone())).collect();
@@ -662,8 +652,7 @@ fn the_best_way_of_bending_is_kept_whatever_comes_before_and_after_it() {
     let run = |ways: &[&Level]| {
         let mut schedule = default.clone();
         schedule.closed.as_mut().unwrap().bend = [&lead].into_iter().chain(ways.iter().copied()).cloned().collect();
-        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent);
-        let result = result.unwrap();
+        let result = register(&input, &ModelKind::Hybrid, &schedule, &mut Silent).unwrap();
         (result.start_bent, result.history, result.positions)
     };
     let alone = run(&[&good]);
@@ -793,7 +782,9 @@ fn another_unit_is_named_or_found() {
     let case = case(&rig, 25);
     for factor in [1e-3, 0.1, 25.4, 1000.0] {
         let scan = moved(&case.scan, &Pose { scale: factor, ..Pose::identity() });
-        let Err(RegistrationError::Size { ratio }) = search(&rig, &scan) else { panic!("{factor} was not noticed") };
+        let Err(RegistrationError::Size { ratio }) = searched(&rig, &scan, &[]) else {
+            panic!("{factor} was not noticed")
+        };
         assert!((0.5..2.5).contains(&(ratio / factor)), "{factor}: {ratio}");
     }
     for (factor, larger) in [(1e-3, 1.0), (0.1, 1.0), (1.0, 0.95), (10.0, 1.06)] {
@@ -818,13 +809,13 @@ fn the_program_finds_a_turned_scan_and_one_inside_out() {
     write_ply(&bench.path("inverted.ply"), &scan, PlyOptions::default()).unwrap();
     let fit = "register --template rig/template.obj --model rigid --out r.obj --report r.json --target";
     bench.done(&format!("{fit} turned.ply"));
-    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     let search = &report["start_search"];
     assert!(search["fit"]["share"].as_f64().unwrap() > 0.5 && search["tried"].as_u64().unwrap() > 1000, "{search}");
     assert!(search["runner_up"]["loss"].as_f64().unwrap() > search["fit"]["loss"].as_f64().unwrap(), "{search}");
     let stderr = bench.ends(&format!("{fit} inverted.ply"), 0);
     assert!(stderr.contains("was turned over"), "{stderr}");
-    let report: serde_json::Value = serde_json::from_slice(&bench.read("r.json")).unwrap();
+    let report = bench.json("r.json");
     assert_eq!(report["scan_facing"]["flipped"], true);
     let stderr = bench.ends(&format!("{fit} inverted.ply --flip no"), 2);
     assert!(stderr.contains("no start found") && stderr.contains("landmarks"), "{stderr}");

@@ -5,12 +5,7 @@ use nonrigid::mesh::{PolygonMesh, Vec3};
 
 /// Vertices and polygons.
 fn mesh<P: AsRef<[u32]>>(positions: Vec<Vec3>, polygons: impl IntoIterator<Item = P>) -> PolygonMesh {
-    let mut mesh = PolygonMesh { positions, starts: vec![0], ..PolygonMesh::default() };
-    for polygon in polygons {
-        mesh.corners.extend(polygon.as_ref());
-        mesh.starts.push(mesh.corners.len() as u32);
-    }
-    mesh
+    with_polygons(PolygonMesh { positions, starts: vec![0], ..PolygonMesh::default() }, polygons)
 }
 
 /// A sheet of quads, `columns` by `rows` vertices, at `place(column, row)`.
@@ -128,6 +123,7 @@ pub fn awkward() -> Vec<(&'static str, PolygonMesh)> {
     let tip = needles.positions.len() as u32;
     needles.positions.extend([Vec3::new(40.0, 30.0, 1e-9), Vec3::new(40.0, 30.0, 900.0)]);
     let line = (0..63).map(|i| Vec3::new(1.0, 2.0, -0.5) * f64::from(i)).collect();
+    let turned = polygons(&plain()).into_iter().rev().step_by(4).map(|q| q.into_iter().rev().collect::<Vec<u32>>());
     let wing = |x: f64, z: f64| Vec3::new(x, 30.0, z);
     let mut book = plain();
     book.positions.extend([wing(35.0, 40.0), wing(45.0, 40.0), wing(35.0, -40.0), wing(45.0, -40.0)]);
@@ -141,16 +137,7 @@ pub fn awkward() -> Vec<(&'static str, PolygonMesh)> {
         ("duplicate vertices, joined by nothing", soup(&plain())),
         ("duplicate vertices, some faces on each", with_polygons(twice, doubles)),
         ("duplicate faces", with_polygons(plain(), polygons(&plain()).into_iter().step_by(3))),
-        (
-            "faces of both windings",
-            with_polygons(
-                plain(),
-                polygons(&plain()).into_iter().rev().step_by(4).map(|mut q| {
-                    q.reverse();
-                    q
-                }),
-            ),
-        ),
+        ("faces of both windings", with_polygons(plain(), turned)),
         ("zero-area triangles", with_polygons(plain(), [[0, 1, 1], [5, 5, 5], [0, 4, 8]])),
         ("needle triangles", with_polygons(needles, [[0, 62, tip], [30, 31, tip + 1], [31, 30, tip]])),
         ("non-manifold edge", with_polygons(book, [[30, 31, 64, 63], [30, 31, 66, 65]])),

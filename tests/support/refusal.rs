@@ -14,9 +14,6 @@ pub const COMPUTATION: i32 = 2;
 pub const WRITING: i32 = 3;
 pub const LOADING: i32 = 4;
 
-/// What a refused run has printed on stdout.
-pub type Stdout = String;
-
 /// Length and time of every file and folder below `folder`: a file that is written again, or renamed over, differs.
 fn traces(folder: &Path) -> BTreeMap<PathBuf, (u64, SystemTime)> {
     let mut found = BTreeMap::new();
@@ -31,8 +28,8 @@ fn traces(folder: &Path) -> BTreeMap<PathBuf, (u64, SystemTime)> {
     found
 }
 
-/// Runs `program` in `folder` with arguments separated by spaces, and says what is wrong with how it refuses them, if anything.
-pub fn refuses(program: &str, folder: &Path, arguments: &str, code: i32, words: &[&str]) -> Result<Stdout, String> {
+/// Runs `program` in `folder` with arguments separated by spaces: what it prints on stdout, or what is wrong with how it refuses them.
+pub fn refuses(program: &str, folder: &Path, arguments: &str, code: i32, words: &[&str]) -> Result<String, String> {
     let before = traces(folder);
     let output = Command::new(program).args(arguments.split_whitespace()).current_dir(folder).output().unwrap();
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
