@@ -80,10 +80,22 @@ fn farthest(a: &[Vec3], b: &[Vec3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
 }
 
-fn energy(model: &mut dyn DeformationModel, x: &[f64]) -> f64 {
+fn energies(model: &mut dyn DeformationModel, x: &[f64]) -> Vec<f64> {
     let mut energies = Vec::new();
     model.regulariser_energy(x, &mut energies);
-    energies.iter().map(|e| e.1).sum()
+    energies.iter().map(|e| e.1).collect()
+}
+
+fn energy(model: &mut dyn DeformationModel, x: &[f64]) -> f64 {
+    energies(model, x).iter().sum()
+}
+
+/// Away from rest.
+fn assert_gradient(body: &mut Body) {
+    let x: Vec<f64> =
+        body.model.rest_parameters().iter().enumerate().map(|(k, x)| x + 0.3 * (k as f64).sin()).collect();
+    let report = check_gradient(body, &x, GradientCheck::default());
+    assert!(report.passed(), "{}: {report}", body.model.name());
 }
 
 #[test]
@@ -173,12 +185,7 @@ fn a_region_of_another_modulus_weighs_as_much_more() {
     let [mut even, mut mixed, mut doubled] = [vec![1.0; 121], moduli.clone(), vec![2.0; 121]]
         .map(|moduli| Fem::new(&mesh, options.clone(), 0.8).unwrap().with_moduli(&moduli));
     let x: Vec<f64> = even.layer().nodes.iter().flat_map(|p| <[f64; 3]>::from(p + strain * p)).collect();
-    let parts = |model: &mut Fem| {
-        let mut energies = Vec::new();
-        model.regulariser_energy(&x, &mut energies);
-        energies.iter().map(|e| e.1).collect::<Vec<f64>>()
-    };
-    let [of_even, of_mixed, of_doubled] = [&mut even, &mut mixed, &mut doubled].map(parts);
+    let [of_even, of_mixed, of_doubled] = [&mut even, &mut mixed, &mut doubled].map(|model| energies(model, &x));
     assert!(of_even.len() == 2 && of_even.iter().zip(&of_doubled).all(|(a, b)| (2.0 * a - b).abs() < 1e-12 * b));
     // Under the same strain everywhere it is the mean over the skin, linear between vertices.
     let mean = |t: &[u32; 3]| t.iter().map(|v| moduli[*v as usize]).sum::<f64>() / 3.0;
@@ -354,12 +361,7 @@ fn holding_vertices_where_they_would_go_changes_nothing() {
     let run = |model: Box<dyn DeformationModel>| {
         let mut body = body(model);
         pull(&mut body, targets.clone(), pulled);
-        let report = {
-            let x: Vec<f64> =
-                body.model.rest_parameters().iter().enumerate().map(|(k, x)| x + 0.3 * (k as f64).sin()).collect();
-            check_gradient(&mut body, &x, GradientCheck::default())
-        };
-        assert!(report.passed(), "{}: {report}", body.model.name());
+        assert_gradient(&mut body);
         settle(&mut body)
     };
     let [free_springs, free_tissue] = [run(Box::new(springs(&mesh))), run(Box::new(tissue(&mesh)))];
@@ -413,10 +415,7 @@ fn an_anchored_inner_side_resists_a_shift() {
     let shifted = of_field(&mut model, &nodes, |p| p + Vec3::new(0.0, 0.3, 0.4));
     approx::assert_relative_eq!(shifted, 0.8 * 2.0 * area * 0.25 / 9.0, max_relative = 1e-9);
     let mut body = body(Box::new(model));
-    let x: Vec<f64> =
-        body.model.rest_parameters().iter().enumerate().map(|(k, x)| x + 0.3 * (k as f64).sin()).collect();
-    let report = check_gradient(&mut body, &x, GradientCheck::default());
-    assert!(report.passed(), "{report}");
+    assert_gradient(&mut body);
 }
 
 #[test]

@@ -65,11 +65,11 @@ impl Face {
         MorphStep { pairs, ..MorphStep::default() }
     }
 
-    fn energy(&self, step: &MorphStep, constraints: &Constraints, model: MorphModel) -> MorphEnergy {
-        self.try_energy(step, constraints, model, &EnergyOptions::default()).unwrap()
+    fn solve(&self, step: &MorphStep, constraints: &Constraints, model: MorphModel) -> (Vec<Vec3>, EnergyReport) {
+        self.energy(step, constraints, model, &EnergyOptions::default()).unwrap().solve().unwrap()
     }
 
-    fn try_energy(
+    fn energy(
         &self,
         step: &MorphStep,
         constraints: &Constraints,
@@ -89,6 +89,10 @@ static FACE: LazyLock<Face> = LazyLock::new(|| Face::new(3000));
 
 const FORWARD: Vec3 = Vec3::new(0.0, 0.5, 3.0);
 
+fn pinned(pins: Vec<PlacedPoint>) -> Constraints {
+    Constraints { pins, ..Constraints::default() }
+}
+
 fn placed(name: &str, point: TemplatePoint, target: Vec3) -> PlacedPoint {
     PlacedPoint { name: name.into(), point, target }
 }
@@ -99,7 +103,7 @@ fn what_no_mask_lifts_keeps_its_bits_on_every_model() {
     let step = face.step(FORWARD);
     let moves = step.moves(face.mesh.positions.len()).unwrap();
     for model in ENERGIES {
-        let (moved, report) = face.energy(&step, &Constraints::default(), model).solve().unwrap();
+        let (moved, report) = face.solve(&step, &Constraints::default(), model);
         let kept = (0..moved.len()).filter(|v| !moves[*v]);
         assert!(kept.clone().all(|v| moved[v].map(f64::to_bits) == face.mesh.positions[v].map(f64::to_bits)));
         assert_eq!((report.held, report.moving), (kept.count(), moves.iter().filter(|m| **m).count()));
@@ -161,7 +165,7 @@ fn free_vertices_without_a_regulariser_are_the_papers_morph() {
     let bound = 1e-12 * bounding_box_diagonal(&face.mesh.positions);
     for smoothness in [Smoothness::Laplacian, Smoothness::BiLaplacian] {
         let options = EnergyOptions { smoothing: 0.0, smoothness, ..EnergyOptions::default() };
-        let mut energy = face.try_energy(&step, &Constraints::default(), FREE, &options).unwrap();
+        let mut energy = face.energy(&step, &Constraints::default(), FREE, &options).unwrap();
         let (moved, _) = energy.solve().unwrap();
         for (a, b) in moved.iter().zip(&direct) {
             assert!((a - b).norm() <= bound, "{:e}", (a - b).norm());
@@ -174,7 +178,7 @@ fn no_displacement_is_the_identity() {
     let face = &*FACE;
     let step = face.step(Vec3::zeros());
     for model in ENERGIES {
-        let (moved, _) = face.energy(&step, &Constraints::default(), model).solve().unwrap();
+        let (moved, _) = face.solve(&step, &Constraints::default(), model);
         for (a, b) in moved.iter().zip(&face.mesh.positions) {
             approx::assert_abs_diff_eq!(*a, *b, epsilon = 1e-11);
         }
@@ -191,14 +195,12 @@ fn pins_hold_exactly_and_goals_draw() {
     let (far, near) = (Vec3::new(0.7, -0.2, 4.0), Vec3::new(0.0, 0.3, 1.0));
     let bound = PIN_TOLERANCE * bounding_box_diagonal(&face.mesh.positions);
     for model in [FREE, ARAP, GRAPH, HYBRID, POISSON, LAPLACIAN] {
-        let pins = vec![placed("tip", tip, at(&tip) + far)];
-        let constraints = Constraints { pins, ..Constraints::default() };
-        let (moved, _) = face.energy(&step, &constraints, model).solve().unwrap();
+        let constraints = pinned(vec![placed("tip", tip, at(&tip) + far)]);
+        let (moved, _) = face.solve(&step, &constraints, model);
         assert_eq!(moved[face.tip as usize].map(f64::to_bits), (at(&tip) + far).map(f64::to_bits), "{model:?}");
 
-        let pins = vec![placed("inside", inside, at(&inside) + near)];
-        let constraints = Constraints { pins, ..Constraints::default() };
-        let (moved, report) = face.energy(&step, &constraints, model).solve().unwrap();
+        let constraints = pinned(vec![placed("inside", inside, at(&inside) + near)]);
+        let (moved, report) = face.solve(&step, &constraints, model);
         let miss = (inside.position(&moved) - at(&inside) - near).norm();
         println!("{model:?}: {miss:e}, {} steps", report.iterations);
         assert!(miss <= bound && report.pin_distance <= bound, "{model:?}: {miss:e}");
@@ -206,16 +208,15 @@ fn pins_hold_exactly_and_goals_draw() {
         let distance = |weight: f64| {
             let goals = vec![(placed("tip", tip, at(&tip) + far), weight)];
             let constraints = Constraints { goals, ..Constraints::default() };
-            let (moved, _) = face.energy(&step, &constraints, model).solve().unwrap();
+            let (moved, _) = face.solve(&step, &constraints, model);
             (moved[face.tip as usize] - at(&tip) - far).norm()
         };
         let [weak, strong, stronger] = [1.0, 100.0, 1e4].map(distance);
         assert!(strong < 0.7 * weak && stronger < 0.1 * weak, "{model:?}: {weak}, {strong}, {stronger}");
     }
     // Thirty shapes reach any place of one point.
-    let pins = vec![placed("tip", tip, at(&tip) + near)];
-    let constraints = Constraints { pins, ..Constraints::default() };
-    let (moved, _) = face.energy(&step, &constraints, BLENDSHAPE).solve().unwrap();
+    let constraints = pinned(vec![placed("tip", tip, at(&tip) + near)]);
+    let (moved, _) = face.solve(&step, &constraints, BLENDSHAPE);
     assert_eq!(moved[face.tip as usize], at(&tip) + near);
 }
 
@@ -227,12 +228,12 @@ fn a_dragged_handle_ends_where_a_fresh_start_does() {
     let constraints = |z: f64| Constraints { goals: vec![goal(z)], ..Constraints::default() };
     let options = EnergyOptions { tolerance: 1e-14, ..EnergyOptions::default() };
     for model in ENERGIES {
-        let mut dragged = face.try_energy(&face.step(Vec3::z()), &constraints(1.0), model, &options).unwrap();
+        let mut dragged = face.energy(&face.step(Vec3::z()), &constraints(1.0), model, &options).unwrap();
         dragged.solve().unwrap();
         dragged.set_displacement(0, FORWARD).unwrap();
         dragged.set_goal(0, goal(5.0).0.target).unwrap();
         let (warm, _) = dragged.solve().unwrap();
-        let mut fresh = face.try_energy(&face.step(FORWARD), &constraints(5.0), model, &options).unwrap();
+        let mut fresh = face.energy(&face.step(FORWARD), &constraints(5.0), model, &options).unwrap();
         let (cold, _) = fresh.solve().unwrap();
         for (a, b) in warm.iter().zip(&cold) {
             assert!((a - b).norm() < 1e-4, "{model:?}: {:e}", (a - b).norm());
@@ -245,10 +246,9 @@ fn a_region_without_handles_follows_pins_and_goals() {
     let face = &*FACE;
     let tip = TemplatePoint::Vertex(face.tip);
     let target = tip.position(&face.mesh.positions) + Vec3::z() * 4.0;
-    let pins = vec![placed("tip", tip, target)];
-    let constraints = Constraints { free: vec![face.mask(15.0)], pins, ..Constraints::default() };
+    let constraints = Constraints { free: vec![face.mask(15.0)], ..pinned(vec![placed("tip", tip, target)]) };
     for model in [FREE, ARAP, GRAPH, HYBRID] {
-        let (moved, report) = face.energy(&MorphStep::default(), &constraints, model).solve().unwrap();
+        let (moved, report) = face.solve(&MorphStep::default(), &constraints, model);
         assert_eq!(moved[face.tip as usize], target);
         let neighbours = face.triangle_at_tip().into_iter().filter(|v| *v != face.tip);
         for v in neighbours {
@@ -326,7 +326,7 @@ fn one_recipe_means_the_same_at_any_resolution() {
     let faces = [Face::new(2000), Face::new(12_000)];
     for model in ENERGIES {
         let [coarse, fine] = [&faces[0], &faces[1]].map(|face| {
-            let (moved, _) = face.energy(&face.step(FORWARD), &Constraints::default(), model).solve().unwrap();
+            let (moved, _) = face.solve(&face.step(FORWARD), &Constraints::default(), model);
             moved[face.tip as usize] - face.mesh.positions[face.tip as usize]
         });
         println!("{model:?}: {coarse:.3?} {fine:.3?}");
@@ -354,9 +354,7 @@ fn weights_of_shapes_stay_between_their_bounds() {
 fn threads_change_no_bit() {
     let face = &*FACE;
     let step = face.step(FORWARD);
-    let on = |threads: usize, model| {
-        on_threads(threads, || face.energy(&step, &Constraints::default(), model).solve().unwrap())
-    };
+    let on = |threads: usize, model| on_threads(threads, || face.solve(&step, &Constraints::default(), model));
     for model in ENERGIES {
         assert_eq!(on(1, model), on(2, model));
     }
@@ -368,7 +366,7 @@ fn impossible_morphs_are_named() {
     let (step, none) = (face.step(FORWARD), Constraints::default());
     let options = EnergyOptions::default();
     let fails = |step: &MorphStep, constraints: &Constraints, model, options: &EnergyOptions| {
-        face.try_energy(step, constraints, model, options).err().unwrap()
+        face.energy(step, constraints, model, options).err().unwrap()
     };
     assert_eq!(fails(&MorphStep::default(), &none, FREE, &options), MorphError::NothingMoves);
     assert_eq!(fails(&step, &none, MorphModel::Direct, &options), MorphError::NoEnergy);
@@ -390,18 +388,17 @@ fn impossible_morphs_are_named() {
     let moves = step.moves(face.mesh.positions.len()).unwrap();
     let held = TemplatePoint::Vertex(moves.iter().position(|m| !m).unwrap() as u32);
     let tip = TemplatePoint::Vertex(face.tip);
-    let pins = |pins| Constraints { pins, ..Constraints::default() };
-    let error = fails(&step, &pins(vec![placed("ear", held, Vec3::zeros())]), ARAP, &options);
+    let error = fails(&step, &pinned(vec![placed("ear", held, Vec3::zeros())]), ARAP, &options);
     assert_eq!(error, MorphError::PointHeld("ear".into()));
     let twice = vec![placed("a", tip, Vec3::zeros()), placed("b", tip, Vec3::x())];
-    assert_eq!(fails(&step, &pins(twice), ARAP, &options), MorphError::PinnedTwice("b".into()));
+    assert_eq!(fails(&step, &pinned(twice), ARAP, &options), MorphError::PinnedTwice("b".into()));
     let nan = vec![placed("a", tip, Vec3::repeat(f64::NAN))];
-    assert!(matches!(fails(&step, &pins(nan), ARAP, &options), MorphError::Target { .. }));
+    assert!(matches!(fails(&step, &pinned(nan), ARAP, &options), MorphError::Target { .. }));
     let one = ShapeBasis::new(
         vec![Shape { name: "up".into(), family: Family::Identity }],
         (0..face.mesh.positions.len()).flat_map(|_| [0.0, 1.0, 0.0]).collect(),
     );
-    let aside = pins(vec![placed("tip", tip, tip.position(&face.mesh.positions) + Vec3::x())]);
+    let aside = pinned(vec![placed("tip", tip, tip.position(&face.mesh.positions) + Vec3::x())]);
     let mut energy = MorphEnergy::new(&face.mesh, &step, &aside, BLENDSHAPE, &one, &options).unwrap();
     let error = energy.solve().unwrap_err();
     assert!(
@@ -450,7 +447,7 @@ fn what_a_model_is_said_not_to_read_changes_no_bit_and_what_it_reads_does() {
     let usual = EnergyOptions::default();
     let step = FACE.step(FORWARD);
     let solve = |model, options: &EnergyOptions| {
-        FACE.try_energy(&step, &Constraints::default(), model, options).unwrap().solve().unwrap()
+        FACE.energy(&step, &Constraints::default(), model, options).unwrap().solve().unwrap()
     };
     for model in ENERGIES {
         let before = solve(model, &usual);

@@ -85,15 +85,13 @@ fn cut(face: &Face) -> (Face, Vec<u32>) {
 
 #[test]
 fn a_mesh_that_was_cut_moves_as_the_whole_one() {
-    let whole =
-        Face { regions: Regions::of_groups(&FACE.mesh), ..Face::new(FACE.mesh.clone(), FACE.landmarks.clone()) };
-    let (cut, of) = cut(&whole);
+    let (cut, of) = cut(&FACE);
     for model in ["direct", "arap"] {
         let recipe = format!(
             "[[step]]\nmodel = \"{model}\"\nmask = [{{ parts = [\"nose\", \"cheeks\"], displacement = [0, 0, 4] }}]\n\
              protect = [{{ parts = [\"cheeks\"] }}]\n"
         );
-        let [one, other] = [&whole, &cut].map(|face| face.morph(&recipe).pop().unwrap());
+        let [one, other] = [&FACE, &cut].map(|face| face.morph(&recipe).pop().unwrap());
         let apart = (0..of.len()).map(|v| (other.positions[v] - one.positions[of[v] as usize]).norm());
         let apart = apart.fold(0.0, f64::max);
         assert!(apart < 1e-6, "{model}: {apart} mm");
@@ -177,12 +175,7 @@ fn a_recipe_replayed_gives_the_same_bits_and_until_stops_early() {
         assert_eq!(b[k].positions, c[k].positions);
     }
     assert_ne!(a[0].positions, a[1].positions);
-    let first = face
-        .replay(
-            &recipe,
-            ReplayOptions { until: Some(1), model: Some(MorphModel::Energy(ModelKind::Arap)), amount: None },
-        )
-        .unwrap();
+    let first = face.replay(&recipe, ReplayOptions { until: Some(1), ..options }).unwrap();
     assert_eq!((first.len(), &first[0].positions), (1, &a[0].positions));
 }
 
@@ -352,7 +345,11 @@ fn malformed_recipes_name_the_line() {
         (format!("{FRAME}[[step]]\nname = \"empty\"\n"), 2, "without masks"),
         (format!("[[step]]\n[[step.mask]]\n{mask}weights = \"a.npy\"\n"), 2, "one of region"),
         ("[[step]]\n[[step.mask]]\ndisplacement = [0, 0, 1]\n".to_owned(), 2, "one of region"),
-        (format!("[[step]]\n[[step.mask]]\n{mask}displacement = [0, nan, 1]\n"), 2, "finite"),
+        (
+            format!("[[step]]\n[[step.mask]]\n{mask}displacement = [0, nan, 1]\n"),
+            2,
+            "[0.0, NaN, 1.0], expected finite numbers",
+        ),
         (format!("[[step]]\n[[step.mask]]\n{mask}[[step.protect]]\n{mask}displacement = [0, 0, 1]\n"), 4, "protected"),
         (format!("[[step]]\n[[step.mask]]\n{mask}[[step.pin]]\nlandmark = \"3\"\n"), 4, "one of by and to"),
         (format!("[[step]]\n[[step.mask]]\n{mask}[[step.goal]]\nby = [0, 0, 1]\n"), 4, "landmark and vertex"),
@@ -370,11 +367,6 @@ fn malformed_recipes_name_the_line() {
             "{head}"
         );
     }
-    let error = Recipe::from_text(&format!("[[step]]\n[[step.mask]]\n{mask}displacement = [0, nan, 1]\n"), "r.toml");
-    assert_eq!(
-        error.unwrap_err().to_string(),
-        "r.toml: line 2: the displacement is [0.0, NaN, 1.0], expected finite numbers"
-    );
 }
 
 #[test]

@@ -88,6 +88,11 @@ pub fn small_task() -> Task {
     Task::new(&rig, &case, 5)
 }
 
+fn rmse(rig: &FaceRig, case: &ScanCase, result: &RegistrationResult) -> f64 {
+    let triangles = rig.mesh.triangulate().triangles;
+    TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse
+}
+
 pub fn bits(positions: &[Vec3]) -> Vec<[u64; 3]> {
     positions.iter().map(|p| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()]).collect()
 }
@@ -97,7 +102,6 @@ fn the_hybrid_recovers_faces_better_than_its_parts() {
     // The subject's neutral is known, one of the two expressions shown is not: blendshapes alone cannot reach it, and the
     // graph alone does not know where skin slides.
     let rig = FaceRig::generate(&FaceOptions { vertices: 2500, ..FaceOptions::default() });
-    let triangles = rig.mesh.triangulate().triangles;
     let models = [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Blendshape, ModelKind::Rigid];
     let cases = [
         (21, ("jawOpen", 0.4), ("mouthSmile_L", 0.9)),
@@ -119,10 +123,7 @@ fn the_hybrid_recovers_faces_better_than_its_parts() {
         subject.mesh.positions.clone_from(&subject.neutral);
         subject.expressions.retain(|e| !e.0.starts_with(withheld.0));
         let task = Task::new(&subject, &case, 0);
-        let rmse = models.map(|model| {
-            let result = task.fit(model);
-            TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse
-        });
+        let rmse = models.map(|model| rmse(&rig, &case, &task.fit(model)));
         println!("seed {seed}: {rmse:.3?}");
         assert!(rmse[0] < 0.8 * rmse[3], "seed {seed}: hybrid {:.3} mm, rigid {:.3} mm", rmse[0], rmse[3]);
         mean.iter_mut().zip(rmse).for_each(|(m, e)| *m += e / cases.len() as f64);
@@ -149,10 +150,8 @@ fn shut_eyes_and_closed_lips_cross_no_more_than_at_rest() {
     assert!(done.before > done.at_rest + 30 && done.after <= done.at_rest, "{done:?}");
     // The model is where it was, and the truth no farther.
     assert_eq!((&parted.weights, &parted.end.parameters), (&left.weights, &left.end.parameters));
-    let rmse = |result: &RegistrationResult| {
-        TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse
-    };
-    assert!(rmse(&parted) < rmse(&left) + 0.02, "{} {}", rmse(&parted), rmse(&left));
+    let [parted, left] = [&parted, &left].map(|result| rmse(&rig, &case, result));
+    assert!(parted < left + 0.02, "{parted} {left}");
 }
 
 #[test]
@@ -272,11 +271,8 @@ fn the_same_bits_at_any_number_of_threads_also_with_all_terms_and_for_point_clou
 fn a_point_cloud_is_worth_its_mesh() {
     let (rig, case) = small();
     let task = Task::new(&rig, &case, 5);
-    let triangles = rig.mesh.triangulate().triangles;
     for model in [ModelKind::Hybrid, ModelKind::Graph, ModelKind::Rigid] {
-        let fits = [task.fit(model), task.as_cloud().fit(model)];
-        let [mesh, cloud] =
-            fits.map(|f| TruthErrors::new(&f.positions, &case.truth, &case.observed, &triangles).unwrap().0.rmse);
+        let [mesh, cloud] = [&task, &task.as_cloud()].map(|task| rmse(&rig, &case, &task.fit(model)));
         println!("{model}: mesh {mesh:.3} mm, cloud {cloud:.3} mm");
         assert!(cloud < 1.15 * mesh + 0.05, "{model}: mesh {mesh} mm, cloud {cloud} mm");
     }
