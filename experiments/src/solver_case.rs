@@ -24,6 +24,8 @@ use nonrigid::rig::{Family, Shape, ShapeBasis};
 use nonrigid::term::PointToPlane;
 use serde_json::json;
 
+use crate::scaling::Derivatives;
+
 /// What to solve, and how.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples, on a case of your own:\n  \
@@ -55,12 +57,6 @@ pub struct Arguments {
     /// Threads [default: all cores]; the result does not depend on them
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Derivatives {
-    Structured,
-    Reference,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]

@@ -214,14 +214,9 @@ fn eyeballs_show_between_open_lids_and_not_between_closed_ones() {
             identity: Some(Vec::new()),
             rotation: 0.0,
             translation: 0.0,
-            noise: 0.0,
-            spikes: 0.0,
-            outliers: 0.0,
-            holes: 0,
-            loose_parts: 0,
+            cameras: ScanOptions::default().cameras,
             eyeballs,
-            triangles: 60_000,
-            ..ScanOptions::default()
+            ..faultless(60_000)
         };
         let case = scan(&rig, &options, 4);
         let [left, right] = rig.eyeballs(&[]).unwrap();
@@ -239,7 +234,6 @@ fn faults_are_as_large_as_asked_for() {
     let base = ScanOptions {
         cameras: vec![Camera::Position([0.0, 0.0, 800.0])],
         pose: Some(Pose::identity()),
-        triangles: 20_000,
         ..faultless(20_000)
     };
     let clean = scan(&rig, &base, 6);

@@ -59,7 +59,7 @@ impl FromStr for Nodes {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Derivatives {
+pub(crate) enum Derivatives {
     Structured,
     Reference,
 }
