@@ -5,8 +5,8 @@ use std::any::{Any, TypeId};
 use super::block::Block;
 use super::family::{AnyFamily, Common, GRAIN};
 use super::{AnalyticResidual, BlockId};
+use crate::nlls::RobustKernel;
 use crate::nlls::parallel::for_each;
-use crate::nlls::{Kernel, RobustKernel};
 
 /// Residuals with Jacobians of their own that share a kernel and a weight: see [`AnalyticResidual`].
 pub struct AnalyticFamily<F, const K: usize> {
@@ -42,15 +42,9 @@ impl<F: AnalyticResidual<K>, const K: usize> AnalyticFamily<F, K> {
         Self { residuals, common: Common::new(blocks), slots: Vec::new() }
     }
 
-    /// The same residuals under one of the [`Kernel`]s. Default: plain squares.
+    /// The same residuals under one of the [`Kernel`](crate::nlls::Kernel)s or a kernel of your own. Default: plain squares.
     #[must_use]
-    pub fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { common: self.common.with_kernel(kernel), ..self }
-    }
-
-    /// The same residuals under a kernel of your own.
-    #[must_use]
-    pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
+    pub fn with_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
         Self { common: self.common.with_kernel(kernel), ..self }
     }
 

@@ -45,15 +45,9 @@ impl<F: Residual<R, T>, const R: usize, const T: usize> Family<F, R, T> {
         Self { residuals, common: Common::new(blocks), slots: Vec::new(), tangents: PhantomData }
     }
 
-    /// The same residuals under one of the [`Kernel`]s. Default: plain squares.
+    /// The same residuals under one of the [`Kernel`]s or a kernel of your own. Default: plain squares.
     #[must_use]
-    pub fn with_kernel(self, kernel: Kernel) -> Self {
-        Self { common: self.common.with_kernel(kernel), ..self }
-    }
-
-    /// The same residuals under a kernel of your own.
-    #[must_use]
-    pub fn with_robust_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
+    pub fn with_kernel(self, kernel: impl RobustKernel + 'static) -> Self {
         Self { common: self.common.with_kernel(kernel), ..self }
     }
 

@@ -223,18 +223,15 @@ fn mistakes_are_named() {
         b.add_block::<So3>(&[f64::NAN; 9]);
     });
     assert!(error.contains("block 0"), "{error}");
-    for robust in [false, true] {
-        let error = build(&|b| {
-            let r = b.add_block::<So3>(&identity);
-            let (family, kernel) = (Family::new(vec![Unary], &[[r]]), Kernel::Cauchy { delta: 0.0 });
-            b.add_family(if robust { family.with_robust_kernel(kernel) } else { family.with_kernel(kernel) });
-        });
-        assert_eq!(error, "family 0: kernel.delta is 0, but must be positive and finite");
-    }
+    let error = build(&|b| {
+        let r = b.add_block::<So3>(&identity);
+        b.add_family(Family::new(vec![Unary], &[[r]]).with_kernel(Kernel::Cauchy { delta: 0.0 }));
+    });
+    assert_eq!(error, "family 0: kernel.delta is 0, but must be positive and finite");
     let error = build(&|b| {
         let r = b.add_block::<So3>(&identity);
         let kernel = Scaled { kernel: Kernel::Cauchy { delta: 1.0 }, delta: -1.0 };
-        b.add_family(Family::new(vec![Unary], &[[r]]).with_robust_kernel(kernel));
+        b.add_family(Family::new(vec![Unary], &[[r]]).with_kernel(kernel));
     });
     assert_eq!(error, "family 0: kernel.delta is -1, but must be positive and finite");
 }
