@@ -106,7 +106,6 @@ mod tests {
     use nalgebra::{Rotation3, Vector3};
     use num_dual::DualSVec64;
 
-    use super::super::check_manifold;
     use super::*;
 
     #[test]
@@ -137,12 +136,6 @@ mod tests {
                 assert_eq!(eps[j], expected[i][j], "row {i}, column {j}");
             }
         }
-    }
-
-    #[test]
-    fn laws() {
-        let r = *exp([0.3, -1.0, 0.2]).as_flattened().first_chunk().unwrap();
-        check_manifold::<So3>(&r as &[f64; 9]).unwrap();
     }
 
     #[test]
