@@ -181,27 +181,31 @@ impl Rig {
     }
 
     fn drop_motionless(&mut self) -> Vec<RigWarning> {
-        let width = 3 * self.neutral.len();
         let threshold = self.motionless_below();
         let moves = |k| lengths(self.deltas(k)).any(|length| length > threshold);
         let keep: Vec<bool> = (0..self.shapes.len()).into_par_iter().map(moves).collect();
-        let mut warnings = Vec::new();
-        let mut kept = 0;
-        for (k, shape) in std::mem::take(&mut self.shapes).into_iter().enumerate() {
-            if keep[k] {
-                if kept < k {
-                    self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
-                }
-                self.shapes.push(shape);
-                kept += 1;
-            } else {
-                warnings.push(RigWarning::Motionless { name: shape.name.clone() });
-                self.motionless.push(shape.name);
-            }
-        }
-        self.deltas.truncate(kept * width);
+        self.motionless = self.keep_shapes(&keep).into_iter().map(|shape| shape.name).collect();
         self.deltas.shrink_to_fit();
-        warnings
+        self.motionless.iter().map(|name| RigWarning::Motionless { name: name.clone() }).collect()
+    }
+
+    /// Keeps the shapes that are marked and returns the others.
+    fn keep_shapes(&mut self, keep: &[bool]) -> Vec<Shape> {
+        let width = 3 * self.neutral.len();
+        let (mut kept, mut dropped) = (Vec::new(), Vec::new());
+        for (k, shape) in std::mem::take(&mut self.shapes).into_iter().enumerate() {
+            if !keep[k] {
+                dropped.push(shape);
+                continue;
+            }
+            if kept.len() < k {
+                self.deltas.copy_within(k * width..(k + 1) * width, kept.len() * width);
+            }
+            kept.push(shape);
+        }
+        self.deltas.truncate(kept.len() * width);
+        self.shapes = kept;
+        dropped
     }
 
     /// Multiplies all lengths, to bring them to millimetres.

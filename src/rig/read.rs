@@ -25,7 +25,8 @@ use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal};
 use crate::text;
 
 /// What the files of a folder of meshes hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum ShapeKind {
     /// Positions of the whole shape.
     #[default]
@@ -84,21 +85,13 @@ impl Rig {
 
     /// Drops all identity modes but the first `most`.
     fn keep_identity_modes(&mut self, most: usize) {
-        let width = 3 * self.neutral.len();
         let mut modes = 0;
         let keep = |shape: &Shape| {
             modes += usize::from(shape.family == Family::Identity);
             shape.family != Family::Identity || modes <= most
         };
         let keep: Vec<bool> = self.shapes.iter().map(keep).collect();
-        let mut kept = 0;
-        for k in (0..keep.len()).filter(|&k| keep[k]) {
-            self.deltas.copy_within(k * width..(k + 1) * width, kept * width);
-            self.shapes.swap(k, kept);
-            kept += 1;
-        }
-        self.deltas.truncate(kept * width);
-        self.shapes.truncate(kept);
+        self.keep_shapes(&keep);
     }
 }
 
@@ -209,24 +202,14 @@ pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RigFile {
-    kind: RigFileKind,
-}
-
-#[derive(serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum RigFileKind {
-    Full,
-    Delta,
+    kind: ShapeKind,
 }
 
 fn read_meshes(folder: &Path, options: &RigReadOptions) -> Result<(Rig, Vec<RigWarning>), RigError> {
     let rig_file = folder.join("rig.json");
     let stated = if rig_file.exists() {
         let file: RigFile = read_json(&rig_file, "{\"kind\": \"full\"} or {\"kind\": \"delta\"}")?;
-        Some(match file.kind {
-            RigFileKind::Full => ShapeKind::Full,
-            RigFileKind::Delta => ShapeKind::Delta,
-        })
+        Some(file.kind)
     } else {
         None
     };
