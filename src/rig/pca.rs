@@ -272,10 +272,9 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| a * b).sum()
     }
 
-    /// Orthonormal vectors of `length`, by Gram and Schmidt, twice.
-    fn orthonormal(count: usize, length: usize, seed: usize) -> Vec<Vec<f64>> {
-        let mut basis: Vec<Vec<f64>> = Vec::new();
-        for k in 0..count {
+    /// Orthonormal vectors of `length`, those of `basis` and `more`, by Gram and Schmidt, twice.
+    fn orthonormal(mut basis: Vec<Vec<f64>>, more: usize, length: usize, seed: usize) -> Vec<Vec<f64>> {
+        for k in 0..more {
             let mut v: Vec<f64> = (0..length).map(|i| noise(seed + k * length + i)).collect();
             for _ in 0..2 {
                 for b in &basis {
@@ -298,21 +297,9 @@ mod tests {
     /// `count` shapes whose singular vectors and values are known: mean, vectors, standard deviations, population.
     fn known(vertices: usize, count: usize, sigmas: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>, Population) {
         let mean = cloud(vertices);
-        let directions = orthonormal(sigmas.len(), 3 * vertices, 1);
+        let directions = orthonormal(Vec::new(), sigmas.len(), 3 * vertices, 1);
         // Weights whose columns are orthonormal and sum to zero: orthogonal to the first, which is constant.
-        let mut weights = vec![vec![(1.0 / count as f64).sqrt(); count]];
-        for k in 0..sigmas.len() {
-            let mut w: Vec<f64> = (0..count).map(|i| noise(90_000 + k * count + i)).collect();
-            for _ in 0..2 {
-                for b in &weights {
-                    let along = dot(&w, b);
-                    w.iter_mut().zip(b).for_each(|(x, b)| *x -= along * b);
-                }
-            }
-            let norm = dot(&w, &w).sqrt();
-            w.iter_mut().for_each(|x| *x /= norm);
-            weights.push(w);
-        }
+        let weights = orthonormal(vec![vec![(1.0 / count as f64).sqrt(); count]], sigmas.len(), count, 90_000);
         let shape = |i: usize| {
             let mut x = mean.clone();
             for (k, sigma) in sigmas.iter().enumerate() {
