@@ -1,6 +1,5 @@
 //! Distances between two surfaces, both ways, when no truth is known.
 
-use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ScanDistance;
@@ -110,24 +109,6 @@ impl SurfaceDistances {
             symmetric_median: 0.5 * (forth.median + back.median),
         }
     }
-
-    /// Measures and summarises. `closest_on_scan` and `closest_on_result` answer the closest point on each surface, or
-    /// `None` where there is none; they are called from several threads.
-    #[must_use]
-    pub fn measure(
-        result: &[Vec3],
-        scan: &[Vec3],
-        closest_on_scan: impl Fn(&Vec3) -> Option<Vec3> + Sync,
-        closest_on_result: impl Fn(&Vec3) -> Option<Vec3> + Sync,
-        within: f64,
-    ) -> Self {
-        Self::from_distances(&distances(result, closest_on_scan), &distances(scan, closest_on_result), within)
-    }
-}
-
-/// Distance of each point to a surface given by its closest-point function; NaN where that has no answer.
-fn distances(points: &[Vec3], closest: impl Fn(&Vec3) -> Option<Vec3> + Sync) -> Vec<f64> {
-    points.par_iter().map(|p| closest(p).map_or(f64::NAN, |c| (p - c).norm())).collect()
 }
 
 #[cfg(test)]
@@ -135,16 +116,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hand_computed_distances_between_two_planes() {
-        let result = [Vec3::new(0.0, 0.0, 1.0), Vec3::new(1.0, 0.0, 2.0), Vec3::new(2.0, 0.0, 3.0)];
-        let scan = [Vec3::zeros(), Vec3::new(0.0, 0.0, f64::NAN)];
-        let d = SurfaceDistances::measure(
-            &result,
-            &scan,
-            |p| Some(Vec3::new(p.x, p.y, 0.0)),
-            |p| p.z.is_finite().then(|| Vec3::new(0.0, 0.0, 0.5)),
-            2.0,
-        );
+    fn distances_are_summarised_as_by_hand() {
+        let d = SurfaceDistances::from_distances(&[1.0, 2.0, 3.0], &[0.5, f64::NAN], 2.0);
         let forth = d.result_to_scan;
         assert_eq!((forth.count, forth.median, forth.mean, forth.max), (3, 2.0, 2.0, 3.0));
         assert!((forth.rms - (14.0f64 / 3.0).sqrt()).abs() < 1e-12 && (forth.share_within - 2.0 / 3.0).abs() < 1e-12);
