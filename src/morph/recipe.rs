@@ -103,48 +103,36 @@ pub struct RecipeStep {
 }
 
 /// A mask: one of `region`, `png`, `weights` and `parts`.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct MaskSpec {
     /// For reports.
-    #[serde(default)]
     pub name: String,
     /// A drawing. Its coordinates are the frame's millimetres, a camera's pixels (from the top left, y down), or texture coordinates.
-    #[serde(default)]
     pub region: Option<Region>,
     /// A picture.
-    #[serde(default)]
     pub png: Option<PathBuf>,
     /// What red, green and blue of the picture count for.
-    #[serde(default)]
     pub grey: GreyWeights,
     /// Weights of the vertices themselves, a `.npy` file.
-    #[serde(default)]
     pub weights: Option<PathBuf>,
     /// Whole regions of the rig, or groups of the mesh, by name.
-    #[serde(default)]
     pub parts: Vec<String>,
     /// How the drawing or picture meets the mesh.
-    #[serde(default)]
     pub view: ViewSpec,
     /// Landmarks about whose mean the frame is put, in place of its origin.
-    #[serde(default)]
     pub at: Vec<String>,
     /// Of the drawing or picture; default the paper's 13 x 13 mean, 20 times, and for what is protected none: a soft rim would let
     /// part of it move.
-    #[serde(default)]
     pub blur: Option<Blur>,
     /// Default bilinear.
-    #[serde(default)]
     pub sampling: Sampling,
     /// Default the visible surface.
-    #[serde(default)]
     pub visibility: Visibility,
     /// How far a vertex of weight 1 moves, millimetres of the mesh along the frame's axes, times the amount.
-    #[serde(default, deserialize_with = "crate::io::arrays::optional_array")]
+    #[serde(deserialize_with = "crate::io::arrays::optional_array")]
     pub displacement: Option<[f64; 3]>,
     /// Also the mirror image, in the frame's plane x = 0, of mask and displacement.
-    #[serde(default)]
     pub mirror: bool,
 }
 
