@@ -85,11 +85,6 @@ fn bordered_steps_have_the_same_bits_at_any_number_of_threads() {
 }
 
 #[test]
-fn steps_of_the_solver_by_structure_have_the_same_bits_at_any_number_of_threads() {
-    compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::Auto, usize::MAX));
-}
-
-#[test]
 fn block_jacobi_steps_have_the_same_bits_at_any_number_of_threads() {
     compare(MODELS - 1, || all_steps(&Zoo::large(), LinearSolverKind::BlockJacobi, usize::MAX));
 }
