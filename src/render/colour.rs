@@ -9,10 +9,6 @@ pub enum ColourMap {
     /// Dark violet to yellow: for magnitudes.
     #[default]
     Viridis,
-    /// Dark blue to yellow: for magnitudes.
-    Cividis,
-    /// Black through red to pale yellow: for magnitudes, on light backgrounds.
-    Inferno,
     /// Blue through white to red: for signed values about zero.
     BlueRed,
 }
@@ -27,8 +23,6 @@ impl ColourMap {
         let t = t.clamp(0.0, 1.0);
         let colour = match self {
             Self::Viridis => colorous::VIRIDIS.eval_continuous(t),
-            Self::Cividis => colorous::CIVIDIS.eval_continuous(t),
-            Self::Inferno => colorous::INFERNO.eval_continuous(t),
             Self::BlueRed => colorous::RED_BLUE.eval_continuous(1.0 - t),
         };
         [colour.r, colour.g, colour.b]

@@ -34,7 +34,7 @@ pub use image::RgbImage;
 pub use camera::{Camera, CameraError, Frame, Projection, View};
 pub use colour::{ColourMap, ColourScale, Rgb8};
 pub use png::{PictureError, encode_png, save_png};
-pub use raster::{RenderOptions, render, render_with};
+pub use raster::render;
 pub use scene::{Scene, Style};
 pub use sheet::{Panel, Sheet, error_sheet, registration_sheet};
 pub use text::{draw_text, text_height, text_size};

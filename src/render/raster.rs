@@ -1,4 +1,4 @@
-//! The rasteriser: a depth buffer per layer, supersampled, shaded per sample.
+//! The rasteriser: a depth buffer, supersampled, shaded per sample.
 //!
 //! The image is cut into bands of rows. Each band draws its own primitives in scene order and owns its buffers, so the
 //! result does not depend on how many threads share the bands. Depth is compared by a key that is linear on the screen
@@ -15,40 +15,22 @@ use crate::mesh::Vec3;
 use crate::mesh::normals::{NormalWeighting, vertex_normals};
 use crate::mesh::srgb::{from_light, to_light};
 
-/// Quality and background of a picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RenderOptions {
-    /// Samples per pixel along each axis, 1 to 8; default 2, that is 4 samples a pixel.
-    pub supersampling: u32,
-    /// Background, default white.
-    pub background: Rgb8,
-    /// How far a line may lie behind a surface and still be drawn on it, as a share of its distance from the camera;
-    /// default 0.0015.
-    pub line_bias: f64,
-}
-
-impl Default for RenderOptions {
-    fn default() -> Self {
-        Self { supersampling: 2, background: [255, 255, 255], line_bias: 0.0015 }
-    }
-}
-
-/// Draws `scene` at `size` (width, height) pixels with the default options.
-#[must_use]
-pub fn render(scene: &Scene, camera: &Camera, size: [u32; 2]) -> RgbImage {
-    render_with(scene, camera, size, &RenderOptions::default())
-}
+/// Samples per pixel along each axis.
+const SUPERSAMPLING: u32 = 2;
+const BACKGROUND: Rgb8 = [255, 255, 255];
+/// How far a line may lie behind a surface and still be drawn on it, as a share of its distance from the camera.
+const LINE_BIAS: f64 = 0.0015;
 
 /// Rows of output pixels in a band.
 const BAND: u32 = 16;
 
 /// Draws `scene` at `size` (width, height) pixels.
 #[must_use]
-pub fn render_with(scene: &Scene, camera: &Camera, size: [u32; 2], options: &RenderOptions) -> RgbImage {
+pub fn render(scene: &Scene, camera: &Camera, size: [u32; 2]) -> RgbImage {
     let mut image = RgbImage::new(size[0], size[1]);
-    let factor = options.supersampling.clamp(1, 8);
-    let Some(fine) = size[0].checked_mul(factor).zip(size[1].checked_mul(factor)) else { return image };
-    let prepared = Prepared::new(scene, camera, [fine.0, fine.1], factor, options);
+    let fine = size[0].checked_mul(SUPERSAMPLING).zip(size[1].checked_mul(SUPERSAMPLING));
+    let Some(fine) = fine else { return image };
+    let prepared = Prepared::new(scene, camera, [fine.0, fine.1]);
     let row_bytes = size[0] as usize * 3;
     if row_bytes == 0 {
         return image;
@@ -67,7 +49,6 @@ struct Prepared<'a> {
     width: usize,
     factor: usize,
     background: Linear,
-    line_bias: f64,
     perspective: bool,
     lights: Lights,
     surfaces: Vec<PreparedSurface<'a>>,
@@ -84,7 +65,7 @@ struct PreparedSurface<'a> {
 }
 
 enum Look<'a> {
-    Plain { front: Linear, back: Linear, opacity: f32 },
+    Plain { front: Linear, back: Linear },
     Overlay { weights: &'a [f64], colour: Linear },
     Values { values: &'a [f64], scale: &'a ColourScale, palette: Vec<Linear> },
 }
@@ -112,9 +93,9 @@ struct PreparedPoints<'a> {
 const NOWHERE: [f64; 3] = [f64::NAN; 3];
 
 impl<'a> Prepared<'a> {
-    fn new(scene: &'a Scene, camera: &Camera, fine: [u32; 2], factor: u32, options: &RenderOptions) -> Self {
-        let band_rows = f64::from(BAND * factor);
-        let band_count = fine[1].div_ceil(BAND * factor) as usize;
+    fn new(scene: &'a Scene, camera: &Camera, fine: [u32; 2]) -> Self {
+        let band_rows = f64::from(BAND * SUPERSAMPLING);
+        let band_count = fine[1].div_ceil(BAND * SUPERSAMPLING) as usize;
         let project = |points: &[Vec3]| -> Vec<[f64; 3]> {
             points.par_iter().map(|p| camera.project(*p, fine).unwrap_or(NOWHERE)).collect()
         };
@@ -150,7 +131,7 @@ impl<'a> Prepared<'a> {
         };
         let wires = |layer: &'a Wires| {
             let screen = project(&layer.positions);
-            let half_width = 0.5 * layer.width.max(0.0) * f64::from(factor);
+            let half_width = 0.5 * layer.width.max(0.0) * f64::from(SUPERSAMPLING);
             let margin = half_width + 1.0;
             let edge_bands = sort(&mut layer.edges.iter().map(|e| {
                 let y = e.map(|v| screen[v as usize][1]);
@@ -161,15 +142,14 @@ impl<'a> Prepared<'a> {
         };
         let points = |layer: &'a Points| {
             let screen = project(&layer.positions);
-            let radius = layer.radius.max(0.0) * f64::from(factor);
+            let radius = layer.radius.max(0.0) * f64::from(SUPERSAMPLING);
             let bands = sort(&mut screen.iter().map(|p| [p[1] - radius, p[1] + radius]));
             PreparedPoints { layer, colour: to_linear(layer.colour), radius, bands, screen }
         };
         Self {
             width: fine[0] as usize,
-            factor: factor as usize,
-            background: to_linear(options.background),
-            line_bias: options.line_bias,
+            factor: SUPERSAMPLING as usize,
+            background: to_linear(BACKGROUND),
             perspective: camera.is_perspective(),
             lights: Lights::new(camera),
             surfaces: scene.surfaces.iter().map(surface).collect(),
@@ -181,21 +161,16 @@ impl<'a> Prepared<'a> {
 
 impl<'a> Look<'a> {
     fn of(style: &'a Style) -> Self {
-        let plain = |front, back, opacity| Look::Plain { front: to_linear(front), back: to_linear(back), opacity };
+        let plain = |front, back| Look::Plain { front: to_linear(front), back: to_linear(back) };
         match style {
-            Style::Clay => plain(CLAY[0], CLAY[1], 1.0),
-            Style::Solid(colour) => plain(*colour, *colour, 1.0),
-            Style::Translucent(colour, opacity) => plain(*colour, *colour, opacity.clamp(0.0, 1.0) as f32),
+            Style::Clay => plain(CLAY[0], CLAY[1]),
+            Style::Solid(colour) => plain(*colour, *colour),
             Style::Overlay(weights, colour) => Look::Overlay { weights, colour: to_linear(*colour) },
             Style::Values(values, scale) => {
                 let palette = (0..=PALETTE).map(|i| to_linear(scale.map.at(i as f64 / PALETTE as f64))).collect();
                 Look::Values { values, scale, palette }
             }
         }
-    }
-
-    fn opacity(&self) -> f32 {
-        if let Look::Plain { opacity, .. } = self { *opacity } else { 1.0 }
     }
 }
 
@@ -228,15 +203,8 @@ impl<'p, 'a> Band<'p, 'a> {
         let p = self.prepared;
         let rows = pixels.len() / (3 * (p.width / p.factor)) * p.factor;
         let mut solid = vec![NOTHING; p.width * rows];
-        let mut films: Vec<Vec<Hit>> = Vec::new();
-        for (layer, surface) in p.surfaces.iter().enumerate() {
-            if surface.look.opacity() >= 1.0 {
-                self.draw_surface(layer, &mut solid);
-            } else {
-                let mut film = vec![NOTHING; p.width * rows];
-                self.draw_surface(layer, &mut film);
-                films.push(film);
-            }
+        for layer in 0..p.surfaces.len() {
+            self.draw_surface(layer, &mut solid);
         }
         for layer in 0..p.points.len() {
             self.draw_points(layer, &mut solid);
@@ -253,7 +221,7 @@ impl<'p, 'a> Band<'p, 'a> {
             for sub_row in 0..p.factor {
                 for sub_column in 0..p.factor {
                     let (x, y) = (column * p.factor + sub_column, row * p.factor + sub_row);
-                    let colour = self.sample(x, y, &solid, &films, &lines, &mut last);
+                    let colour = self.sample(x, y, &solid, &lines, &mut last);
                     for c in 0..3 {
                         sum[c] += colour[c];
                     }
@@ -264,15 +232,7 @@ impl<'p, 'a> Band<'p, 'a> {
     }
 
     /// Colour of one sample; `y` counts from the top of the band.
-    fn sample(
-        &self,
-        x: usize,
-        y: usize,
-        solid: &[Hit],
-        films: &[Vec<Hit>],
-        lines: &[Vec<f32>],
-        last: &mut (Hit, Linear),
-    ) -> Linear {
+    fn sample(&self, x: usize, y: usize, solid: &[Hit], lines: &[Vec<f32>], last: &mut (Hit, Linear)) -> Linear {
         let p = self.prepared;
         let at = y * p.width + x;
         let hit = solid[at];
@@ -286,14 +246,6 @@ impl<'p, 'a> Band<'p, 'a> {
                 *last = (hit, self.shade(hit, x, y));
             }
             colour = last.1;
-        }
-        if !films.is_empty() {
-            let mut front: Vec<Hit> = films.iter().map(|film| film[at]).filter(|f| f.key > hit.key).collect();
-            front.sort_by(|a, b| a.key.total_cmp(&b.key));
-            for film in front {
-                let opacity = p.surfaces[film.layer as usize].look.opacity();
-                colour = mix(colour, self.shade(film, x, y), opacity);
-            }
         }
         for (wires, coverage) in p.wires.iter().zip(lines) {
             colour = mix(colour, wires.colour, coverage[at]);
@@ -360,7 +312,7 @@ impl<'p, 'a> Band<'p, 'a> {
                     if cover > coverage[at] {
                         let key = a[2] + t * (b[2] - a[2]);
                         // Bring the line nearer by a share of its depth (perspective) or of the depth key (orthographic).
-                        let key = if p.perspective { key / (1.0 - p.line_bias) } else { key + p.line_bias * key.abs() };
+                        let key = if p.perspective { key / (1.0 - LINE_BIAS) } else { key + LINE_BIAS * key.abs() };
                         if key >= nearest[at] {
                             coverage[at] = cover;
                         }
@@ -422,7 +374,7 @@ impl<'p, 'a> Band<'p, 'a> {
             triangle.iter().zip(w).map(|(v, w)| values.get(*v).copied().unwrap_or(missing) * w).sum()
         };
         match &surface.look {
-            Look::Plain { front, back, .. } => {
+            Look::Plain { front, back } => {
                 let colour = if inside { back } else { front };
                 colour.map(|c| c * light.0 + light.1)
             }
@@ -530,16 +482,12 @@ mod tests {
     }
 
     #[test]
-    fn two_triangles_leave_no_crack_and_a_film_lets_the_back_through() {
+    fn two_triangles_leave_no_crack() {
         let red = Scene::new().mesh(&square(0.0, 1.0).triangulate(), Style::Solid([255, 0, 0]));
         let picture = render(&red, &camera(), SIZE);
         for i in 8..92 {
             assert!(picture.get_pixel(i, 100 - i).0[1] < 100, "crack on the diagonal at {i}");
         }
-        let film = red.mesh(&square(0.1, 0.6).triangulate(), Style::Translucent([0, 0, 255], 0.5));
-        let picture = render(&film, &camera(), SIZE);
-        let [r, _, b] = picture.get_pixel(50, 50).0;
-        assert!(r > 90 && b > 90, "{r} {b}");
     }
 
     #[test]
@@ -616,7 +564,7 @@ mod tests {
         let scene = || {
             Scene::new()
                 .mesh(&poly.triangulate(), Style::Clay)
-                .mesh(&square(0.02, 0.5).triangulate(), Style::Translucent([0, 120, 200], 0.4))
+                .mesh(&square(0.02, 0.5).triangulate(), Style::Solid([0, 120, 200]))
                 .wireframe(&poly)
                 .points(&points, [200, 60, 0], 2.0)
         };

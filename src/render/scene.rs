@@ -10,8 +10,6 @@ pub enum Style {
     Clay,
     /// Clay of another colour, the same on both sides.
     Solid(Rgb8),
-    /// A see-through film: colour and opacity, 0 to 1. Only its nearest surface is drawn.
-    Translucent(Rgb8, f64),
     /// Clay under a colour with a weight per vertex, 0 to 1: C_r = C_d (1 - G) + C_s G, equation (4) of Li et al. 2018, where
     /// `C_d` is the lit clay and the colours are mixed as light. Missing weights and NaN are 0.
     Overlay(Vec<f64>, Rgb8),
