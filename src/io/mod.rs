@@ -42,7 +42,7 @@ pub use obj::{parse_obj, read_obj, write_obj};
 pub use off::parse_off;
 pub use pc2::write_pc2;
 pub use plan::{FilePlan, PlanError, check_files};
-pub use ply::{Ply, PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
+pub use ply::{PlyOptions, PlyPrecision, parse_ply, read_ply, write_ply, write_ply_polygons};
 pub use stl::parse_stl;
 pub use unit::{BODY_EXTENT, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, UnitSource, face_extent};
 pub use usda::{Clip, write_usda};

@@ -17,15 +17,12 @@ use super::error::{excerpt, read_file, without_mark};
 use super::{MeshFile, Place, ReadError, WriteError, color_bytes, write_atomically};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
-/// What a PLY file holds. Colours stored as floats are taken as 0-1, or as 0-255 where most are above 1; as 16 bits as 0-65535.
-pub type Ply = MeshFile;
-
-/// Reads a PLY file.
+/// Reads a PLY file. Colours stored as floats are taken as 0-1, or as 0-255 where most are above 1; as 16 bits as 0-65535.
 ///
 /// # Errors
 /// When the file cannot be read or is malformed: the message names the line (header, ascii) or byte (binary), what was
 /// expected and what was found. Counts that the file is too short for are refused before anything is allocated.
-pub fn read_ply(path: &Path) -> Result<Ply, ReadError> {
+pub fn read_ply(path: &Path) -> Result<MeshFile, ReadError> {
     parse_ply(&read_file(path)?, path)
 }
 
@@ -123,11 +120,11 @@ struct Header {
 ///
 /// # Errors
 /// As [`read_ply`].
-pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<Ply, ReadError> {
+pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
     let bytes = without_mark(bytes);
     let header = parse_header(bytes, path)?;
     let mut body = Body { bytes, path, at: header.body, line: header.lines, format: header.format };
-    let mut ply = Ply::default();
+    let mut ply = MeshFile::default();
     ply.mesh.starts.push(0);
     let mut seen_vertices = false;
     let mut seen_faces = false;
@@ -408,7 +405,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    fn vertices(&mut self, element: &Element, ply: &mut Ply) -> Result<(), ReadError> {
+    fn vertices(&mut self, element: &Element, ply: &mut MeshFile) -> Result<(), ReadError> {
         let find = |name: &str| element.properties.iter().position(|p| p.name == name && p.count.is_none());
         let find3 = |a, b, c| Some([find(a)?, find(b)?, find(c)?]);
         let Some(xyz) = find3("x", "y", "z") else {
