@@ -42,7 +42,9 @@ fn closest_point(c: &mut Criterion) {
             b.iter(|| queries.iter().map(|p| tree.query(p).unwrap().squared_distance).sum::<f64>());
         });
         for (name, offset) in [("with hint", Vec3::zeros()), ("with hint, moved 2 mm", Vec3::new(0.5, -1.0, 1.7))] {
-            let query = |(p, &hint): (&Vec3, &u32)| tree.query_from(&(p + offset), hint).unwrap().squared_distance;
+            let query = |(p, &hint): (&Vec3, &u32)| {
+                tree.query_from_within(&(p + offset), hint, f64::INFINITY).unwrap().squared_distance
+            };
             group.bench_function(BenchmarkId::new(name, size), |b| {
                 b.iter(|| queries.iter().zip(&hints).map(query).sum::<f64>());
             });

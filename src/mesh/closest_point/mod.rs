@@ -132,14 +132,8 @@ impl ClosestPoint {
         self.run(query, Best { squared_distance: max_squared_distance, primitive: u32::MAX })
     }
 
-    /// As [`Self::query`], faster if triangle `hint` is near. The answer does not depend on the hint; one that is out of
+    /// As [`Self::query_within`], faster if triangle `hint` is near. The answer does not depend on the hint; one that is out of
     /// range is ignored.
-    #[must_use]
-    pub fn query_from(&self, query: &Vec3, hint: u32) -> Option<Closest> {
-        self.query_from_within(query, hint, f64::INFINITY)
-    }
-
-    /// [`Self::query_from`] and [`Self::query_within`] at once.
     #[must_use]
     pub fn query_from_within(&self, query: &Vec3, hint: u32, max_squared_distance: f64) -> Option<Closest> {
         let mut best = Best { squared_distance: max_squared_distance, primitive: u32::MAX };
@@ -506,7 +500,7 @@ mod tests {
                 prop_assert!((by_weights - found.point).norm() < 1e-6, "{by_weights} {}", found.point);
                 prop_assert!(w.iter().all(|w| *w >= 0.0) && (w.iter().sum::<f64>() - 1.0).abs() < 1e-12);
                 // hints and bounds change nothing
-                prop_assert_eq!(tree.query_from(q, hint), Some(found));
+                prop_assert_eq!(tree.query_from_within(q, hint, f64::INFINITY), Some(found));
                 prop_assert_eq!(tree.query_within(q, d), Some(found));
                 prop_assert_eq!(tree.query_from_within(q, hint, d), Some(found));
                 if d > 0.0 {
@@ -622,7 +616,7 @@ mod tests {
             tree.move_to(&mesh.positions).unwrap();
             let new = ClosestPoint::new(mesh).unwrap();
             for q in &queries {
-                let answers = [tree.query(q), new.query(q), tree.query_from(q, 5000)];
+                let answers = [tree.query(q), new.query(q), tree.query_from_within(q, 5000, f64::INFINITY)];
                 let by_hand =
                     (0..new.triangles.len()).map(|slot| new.closest(slot, (*q).into()).2).min_by(f64::total_cmp);
                 assert_eq!(answers[0].map(|c| c.squared_distance), by_hand);
