@@ -48,9 +48,7 @@ pub type Arap = VertexModel<RigidCells<Spokes>>;
 impl Arap {
     /// The surface at rest on `mesh` (millimetres).
     ///
-    /// Vertices that no triangle refers to follow the nearest one that has triangles, turning with it. Vertices in parts without
-    /// data stay where they are if the solver damps (`Options::with_damping_floor`); without damping the normal equations
-    /// are singular, which is an error there.
+    /// Vertices that no triangle refers to follow the nearest one that has triangles, turning with it.
     ///
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.

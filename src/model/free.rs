@@ -118,9 +118,7 @@ pub(super) fn take_out_slope(i: usize, star: &mut [(u32, f64)], positions: &[Vec
 impl Free {
     /// Free vertices at the rest positions of `mesh` (millimetres).
     ///
-    /// Vertices that no triangle refers to follow the nearest one that has triangles. Vertices in parts without data stay
-    /// where they are if the solver damps (`Options::with_damping_floor`); without damping the normal equations are singular,
-    /// which is an error there.
+    /// Vertices that no triangle refers to follow the nearest one that has triangles.
     ///
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.

@@ -84,8 +84,7 @@ impl Laplacian {
     /// The surface at rest on `mesh` (millimetres). `reference_vertices` is the number of vertices of the template that `lambda` is
     /// meant for.
     ///
-    /// Vertices that no triangle refers to follow the nearest one that has triangles, turning and growing with its star. Parts without
-    /// data stay if the solver damps (`Options::with_damping_floor`); else the normal equations are singular, an error there.
+    /// Vertices that no triangle refers to follow the nearest one that has triangles, turning and growing with its star.
     ///
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.

@@ -84,8 +84,6 @@ impl MassSpring {
     /// Springs at rest on `mesh`; `options` has lengths in the mesh's unit.
     ///
     /// Vertices without tissue (in no triangle, or in such without area) hang on the nearest that has some, turning with it.
-    /// Parts without data stay where they are if the solver damps (`Options::with_damping_floor`); without damping the normal
-    /// equations are singular, which is an error there.
     ///
     /// # Errors
     /// When a position is not finite, a triangle indexes past the vertices, or no triangle has an area.

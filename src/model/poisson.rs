@@ -79,8 +79,7 @@ impl Poisson {
     ///
     /// A triangle without area, or with an angle of less than 0.06 degrees, has no gradient to speak of; its edges are kept as if
     /// they were those of an equilateral one. Vertices that no triangle refers to follow the nearest one that has triangles, turning
-    /// with the patch of its first. Parts without data stay where they are if the solver damps (`Options::with_damping_floor`);
-    /// without damping the normal equations are singular, which is an error there.
+    /// with the patch of its first.
     ///
     /// # Errors
     /// When a position is not finite or a triangle indexes past the vertices.

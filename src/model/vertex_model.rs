@@ -26,6 +26,10 @@ pub trait VertexRegulariser: Send + Sync + 'static {
 }
 
 /// Vertices under data and a regulariser.
+///
+/// Parts without data stay where they are if the solver damps
+/// ([`Options::with_damping_floor`](crate::nlls::Options::with_damping_floor)); without damping the normal equations are singular, which
+/// is an error there.
 pub struct VertexModel<R> {
     /// `lambda` of the regulariser.
     pub lambda_smooth: f64,
