@@ -48,23 +48,27 @@ def reader_of(path: Path) -> Callable[..., Rig] | None:
     return read_morphable if ending in (".h5", ".hdf5") else None
 
 
-def _rig(mesh: Mesh, names: list[str], families: list[str], deltas: Any, path: PathLike, unit: str, files: list[str]) -> Rig:
-    """A rig whose lengths are in `unit`, or one that is found."""
-    factor, note = _nonrigid.unit_of(os.fspath(path), mesh.vertices, None if unit == "auto" else unit)
+def _rig(
+    mesh: Mesh, names: list[str], families: list[str], deltas: Any, path: PathLike, unit: str, files: list[str], own: str | None = None
+) -> Rig:
+    """A rig whose lengths are in `unit`; "auto" is the format's own, or one that is found."""
+    known, factor, note = _nonrigid.unit_of(os.fspath(path), mesh.vertices, own if unit == "auto" else unit)
+    if unit == "auto" and own is not None:
+        known = (own, "file")
     warn(note)
     neutral = mesh.vertices * factor
     rig = Rig.__new__(Rig)
-    rig._assemble(neutral, mesh.with_vertices(neutral), names, families, np.asarray(deltas) * factor, None, None, files)
+    rig._assemble(neutral, mesh.with_vertices(neutral), names, families, np.asarray(deltas) * factor, None, None, files, known)
     return rig
 
 
 def read_ict(
-    path: PathLike, *, identity_modes: int | None = None, part: Literal["face", "all"] = "face", unit: str = "cm"
+    path: PathLike, *, identity_modes: int | None = None, part: Literal["face", "all"] = "face", unit: str = "auto"
 ) -> Rig:
     """Reads ICT-FaceKit's folder, FaceXModel or the one above (github.com/ICT-VGL/ICT-FaceKit, Li et al. 2020): expressions, and identity
     modes scaled by their standard deviations.
 
-    part: "face", its first 9,409 vertices, or "all", with eyes, teeth and neck. unit: ICT-FaceKit is in centimetres.
+    part: "face", its first 9,409 vertices, or "all", with eyes, teeth and neck. unit: ICT-FaceKit is in centimetres ("auto").
 
     Raises OSError if a file cannot be read, ValueError if one is malformed or has other vertices than the neutral.
     """
@@ -73,7 +77,6 @@ def read_ict(
     folder = folder if (folder / ICT_NEUTRAL).is_file() else folder / "FaceXModel"
     neutral = Mesh.read(folder / ICT_NEUTRAL, unit="mm")
     total = len(neutral.vertices)
-    unit = "cm" if unit == "auto" else unit
     if part == "face":
         vertices, polygons = ICT_FACE
         if total < vertices:
@@ -101,7 +104,7 @@ def read_ict(
     names = [p.stem for p in expressions + identities]
     families = ["expression"] * len(expressions) + ["identity"] * len(identities)
     read = [folder / ICT_NEUTRAL, *expressions, *identities]
-    return _rig(mesh, names, families, deltas, folder, unit, [str(p) for p in read])
+    return _rig(mesh, names, families, deltas, folder, unit, [str(p) for p in read], "cm")
 
 
 class _Held:
@@ -223,7 +226,7 @@ def read_flame(
     families = ["expression"] * len(chosen_expressions) + ["identity"] * len(chosen)
     deltas = np.moveaxis(shapes[:, :, chosen_expressions + chosen], 2, 0)
     mesh = Mesh(neutral, _whole_indices(f"{file}: f", arrays["f"]))
-    return _rig(mesh, names, families, deltas, path, "m" if unit == "auto" else unit, [str(file)])
+    return _rig(mesh, names, families, deltas, path, unit, [str(file)], "m")
 
 
 def read_morphable(path: PathLike, *, identity_modes: int | None = None, expressions: int | None = None, unit: str = "auto") -> Rig:
@@ -246,7 +249,9 @@ def read_morphable(path: PathLike, *, identity_modes: int | None = None, express
     try:
         opened = h5py.File(file, "r")
     except OSError as error:
-        raise OSError(f"{file}: is no HDF5 file that can be read: {error}") from None
+        if error.errno is not None:
+            raise OSError(error.errno, os.strerror(error.errno), str(file)) from None
+        raise ValueError(f"{file}: is no HDF5 file that can be read: {error}") from None
     with opened as data:
         prefix = "shape/" if "shape/model" in data else ""
 

@@ -206,6 +206,12 @@ class _Units:
             raise ValueError(f"unit of {name}: a {type(thing).__name__} is in millimetres already; leave that out")
         return None if unit == "auto" else unit
 
+    def refuse_idle(self, inputs: Mapping[str, Any]) -> None:
+        """Refuses the unit of an input that is not given."""
+        idle = [name for name, thing in inputs.items() if thing is None and isinstance(self.given, Mapping) and name in self.given]
+        if idle:
+            raise ValueError(f"unit of {idle[0]}: there is no {idle[0]}; leave that out, or give it")
+
 
 def register(
     template: Any,
@@ -279,6 +285,7 @@ def register(
     True
     """
     units = _Units(unit)
+    units.refuse_idle({"neutral": neutral, "rig": rig, "landmarks": landmarks, "template_landmarks": template_landmarks})
     start = Mesh.of(template, unit=units.of("template", template))
     target = Mesh.of(scan, unit=units.of("target", scan))
     identity_modes, subdivide = count_or_none("identity_modes", identity_modes), count("subdivide", subdivide)

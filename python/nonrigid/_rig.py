@@ -124,13 +124,14 @@ class Rig:
         landmarks: ArrayLike | None,
         regions: Mapping[str, ArrayLike] | None,
         files: list[str],
+        known: tuple[str, str] | None = None,
         kept: tuple[Any, ...] | None = None,
     ) -> None:
         flat = np.ascontiguousarray(deltas, dtype=np.float32).reshape(-1)
         marks = None if landmarks is None else indices("landmarks", landmarks).tolist()
         parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
         of_mesh = None if mesh is None else mesh._native
-        self._native = _nonrigid.Rig.of(neutral, of_mesh, names, families, flat, marks, parts, files, kept)
+        self._native = _nonrigid.Rig.of(neutral, of_mesh, names, families, flat, marks, parts, files, known, kept)
         self.standard_deviations = self.explained = None
         for note in self._native.notes:
             warn(note)
@@ -336,7 +337,7 @@ class Rig:
 def _unpickled(neutral: Floats, mesh: Mesh | None, names: list[str], families: list[str], deltas: Any, landmarks: Any,
                regions: Any, deviations: Any, explained: Any, kept: Any = None) -> Rig:  # fmt: skip
     rig = Rig.__new__(Rig)
-    rig._assemble(neutral, mesh, names, families, deltas, landmarks, None if regions is None else dict(regions), [], kept)
+    rig._assemble(neutral, mesh, names, families, deltas, landmarks, None if regions is None else dict(regions), [], kept=kept)
     rig.standard_deviations, rig.explained = deviations, explained
     return rig
 

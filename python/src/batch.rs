@@ -11,7 +11,7 @@ use nonrigid::batch::{
 use nonrigid::cli::{self, Program};
 use pyo3::prelude::*;
 
-use crate::errors::{ComputationError, compute, input, value};
+use crate::errors::{ComputationError, compute, input, os_error, value};
 
 /// Line, name, sequence, options.
 type PlainRow = (usize, String, Option<String>, Vec<(String, OsString)>);
@@ -332,7 +332,7 @@ impl Holder {
         let rows = rows.get();
         let held = compute(py, Some(1), || {
             let batch = setting.batch(1)?;
-            cli::check_output_folder(&batch.folder).map_err(|e| pyo3::exceptions::PyOSError::new_err(e.to_string()))?;
+            cli::check_output_folder(&batch.folder).map_err(|e| os_error(&e.to_string()))?;
             let job = setting.job(&batch);
             Held::take(batch, &manifest, &rows.rows, job, &|_| {}).map_err(batch_error)
         })?;

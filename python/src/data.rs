@@ -8,19 +8,18 @@ use nonrigid::io::MeshFile;
 use nonrigid::mesh::Vec3;
 use nonrigid::rig::{Family, Regions, Shape};
 use numpy::{IntoPyArray as _, PyArray1, PyArray2};
-use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{ComputationError, compute, input, interruptible, value};
+use crate::errors::{ComputationError, abandonable, in_python, input, interruptible, os_error, value};
 use crate::mesh::Mesh;
 use crate::rig::Rig;
 
 fn failed(failure: &Failure) -> PyErr {
-    let message = failure.to_string();
+    let message = in_python(&failure.to_string());
     match failure.stage() {
         Stage::Arguments => value(message),
-        Stage::Writing | Stage::Loading => PyOSError::new_err(message),
+        Stage::Writing | Stage::Loading => os_error(&message),
         _ => ComputationError::new_err(message),
     }
 }
@@ -53,12 +52,12 @@ impl Face {
         if !(1000..=500_000).contains(&vertices) || identity_modes > 200 {
             return Err(value("vertices: 1,000 to 500,000; identity_modes: at most 200"));
         }
-        compute(py, None, || Ok(Self(FaceRig::generate(&FaceOptions { vertices, identity_modes }))))
+        abandonable(py, None, move || Ok(Self(FaceRig::generate(&FaceOptions { vertices, identity_modes }))))
     }
 
-    fn rig(&self, py: Python<'_>) -> PyResult<Rig> {
-        compute(py, None, || {
-            let face = &self.0;
+    fn rig(face: Py<Self>, py: Python<'_>) -> PyResult<Rig> {
+        abandonable(py, None, move || {
+            let face = &face.get().0;
             let expressions = face.expressions.iter().map(|(name, _)| (name.clone(), Family::Expression));
             let identities = (0..face.identities.len()).map(|k| (format!("identity{k:03}"), Family::Identity));
             let shapes = expressions.chain(identities).map(|(name, family)| Shape { name, family }).collect();
@@ -79,11 +78,11 @@ impl Face {
         self.0.anthropometric.iter().map(|l| (l.name.to_string(), l.vertex)).collect()
     }
 
-    fn scan<'py>(&self, py: Python<'py>, arguments: Vec<OsString>, seed: u64) -> PyResult<Case<'py>> {
-        let case = compute(py, None, || {
+    fn scan(face: Py<Self>, py: Python<'_>, arguments: Vec<OsString>, seed: u64) -> PyResult<Case<'_>> {
+        let case = abandonable(py, None, move || {
             let options = command::scan_options(arguments).map_err(|e| failed(&e))?;
-            simulate_scan(&self.0, &options, seed).map_err(|e| match e {
-                data_gen::ScanError::Option(_) => value(e),
+            simulate_scan(&face.get().0, &options, seed).map_err(|e| match e {
+                data_gen::ScanError::Option(_) => value(in_python(&e.to_string())),
                 data_gen::ScanError::NothingSeen => ComputationError::new_err(e.to_string()),
             })
         })?;

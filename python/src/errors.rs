@@ -5,6 +5,8 @@ use std::error::Error;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
@@ -29,28 +31,76 @@ fn of_system<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a io::Error> {
     None
 }
 
-fn os_error(error: &(dyn Error + 'static), source: &io::Error) -> PyErr {
-    match source.raw_os_error() {
-        // Python finds the class by the number: FileNotFoundError, PermissionError, ...
-        Some(number) => PyOSError::new_err((number, error.to_string())),
-        None => PyErr::from(io::Error::new(source.kind(), error.to_string())),
+/// `OSError` of a message that names the file first and has the system's number: as Python's own, whose class is found by the number
+/// (`FileNotFoundError`, ...), with the file besides.
+pub fn os_error(message: &str) -> PyErr {
+    let Some((before, (number, after))) = message
+        .split_once(" (os error ")
+        .and_then(|(before, rest)| Some((before, rest.split_once(')')?)))
+        .and_then(|(before, (number, after))| Some((before, (number.parse::<i32>().ok()?, after))))
+    else {
+        return PyOSError::new_err(message.to_owned());
+    };
+    let number = if cfg!(unix) { number } else { of_kind(io::Error::from_raw_os_error(number).kind()) };
+    let verb = [": cannot be read: ", ": cannot be written: "].into_iter().find_map(|verb| before.find(verb));
+    match verb.map(|at| before.split_at(at)) {
+        Some((file, why)) => {
+            PyOSError::new_err((number, format!("{}{after}", why.trim_start_matches(": ")), file.to_owned()))
+        }
+        None => PyOSError::new_err((number, format!("{before}{after}"))),
     }
+}
+
+/// The number that C has for what another system numbers otherwise.
+fn of_kind(kind: io::ErrorKind) -> i32 {
+    match kind {
+        io::ErrorKind::NotFound => 2,
+        io::ErrorKind::PermissionDenied => 13,
+        io::ErrorKind::AlreadyExists => 17,
+        io::ErrorKind::NotADirectory => 20,
+        io::ErrorKind::IsADirectory => 21,
+        io::ErrorKind::StorageFull => 28,
+        _ => 5,
+    }
+}
+
+fn told(error: &(dyn Error + 'static), otherwise: impl FnOnce(String) -> PyErr) -> PyErr {
+    use io::ErrorKind::{InvalidData, InvalidInput, UnexpectedEof};
+    let message = in_python(&error.to_string());
+    match of_system(error) {
+        // what is in a file, or its name, is wrong
+        Some(source) if matches!(source.kind(), InvalidData | InvalidInput | UnexpectedEof) => value(message),
+        Some(_) => os_error(&message),
+        None => otherwise(message),
+    }
+}
+
+/// What the library says, with arguments where it names options of the command line.
+pub fn in_python(text: &str) -> String {
+    let mut parts = text.split("--");
+    let mut told = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let begins = told.chars().last().is_none_or(|c| " ('\"".contains(c));
+        let end = part.find(|c: char| !(c.is_ascii_lowercase() || c == '-')).unwrap_or(part.len());
+        if begins && part.starts_with(|c: char| c.is_ascii_lowercase()) {
+            told += &part[..end].replace('-', "_");
+            told += &part[end..];
+        } else {
+            told += "--";
+            told += part;
+        }
+    }
+    told
 }
 
 /// Inputs that cannot be used: `OSError` if the system could not read or write them, otherwise `ValueError`.
 pub fn input(error: impl Error + 'static) -> PyErr {
-    match of_system(&error) {
-        Some(source) => os_error(&error, source),
-        None => value(error),
-    }
+    told(&error, value)
 }
 
 /// A computation that failed, or `OSError`.
 pub fn computation(error: impl Error + 'static) -> PyErr {
-    match of_system(&error) {
-        Some(source) => os_error(&error, source),
-        None => ComputationError::new_err(error.to_string()),
-    }
+    told(&error, ComputationError::new_err::<String>)
 }
 
 /// `ValueError`.
@@ -105,6 +155,31 @@ pub fn interruptible<R: Send>(
         let outcome = thread.join().unwrap_or_else(|_| Err(ended()));
         interrupted.map_or(outcome, Err)
     })
+}
+
+/// [`on_threads`] besides this one, which looks for Ctrl-C meanwhile and then leaves the work, which ends by itself and is heard of no
+/// more: for what cannot be stopped and writes nothing.
+pub fn abandonable<R: Send + 'static>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    work: impl FnOnce() -> PyResult<R> + Send + 'static,
+) -> PyResult<R> {
+    let (to_here, from_there) = channel();
+    std::thread::spawn(move || to_here.send(on_threads(threads, work)));
+    let from_there = Mutex::new(from_there);
+    loop {
+        let outcome = py.detach(|| {
+            let from_there = from_there.lock().unwrap_or_else(PoisonError::into_inner);
+            from_there.recv_timeout(Duration::from_millis(20))
+        });
+        match outcome {
+            Ok(outcome) => return outcome,
+            Err(RecvTimeoutError::Timeout) => py.check_signals()?,
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(ComputationError::new_err("a thread of nonrigid has ended; please report it"));
+            }
+        }
+    }
 }
 
 /// [`on_threads`] without the interpreter's lock.

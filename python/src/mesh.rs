@@ -5,15 +5,15 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nonrigid::io::{
-    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MaterialFiles, MeshFile, UnitSource, absolute,
-    face_extent, read_mesh_file, write_atomically,
+    self, FaceUnit, FilePlan, Input, Inputs, KnownUnit, LengthUnit, MaterialFiles, MeshFile, ReadError, UnitSource,
+    absolute, face_extent, read_mesh_file, write_atomically,
 };
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3, surface_points};
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArrayMethods as _, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{compute, input, value};
+use crate::errors::{abandonable, compute, in_python, input, value};
 
 /// What a file said of its unit, and by what its lengths were multiplied.
 pub struct Measured {
@@ -116,6 +116,11 @@ pub fn names_of_unit(known: KnownUnit) -> Option<(String, String)> {
     Some((known.unit.to_string(), (*name).to_owned()))
 }
 
+/// A unit and how it is known, for users.
+pub fn unit_text(known: KnownUnit) -> String {
+    in_python(&known.to_string())
+}
+
 /// [`names_of_unit`], the other way.
 pub fn unit_of_names((unit, by): (String, String)) -> PyResult<KnownUnit> {
     let source = UNIT_SOURCES.iter().find(|(name, _)| *name == by).ok_or_else(|| value(format!("unit by {by:?}")))?;
@@ -154,7 +159,7 @@ impl Mesh {
     #[pyo3(signature = (path, unit=None))]
     fn read(py: Python<'_>, path: PathBuf, unit: Option<&str>) -> PyResult<Self> {
         let asked = self::unit(unit)?;
-        compute(py, Some(1), move || {
+        abandonable(py, Some(1), move || {
             let inputs = Inputs::default();
             let mut file = inputs.reading("", || read_mesh_file(&path)).map_err(input)?;
             let points = surface_points(&file.mesh.positions, file.mesh.corners.iter().copied());
@@ -171,7 +176,7 @@ impl Mesh {
     #[pyo3(signature = (path, unit=None))]
     fn read_points(py: Python<'_>, path: PathBuf, unit: Option<&str>) -> PyResult<Self> {
         let asked = self::unit(unit)?;
-        compute(py, Some(1), move || {
+        abandonable(py, Some(1), move || {
             let inputs = Inputs::default();
             let mut positions = inputs.reading("", || io::read_npy_points(&path)).map_err(input)?;
             let Measured { known, factor, note } = measured(&path, &positions, asked)?;
@@ -308,7 +313,7 @@ impl Mesh {
     /// Unit of the file, and how it is known.
     #[getter]
     fn unit(&self) -> Option<String> {
-        self.known.as_ref().map(ToString::to_string)
+        self.known.map(unit_text)
     }
 
     #[getter]
@@ -428,21 +433,26 @@ fn millimetres(unit: &str) -> PyResult<f64> {
     unit.parse::<LengthUnit>().map(LengthUnit::millimetres).map_err(|e| value(format!("unit: {e}")))
 }
 
-/// What lengths that were read from `path` are multiplied by to be millimetres, and what should be said about that.
+/// Names of the unit of lengths that were read from `path` and of how it is known, what they are multiplied by to be millimetres, and
+/// what should be said about that.
 #[pyfunction]
 #[pyo3(signature = (path, points, unit=None))]
-fn unit_of(path: PathBuf, points: PyReadonlyArray2<'_, f64>, unit: Option<&str>) -> PyResult<(f64, Option<String>)> {
+fn unit_of(
+    path: PathBuf,
+    points: PyReadonlyArray2<'_, f64>,
+    unit: Option<&str>,
+) -> PyResult<(Option<(String, String)>, f64, Option<String>)> {
     let Measured { known, note, .. } = measured(&path, &arrays::points("vertices", &points)?, self::unit(unit)?)?;
-    Ok((known.unit.millimetres(), note))
+    Ok((names_of_unit(known), known.unit.millimetres(), note))
 }
 
 /// Files that were read by others, as inputs.
 pub fn hashed(files: Vec<PathBuf>) -> PyResult<Vec<Input>> {
     let hashed = files.into_iter().map(|path| {
-        let sha256 = io::sha256_of_file(&path)?;
+        let sha256 = io::sha256_of_file(&path).map_err(|source| ReadError::Io { path: path.clone(), source })?;
         Ok(Input { role: String::new(), path: absolute(&path), sha256 })
     });
-    hashed.collect::<std::io::Result<_>>().map_err(input)
+    hashed.collect::<Result<_, ReadError>>().map_err(input)
 }
 
 pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {

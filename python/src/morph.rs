@@ -19,7 +19,7 @@ use pyo3::prelude::*;
 use serde::Serialize;
 
 use crate::arrays;
-use crate::errors::{computation, compute, guarded, input, value};
+use crate::errors::{abandonable, computation, compute, guarded, input, value};
 use crate::inputs::{Landmarks, to_toml};
 use crate::mesh::Mesh;
 use crate::rig::Rig;
@@ -68,7 +68,7 @@ fn recipe(py: Python<'_>, kind: &str, given: &Bound<'_, PyAny>) -> PyResult<Reci
 
 /// Names of landmarks and where they are on a mesh: those given, or else a rig's; and which of them lie off it.
 fn places(
-    landmarks: &[&Landmarks],
+    landmarks: &[Py<Landmarks>],
     unit: Option<LengthUnit>,
     rig: Option<&Rig>,
     mesh: &Mesh,
@@ -79,7 +79,7 @@ fn places(
         return Ok((of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect(), off));
     }
     let mut points = Vec::new();
-    for landmarks in landmarks {
+    for landmarks in landmarks.iter().map(Py::get) {
         let (mut set, _) = landmarks.in_millimetres(unit, mesh)?;
         set.format = LandmarkFormat::Native; // positions are points of the surface, as where they are measured
         let of_set = set.on_template(&landmarks.path, mesh.polygons()).map_err(input)?;
@@ -96,11 +96,11 @@ type Steps<'py> = Vec<(Bound<'py, PyArray2<f64>>, String, Vec<(String, Bound<'py
 #[pyo3(signature = (mesh, recipes, landmarks, unit, rig, shapes, identity_modes, bounds, until, model, threads))]
 fn morph_mesh<'py>(
     py: Python<'py>,
-    mesh: &Mesh,
+    mesh: Py<Mesh>,
     recipes: Vec<(String, Bound<'py, PyAny>, Option<f64>)>,
-    landmarks: Vec<PyRef<'py, Landmarks>>,
+    landmarks: Vec<Py<Landmarks>>,
     unit: Option<&str>,
-    rig: Option<&Rig>,
+    rig: Option<Py<Rig>>,
     shapes: Option<Vec<String>>,
     identity_modes: usize,
     bounds: Option<[f64; 2]>,
@@ -120,7 +120,6 @@ fn morph_mesh<'py>(
     if until.is_some() && recipes.len() > 1 {
         return Err(value("until: counts the steps of one recipe; there are several"));
     }
-    let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
     let mut notes: Vec<String> = recipes.iter().flat_map(|(recipe, amount)| recipe.doubts(*amount, model)).collect();
     let mut models = recipes.iter().flat_map(|(recipe, _)| &recipe.step).map(|s| model.unwrap_or(s.get_ref().model));
     if !models.any(MorphModel::uses_shapes) {
@@ -129,7 +128,8 @@ fn morph_mesh<'py>(
         let idle = given.into_iter().filter(|(_, given)| *given);
         notes.extend(idle.map(|(option, _)| format!("{option} has no effect: no step's model has blendshapes")));
     }
-    let (outcomes, off) = compute(py, threads, || {
+    let (outcomes, off) = abandonable(py, threads, move || {
+        let (mesh, rig) = (mesh.get(), rig.as_ref().map(Py::get));
         let mut basis = match rig {
             None => ShapeBasis::none(),
             Some(rig) => {
@@ -171,18 +171,18 @@ fn morph_mesh<'py>(
 #[pyo3(signature = (mesh, after, landmarks, unit, rig, regions, align))]
 fn measure_mesh(
     py: Python<'_>,
-    mesh: &Mesh,
+    mesh: Py<Mesh>,
     after: Option<PyReadonlyArray2<'_, f64>>,
-    landmarks: Vec<PyRef<'_, Landmarks>>,
+    landmarks: Vec<Py<Landmarks>>,
     unit: Option<&str>,
-    rig: Option<&Rig>,
+    rig: Option<Py<Rig>>,
     regions: Option<Vec<(String, Vec<u32>)>>,
     align: bool,
 ) -> PyResult<(String, String, String, Option<String>)> {
     let unit = crate::mesh::unit(unit)?;
     let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
-    let landmarks: Vec<&Landmarks> = landmarks.iter().map(|l| &**l).collect();
-    compute(py, None, || {
+    abandonable(py, None, move || {
+        let (mesh, rig) = (mesh.get(), rig.as_ref().map(Py::get));
         if let Some(rig) = rig {
             rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
         }
@@ -195,7 +195,7 @@ fn measure_mesh(
                 .map_err(input)?,
             None => measurement::Landmarks::default(),
         };
-        for landmarks in &landmarks {
+        for landmarks in landmarks.iter().map(Py::get) {
             let (set, _) = landmarks.in_millimetres(unit, mesh)?;
             known.add_set(&landmarks.path, set, polygons).map_err(input)?;
         }
@@ -253,16 +253,16 @@ fn result_of(template: &Mesh, positions: &PyReadonlyArray2<'_, f64>) -> PyResult
 fn evaluate_truth<'py>(
     py: Python<'py>,
     result: PyReadonlyArray2<'_, f64>,
-    template: &Mesh,
+    template: Py<Mesh>,
     truth: PyReadonlyArray2<'_, f64>,
     observed: Option<PyReadonlyArray1<'_, bool>>,
 ) -> PyResult<(String, Bound<'py, PyArray1<f64>>)> {
-    let (result, truth) = (result_of(template, &result)?, arrays::points("truth", &truth)?);
+    let (result, truth) = (result_of(template.get(), &result)?, arrays::points("truth", &truth)?);
     let observed = observed.map_or_else(|| vec![true; truth.len()], |o| o.as_array().to_vec());
-    let (text, distances) = compute(py, None, || {
+    let (text, distances) = abandonable(py, None, move || {
         let triangles = result.triangulate().triangles;
         let (errors, vertices) = TruthErrors::new(&result.positions, &truth, &observed, &triangles).map_err(input)?;
-        let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
+        let mesh = MeshQuality::new(template.get().polygons(), &result.positions).map_err(input)?;
         let text = serde_json::to_string(&Measured { distances: errors, mesh }).map_err(value)?;
         Ok((text, vertices.observed_distance(&observed)))
     })?;
@@ -274,18 +274,19 @@ fn evaluate_truth<'py>(
 fn evaluate_scan<'py>(
     py: Python<'py>,
     result: PyReadonlyArray2<'_, f64>,
-    template: &Mesh,
-    scan: &Mesh,
+    template: Py<Mesh>,
+    scan: Py<Mesh>,
 ) -> PyResult<(String, Bound<'py, PyArray1<f64>>)> {
-    let result = result_of(template, &result)?;
-    let (text, distances) = compute(py, None, || {
+    let result = result_of(template.get(), &result)?;
+    let (text, distances) = abandonable(py, None, move || {
+        let scan = scan.get();
         let surface = scan.polygons().triangulate();
         let normals = scan.file.normals.as_deref();
         if surface.triangles.is_empty() && !normals.iter().copied().flatten().any(|n| n.norm_squared() > 0.0) {
             return Err(input(ScanError::Empty));
         }
         let (distances, to_scan) = SurfaceDistances::between(&result, &surface, normals, WITHIN_MM).map_err(input)?;
-        let mesh = MeshQuality::new(template.polygons(), &result.positions).map_err(input)?;
+        let mesh = MeshQuality::new(template.get().polygons(), &result.positions).map_err(input)?;
         Ok((serde_json::to_string(&Measured { distances, mesh }).map_err(value)?, to_scan))
     })?;
     Ok((text, distances.into_pyarray(py)))

@@ -15,10 +15,10 @@ use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _,
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{computation, compute, guarded, input, interruptible, value};
+use crate::errors::{abandonable, computation, compute, guarded, input, interruptible, value};
 use crate::mesh::{
     Files, Measured, Mesh, check_plan, files_in, files_out, hashed, measured, names_of_unit, refuse_beside,
-    unit_of_names,
+    unit_of_names, unit_text,
 };
 
 /// A rig, millimetres, with the files that it came from.
@@ -99,7 +99,7 @@ impl Rig {
             Some(other) => return Err(value(format!("shape_kind: {other:?}; there are \"full\" and \"delta\""))),
         };
         let asked: Option<LengthUnit> = crate::mesh::unit(unit)?;
-        compute(py, None, move || {
+        abandonable(py, None, move || {
             let inputs = Inputs::default();
             let options = RigReadOptions { identity_modes: identity_modes.unwrap_or(usize::MAX), kind };
             let (mut rig, warnings) = inputs.reading("", || rig::Rig::read(&path, &options)).map_err(input)?;
@@ -113,7 +113,7 @@ impl Rig {
 
     /// `deltas`: shape by shape, vertex by vertex, x y z.
     #[staticmethod]
-    #[pyo3(signature = (neutral, mesh, names, families, deltas, landmarks, regions, files, kept=None))]
+    #[pyo3(signature = (neutral, mesh, names, families, deltas, landmarks, regions, files, known=None, kept=None))]
     fn of(
         neutral: PyReadonlyArray2<'_, f64>,
         mesh: Option<&Mesh>,
@@ -123,6 +123,7 @@ impl Rig {
         landmarks: Option<Vec<u32>>,
         regions: Option<Vec<(String, Vec<u32>)>>,
         files: Vec<PathBuf>,
+        known: Option<(String, String)>,
         kept: Option<Kept<'_>>,
     ) -> PyResult<Self> {
         let neutral = arrays::points("neutral", &neutral)?;
@@ -144,7 +145,8 @@ impl Rig {
         let notes = warnings.iter().map(ToString::to_string).collect();
         let Some((files, made_of, known, mesh, landmarks, pca)) = kept else {
             let companions = Companions { mesh: materials, ..Companions::default() };
-            return Ok(Self { files: hashed(files)?, companions, ..Self::of_rig(rig, notes) });
+            let known = known.map(unit_of_names).transpose()?;
+            return Ok(Self { known, files: hashed(files)?, companions, ..Self::of_rig(rig, notes) });
         };
         let pca = pca.map(|(components, deviations, total)| {
             let components = components.readonly().as_array().to_vec();
@@ -223,7 +225,7 @@ impl Rig {
 
     #[getter]
     fn unit(&self) -> Option<String> {
-        self.known.as_ref().map(ToString::to_string)
+        self.known.map(unit_text)
     }
 
     #[getter]
@@ -277,17 +279,18 @@ impl Rig {
         })
     }
 
-    fn transfer(&self, py: Python<'_>, subject: PyReadonlyArray2<'_, f64>, anchor: f64) -> PyResult<Self> {
+    fn transfer(rig: Py<Self>, py: Python<'_>, subject: PyReadonlyArray2<'_, f64>, anchor: f64) -> PyResult<Self> {
         let subject = arrays::points("subject", &subject)?;
-        compute(py, None, || {
-            let transferred = self.rig.transfer(&subject, &TransferOptions { anchor });
+        abandonable(py, None, move || {
+            let this = rig.get();
+            let transferred = this.rig.transfer(&subject, &TransferOptions { anchor });
             let (rig, warnings) = transferred.map_err(|e| match e {
                 TransferError::Linear(_) => computation(e),
                 _ => input(e),
             })?;
-            let (companions, left) = self.companions.of_vertices();
+            let (companions, left) = this.companions.of_vertices();
             let notes = warnings.iter().map(ToString::to_string).chain(left).collect();
-            Ok(Self { companions, made_of: self.origins().cloned().collect(), ..Self::of_rig(rig, notes) })
+            Ok(Self { companions, made_of: this.origins().cloned().collect(), ..Self::of_rig(rig, notes) })
         })
     }
 
@@ -333,14 +336,15 @@ impl Rig {
     fn pca(
         py: Python<'_>,
         samples: Vec<PyReadonlyArray2<'_, f64>>,
-        mesh: Option<&Mesh>,
+        mesh: Option<Py<Mesh>>,
         components: usize,
         align: &str,
         made_of: Vec<PathBuf>,
     ) -> PyResult<(Self, Vec<f64>, Vec<f64>)> {
         let samples = samples.iter().map(|s| arrays::points("meshes", s)).collect::<PyResult<Vec<_>>>()?;
         let pose = pose_kind(align)?;
-        compute(py, None, || {
+        abandonable(py, None, move || {
+            let mesh = mesh.as_ref().map(Py::get);
             let mut population = Population::new(samples).map_err(input)?;
             let odd = population.doubts(mesh.map(Mesh::polygons)).map_err(input)?;
             if let Some(kind) = pose {

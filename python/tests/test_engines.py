@@ -295,6 +295,12 @@ def urls(fs: Any, root: str, data: Data, tmp_path: Path, storage: dict[str, dict
     assert b"nonrigid-" not in inside["log/a.txt"], "logs name what the user knows"
     again = run()
     assert (again.ran, again.before) == (1, 3)
+    # what shows earlier results goes, as in a folder
+    run(animation=None)
+    nonrigid.batch.run(tmp_path / "scans.csv", tmp_path / "out", animation=None, **local)
+    fs.invalidate_cache()
+    left = {path.split("/out/", 1)[1] for path in fs.find(f"{root}/out")}
+    assert left == {name for name in files if (tmp_path / "out" / name).is_file()} < files
     # what is there and of nobody's batch stays
     fs.pipe_file(f"{root}/other/a.obj", b"mine")
     with pytest.raises(ValueError, match="would overwrite"):

@@ -201,6 +201,42 @@ def test_ctrl_c_ends_generated_data(tmp_path: Path) -> None:
         process.kill()
 
 
+LONG = """
+import sys
+import numpy as np
+from nonrigid import Rig, data_gen
+face = data_gen.Face(20000, 2)
+samples = face.rig.neutral + np.random.default_rng(1).normal(size=(150, *face.rig.neutral.shape))
+work = {
+    "face": lambda: data_gen.Face(500_000, 200),
+    "scan": lambda: face.scan(triangles=2_000_000),
+    "transfer": lambda: face.rig.transfer(face.rig.neutral * 1.1),
+    "pca": lambda: Rig.pca(samples, 5),
+}[sys.argv[1]]
+print("begin", flush=True)
+try:
+    while True:
+        work()
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("work", ["face", "scan", "transfer", "pca"])
+def test_ctrl_c_ends_what_takes_long(tmp_path: Path, work: str) -> None:
+    (tmp_path / "long.py").write_text(LONG)
+    process = begun(tmp_path / "long.py", Path(work))
+    try:
+        time.sleep(1.0)
+        clock = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=60)[0] == "interrupted\n" and process.returncode == 0
+        assert time.monotonic() - clock < 1.0
+    finally:
+        process.kill()
+
+
 def test_generated_faces(face: data_gen.Face, case: data_gen.Case) -> None:
     assert len(face.rig.landmarks) == 68 and face.rig.regions and face.anthropometric["pronasale"] >= 0
     assert case.truth.shape == face.rig.neutral.shape and 0.3 < case.observed.mean() < 1

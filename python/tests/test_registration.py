@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import shutil
 import signal
@@ -135,6 +136,11 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         nonrigid.Mesh.read(tmp_path / "bad.ply")
     with pytest.raises(IsADirectoryError):
         nonrigid.register(mesh, case.scan, landmarks=tmp_path)
+    (tmp_path / "latin.obj").write_bytes(b"v 0 0 \xe9\n")
+    (tmp_path / "latin.toml").write_bytes(b"# \xe9\n")
+    for latin in (lambda: nonrigid.Mesh.read(tmp_path / "latin.obj"), lambda: nonrigid.Schedule.read(tmp_path / "latin.toml")):
+        with pytest.raises(ValueError, match="latin"):
+            latin()
     for wrong, words in [
         ({"model": "hybird"}, "unknown model"),
         ({"schedule": {"levels": []}}, "level"),
@@ -149,6 +155,8 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         ({"regions": ["nowhere"]}, "nowhere"),
         ({"identity_modes": 3}, "give rig"),
         ({"unit": {"scan": "m"}}, "no input 'scan'"),
+        ({"unit": {"rig": "m"}}, "unit of rig: there is no rig"),
+        ({"unit": {"template_landmarks": "m"}}, "there is no template_landmarks"),
         ({"unit": "furlong"}, "unit"),
         ({"model": "blendshape"}, "blendshapes"),
     ]:
@@ -177,6 +185,22 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         here = {v: mesh.vertices[v] for v in (0, 100, 500)}
         nonrigid.register(mesh, far, landmarks=here, model="rigid")
     assert issubclass(nonrigid.ComputationError, RuntimeError)
+
+
+def test_errors_of_files_are_those_of_python(case: data_gen.Case, face: data_gen.Face, tmp_path: Path) -> None:
+    missing, below = tmp_path / "missing.ply", tmp_path / "no folder" / "a.obj"
+    (tmp_path / "file").write_text("")
+    for call, number, file in [
+        (lambda: nonrigid.Mesh.read(missing), errno.ENOENT, missing),
+        (lambda: nonrigid.Schedule.read(tmp_path), errno.EISDIR, tmp_path),
+        (lambda: nonrigid.register(face.rig.mesh, case.scan, warm_start=missing), errno.ENOENT, missing),
+        (lambda: case.scan.write(below), errno.ENOENT, below),
+        (lambda: face.rig.write(tmp_path / "file" / "rig.npz"), errno.ENOTDIR, tmp_path / "file" / "rig.npz"),
+    ]:
+        with pytest.raises(OSError) as raised:
+            call()
+        assert (raised.value.errno, raised.value.filename) == (number, str(file))
+        assert str(raised.value).count(str(file)) == 1
 
 
 def test_options_without_effect_are_said(face: data_gen.Face, case: data_gen.Case) -> None:

@@ -129,7 +129,7 @@ def test_ict_facekit(tmp_path: Path) -> None:
         rig = Rig.read(path, identity_modes=1)
         assert rig.names == ["jawOpen", "identity000"] and rig.families == ["expression", "identity"]
         assert np.allclose(rig.neutral, 10 * face, atol=1e-3) and rig.mesh is not None and rig.mesh.faces.shape == (9230, 4)
-        assert np.isclose(rig.deltas[0].min(), -10)
+        assert np.isclose(rig.deltas[0].min(), -10) and rig.unit == "cm (as the file says)"
     everything = nonrigid.read_ict(folder, part="all")
     assert len(everything.neutral) == 9412 and len(everything.names) == 3
 
@@ -146,6 +146,7 @@ def check_flame(rig: Rig, arrays: dict[str, np.ndarray]) -> None:
     assert rig.families == ["expression"] * 100 + ["identity"] * 300
     assert np.allclose(rig.neutral, 1000 * arrays["v_template"], atol=1e-9)
     assert np.allclose(rig.deltas[0], 1000 * arrays["shapedirs"][:, :, 300], atol=1e-4)
+    assert rig.unit == pickle.loads(pickle.dumps(rig)).unit == "m (as the file says)"
     assert rig.mesh is not None and np.array_equal(rig.mesh.triangles, arrays["f"])
 
 
@@ -250,6 +251,7 @@ def test_morphable_models(tmp_path: Path, basel: bool, scaled: bool) -> None:
             file[f"{group}representer/points"] = face.neutral.T
             file[f"{group}representer/cells"] = face.mesh.triangles.T.astype(np.int32)
     rig = Rig.read(tmp_path / "model.h5", identity_modes=4)
+    assert rig.unit == "mm (by its size)" and Rig.read(tmp_path / "model.h5", unit="mm").unit == "mm (by unit)"
     expressions = 5 if basel else 0
     assert rig.families == ["expression"] * expressions + ["identity"] * 4
     neutral = face.neutral + (shift.reshape(-1, 3) if basel else 0)
@@ -262,5 +264,5 @@ def test_morphable_models(tmp_path: Path, basel: bool, scaled: bool) -> None:
             file["a"] = [1]
         Rig.read(tmp_path / "empty.h5")
     (tmp_path / "text.h5").write_text("no model")
-    with pytest.raises(OSError, match="text.h5"):
+    with pytest.raises(ValueError, match="text.h5"):
         Rig.read(tmp_path / "text.h5")

@@ -279,6 +279,10 @@ pub fn run_jobs(
     for folder in [aside, &batch.folder].iter().flat_map(|at| batch.folders().map(|name| at.join(name))) {
         fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
     }
+    if batch.animation.is_none() {
+        let sequences = animation::names(jobs.iter().map(|job| job.sequence.as_deref()));
+        sequences.iter().try_for_each(|name| batch.forget_animation(name, &|_| {}))?;
+    }
     Run::new(batch, jobs, aside, &|| false).chains(chains, stop, &|_| {})
 }
 
