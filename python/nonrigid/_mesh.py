@@ -72,6 +72,13 @@ def count_or_none(what: str, value: Any, least: int = 0) -> int | None:
     return None if value is None else count(what, value, least)
 
 
+def mapping(what: str, value: Any, expected: str) -> Mapping[Any, Any]:
+    """What has keys."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{what}: expected {expected}, found {type(value).__qualname__}")
+    return value
+
+
 def bounds_of(what: str, given: Any) -> tuple[float, float] | None:
     """Smallest and largest weight."""
     if given is None:
@@ -117,13 +124,26 @@ def indices(what: str, values: ArrayLike) -> NDArray[np.uint32]:
     return np.ascontiguousarray(array, dtype=np.uint32)
 
 
+def vertices_of(what: str, values: ArrayLike) -> list[int]:
+    """A plain list of vertex indices."""
+    array = indices(what, values)
+    if array.ndim != 1:
+        raise ValueError(f"{what}: expected a list of vertex indices, found an array of shape {array.shape}")
+    listed: list[int] = array.tolist()
+    return listed
+
+
 #: More corners than a polygon of a few has: such an array has its faces in columns.
 MOST_CORNERS = 64
 
 
 def _polygons(faces: Any) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Where each polygon starts in the list of all corners, and that list."""
-    if faces is None or len(faces) == 0:
+    if hasattr(faces, "__array__"):  # pandas' and others'
+        faces = whole("faces", faces)
+    elif not (faces is None or (isinstance(faces, Sequence) and all(hasattr(face, "__len__") for face in faces))):
+        raise TypeError(f"faces: expected an array, or a list of polygons, found {faces!r:.80}")
+    if faces.shape[:1] == (0,) if isinstance(faces, np.ndarray) else not faces:
         return np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint32)
     if not isinstance(faces, np.ndarray):
         sizes = np.array([len(face) for face in faces], dtype=np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from . import _nonrigid
 from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, load, names_of, warn, whole
 from ._registration import _landmarks
-from ._rig import Rig, _vertices
+from ._rig import Rig, _vertices, parts_of
 
 MorphModel = Literal["direct", "hybrid", "blendshape", "gpmm", "graph", "sumner", "arap", "poisson", "laplacian", "mass_spring", "fem", "ffd", "free"]
 
@@ -48,7 +48,7 @@ class MorphStep:
 
     report: dict[str, Any]
     """Model, vertices that could move, millimetres asked and reached, folds, stretch of edges; of an energy, its iterations."""
-    masks: dict[str, Floats]
+    masks: dict[str, Floats] = field(repr=False)
     """(V,) of each mask by its name, or number: the weights G, 0 to 1."""
 
 
@@ -86,6 +86,9 @@ def _recipes(recipe: Any, amount: float | None) -> list[tuple[str, Any, float | 
         jobs = [("file", os.fspath(recipe), amount)]
     else:
         raise TypeError(f"recipe: expected a preset's name, {{preset: millimetres}}, a path or a recipe's keys, found {type(recipe).__qualname__}")
+    for _, _, mm in jobs:
+        if mm is not None and not isinstance(mm, (int, float, np.number)):
+            raise TypeError(f"amount: expected millimetres, found {mm!r}")
     return [(kind, given, None if mm is None else float(mm)) for kind, given, mm in jobs]
 
 
@@ -211,7 +214,7 @@ def measure(
     before = Mesh.of(mesh, unit=unit)
     moved = None if after is None else _vertices("after", after, unit)
     of_rig = None if rig is None else Rig.of(rig)
-    parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
+    parts = parts_of(regions)
     marks, of_unit = _marks(landmarks, unit), None if unit == "auto" else unit
     found = _nonrigid.measure_mesh(before._native, moved, marks, of_unit, None if of_rig is None else of_rig._native, parts, align)
     warn(found[3])

@@ -61,6 +61,11 @@ class ComputationError(RuntimeError):
 class Step:
     """One step of a registration."""
 
+    def __new__(
+        cls, level: int, step: int, energy_before: float, energy: float, energies: dict[str, float], inliers: float, motion: float
+    ) -> Step: ...
+    def __getnewargs__(self) -> tuple[int, int, float, float, dict[str, float], float, float]: ...
+    def __eq__(self, other: object, /) -> bool: ...
     @property
     def level(self) -> int:
         """Level, from 0; counts on over the stages of the schedule."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, names_of, points, warn
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, is_npy, is_path, mapping, names_of, points, vertices_of, warn
 
 Align = Literal["rigid", "similarity", "none"]
 
@@ -92,7 +92,7 @@ class Rig:
         Raises ValueError where numbers of vertices differ, or a name comes twice; shapes that move nothing are left out with a warning.
         """
         factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
-        of_arrays = isinstance(neutral, (np.ndarray, list)) or (isinstance(neutral, tuple) and np.ndim(neutral[0]) == 1)
+        of_arrays = isinstance(neutral, (np.ndarray, list)) or (isinstance(neutral, tuple) and np.ndim(neutral[:1]) == 2)
         if of_arrays:
             rest = points("neutral", neutral) * factor
             mesh = None if faces is None else Mesh(rest, faces)
@@ -101,6 +101,7 @@ class Rig:
             if faces is not None:
                 raise ValueError("faces: the neutral is a mesh, which has its own")
             rest = mesh.vertices
+        shapes = mapping("shapes", shapes, "{name: differences}")
         deltas = np.empty((len(shapes), *rest.shape), dtype=np.float64)
         for k, (name, shape) in enumerate(shapes.items()):
             deltas[k] = points(f"shape {name!r}", shape, len(rest)) * factor
@@ -128,8 +129,8 @@ class Rig:
         kept: tuple[Any, ...] | None = None,
     ) -> None:
         flat = np.ascontiguousarray(deltas, dtype=np.float32).reshape(-1)
-        marks = None if landmarks is None else indices("landmarks", landmarks).tolist()
-        parts = None if regions is None else [(name, indices("regions", r).tolist()) for name, r in regions.items()]
+        marks = None if landmarks is None else vertices_of("landmarks", landmarks)
+        parts = parts_of(regions)
         of_mesh = None if mesh is None else mesh._native
         self._native = _nonrigid.Rig.of(neutral, of_mesh, names, families, flat, marks, parts, files, known, kept)
         self.standard_deviations = self.explained = None
@@ -172,6 +173,8 @@ class Rig:
             raise FileNotFoundError(2, "no such rig", os.fspath(path))
         foreign = _field.reader_of(Path(path))
         if foreign is not None:
+            if shape_kind is not None:
+                raise ValueError(f"shape_kind: says what a folder of shapes holds, which {os.fspath(path)} is not; leave it out")
             return foreign(path, identity_modes=identity_modes, unit=unit)
         return cls._of(_nonrigid.Rig.read(os.fspath(path), identity_modes, shape_kind, None if unit == "auto" else unit))
 
@@ -231,7 +234,7 @@ class Rig:
         not, TypeError or ValueError for what is no finite number."""
         rest, names = self.neutral, self.names
         deltas = self.deltas
-        for name, weight in weights.items():
+        for name, weight in mapping("weights", weights, "{shape: weight}").items():
             if name not in names:
                 raise KeyError(f"no shape {name!r}; there are {', '.join(names)}")
             value = np.asarray(weight.value if isinstance(weight, Weight) else weight)
@@ -352,6 +355,13 @@ def _vertices(what: str, thing: Any, unit: str | None = None) -> Floats:
         factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
         return points(what, thing) * factor
     return Mesh.of(thing, unit=unit).vertices
+
+
+def parts_of(regions: Mapping[str, ArrayLike] | None) -> list[tuple[str, list[int]]] | None:
+    """Vertex indices by name."""
+    if regions is None:
+        return None
+    return [(name, vertices_of("regions", r)) for name, r in mapping("regions", regions, "{name: vertex indices}").items()]
 
 
 def _meshes_of(meshes: Any) -> list[Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from . import _nonrigid
-from ._mesh import PathLike, is_path
+from ._mesh import PathLike, is_path, mapping
 
 
 class Schedule:
@@ -28,7 +28,10 @@ class Schedule:
         Raises ValueError for an unknown model or key, with the nearest known one, and for numbers out of their bounds; for what belongs to a
         model or data term alone, `register` does.
         """
-        self._native = _nonrigid.Schedule.of_model(keys) if isinstance(keys, str) else _nonrigid.Schedule.of_dict(dict(keys))
+        if isinstance(keys, str):
+            self._native = _nonrigid.Schedule.of_model(keys)
+        else:
+            self._native = _nonrigid.Schedule.of_dict(dict(mapping("schedule", keys, "the name of a model, or keys")))
 
     @classmethod
     def _of(cls, native: _nonrigid.Schedule) -> Schedule:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -55,29 +55,31 @@ class Case:
 
     scan: Mesh
     """What the scanner delivers."""
-    truth: Floats
+    truth: Floats = field(repr=False)
     """(V, 3): where each template vertex truly is, in the scan's frame, millimetres."""
-    observed: NDArray[np.bool_]
+    observed: NDArray[np.bool_] = field(repr=False)
     """(V,): whether the scan shows the surface all round the vertex."""
-    landmarks: dict[int, Floats]
+    landmarks: dict[int, Floats] = field(repr=False)
     """Template vertex and its noisy place on the scan, of the landmarks that the scan shows."""
-    expression_weights: dict[str, float]
+    expression_weights: dict[str, float] = field(repr=False)
     """Of each expression of the rig."""
-    identity_weights: Floats
+    identity_weights: Floats = field(repr=False)
     """Of each identity mode."""
 
 
 class Face:
     """A face of quads, made by formulas: a template with 54 expressions of ARKit's names, identity modes, landmarks and regions."""
 
-    __slots__ = ("_native", "rig")
+    __slots__ = ("_native", "_size", "rig")
     _native: _nonrigid.Face
+    _size: tuple[int, int]
     rig: Rig
     """The rig of this face."""
 
     def __init__(self, vertices: int = 5000, identity_modes: int = 100) -> None:
         """vertices: of the template, approximately, 1,000 to 500,000. identity_modes: at most 200. Raises ValueError for other numbers."""
-        self._native = _nonrigid.Face(count("vertices", vertices), count("identity_modes", identity_modes))
+        self._size = count("vertices", vertices), count("identity_modes", identity_modes)
+        self._native = _nonrigid.Face(*self._size)
         self.rig = Rig._of(self._native.rig())
 
     @property
@@ -97,6 +99,12 @@ class Face:
         weights = dict(zip(self._native.expressions(), expressions))
         landmarks = {int(vertex): point for vertex, point in zip(vertices, points)}
         return Case(Mesh._of(scan), truth, observed, landmarks, weights, np.array(identities))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Face, self._size
+
+    def __repr__(self) -> str:
+        return f"Face(vertices={self._size[0]}, identity_modes={self._size[1]})"
 
 
 def write(out: PathLike, *, threads: int | None = None, **options: Any) -> None:

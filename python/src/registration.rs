@@ -45,7 +45,8 @@ impl WarmStart {
         compute(py, Some(1), || {
             let inputs = nonrigid::io::Inputs::default();
             let text = inputs.reading("", || nonrigid::io::read_text(&path)).map_err(input)?;
-            let state = serde_json::from_str(&text).map_err(|e| value(format!("{}: {e}", path.display())))?;
+            let state = serde_json::from_str(&text);
+            let state = state.map_err(|e| value(format!("{}: is no state of a registration: {e}", path.display())))?;
             Ok(Self { state, files: inputs.files() })
         })
     }
@@ -63,7 +64,8 @@ impl WarmStart {
 }
 
 /// One step of a registration.
-#[pyclass(frozen, get_all, module = "nonrigid")]
+#[pyclass(frozen, get_all, eq, module = "nonrigid")]
+#[derive(PartialEq)]
 pub struct Step {
     /// Level, from 0; counts on over the stages of the schedule.
     level: usize,
@@ -83,6 +85,24 @@ pub struct Step {
 
 #[pymethods]
 impl Step {
+    #[new]
+    fn new(
+        level: usize,
+        step: usize,
+        energy_before: f64,
+        energy: f64,
+        energies: BTreeMap<String, f64>,
+        inliers: f64,
+        motion: f64,
+    ) -> Self {
+        Self { level, step, energy_before, energy, energies, inliers, motion }
+    }
+
+    fn __getnewargs__(&self) -> (usize, usize, f64, f64, BTreeMap<String, f64>, f64, f64) {
+        let Self { level, step, energy_before, energy, energies, inliers, motion } = self;
+        (*level, *step, *energy_before, *energy, energies.clone(), *inliers, *motion)
+    }
+
     fn __repr__(&self) -> String {
         let Self { level, step, energy, inliers, motion, .. } = self;
         format!("Step(level={level}, step={step}, energy={energy:.6}, inliers={inliers:.3}, motion={motion:.4})")

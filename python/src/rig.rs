@@ -306,6 +306,9 @@ impl Rig {
     ) -> PyResult<(Vec<String>, Vec<Frame>)> {
         let frames = frames.iter().map(|f| arrays::points("meshes", f)).collect::<PyResult<Vec<_>>>()?;
         let neutral = neutral.map(|n| arrays::points("neutral", &n)).transpose()?;
+        if let Some(v) = neutral.iter().flatten().position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(value(format!("neutral: vertex {v} is not finite")));
+        }
         let pose = pose_kind(align)?;
         interruptible(py, None, |stop| {
             let selection = ShapeSelection { names: names.as_deref(), identity_modes: 0 };

@@ -39,14 +39,21 @@ def test_arrays_are_converted_and_never_misread() -> None:
         (SQUARE, [[0, 1]], ValueError),
         (SQUARE, [[0, 1], [0, 1, 2]], ValueError),
         (SQUARE, [[0.0, 1.0, 2.0]], TypeError),
+        (SQUARE, 5, TypeError),
+        (SQUARE, [0, 1, 2], TypeError),
     ]:
-        with pytest.raises(error):
+        with pytest.raises(error, match="vertices|faces"):
             Mesh(vertices, faces)
     with pytest.raises(ValueError, match="normals"):
         Mesh(SQUARE, normals=SQUARE[:2])
     with pytest.raises(ValueError, match="0 to 1"):
         Mesh(SQUARE, colors=SQUARE)
     assert Mesh(SQUARE, colors=np.full((5, 4), 0.5)).colors.tolist() == [[128] * 3] * 5
+
+
+def test_tables_are_arrays() -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    assert Mesh(pandas.DataFrame(SQUARE, columns=list("xyz")), pandas.DataFrame([[0, 1, 2]])).faces.tolist() == [[0, 1, 2]]
 
 
 def test_usd_is_opened_and_found_right_by_usd_itself(data: Data, tmp_path: Path) -> None:

@@ -70,6 +70,7 @@ def test_presets_and_recipes(face: data_gen.Face, data: Data, tmp_path: Path) ->
         ("nose-bridge", {"rig": None}, ValueError, "landmarks"),
         ("nose-bridge", {"model": "clay"}, ValueError, "clay"),
         ("nose-bridge", {"until": 3}, ValueError, "until"),
+        ("nose-bridge", {"amount": "2"}, TypeError, "amount"),
         (7, {}, TypeError, "recipe"),
         ({"step": [{"msk": 1}]}, {}, ValueError, "msk"),
     ]:
@@ -241,7 +242,8 @@ def test_generated_faces(face: data_gen.Face, case: data_gen.Case) -> None:
     assert len(face.rig.landmarks) == 68 and face.rig.regions and face.anthropometric["pronasale"] >= 0
     assert case.truth.shape == face.rig.neutral.shape and 0.3 < case.observed.mean() < 1
     assert case.expression_weights["mouthSmile_L"] > 0 and len(case.identity_weights) == 6
-    again = face.scan(seed=3, preset="smile", triangles=6000)
+    again = pickle.loads(pickle.dumps(face)).scan(seed=3, preset="smile", triangles=6000)
+    assert len(repr(case)) < 200 and repr(face) == "Face(vertices=1200, identity_modes=6)"
     assert again.scan == case.scan and np.array_equal(again.truth, case.truth)
     open_mouth = face.scan(seed=3, expressions={"jawOpen": 0.5}, triangles=5000, camera=[(0, 0)], identity=[1.0, -1.0], no_eyeballs=True)
     assert open_mouth.expression_weights["jawOpen"] == 0.5 and open_mouth.identity_weights[:2].tolist() == [1, -1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import pickle
 import shutil
@@ -58,6 +59,7 @@ def test_a_callback_stops(face: data_gen.Face, case: data_gen.Case) -> None:
     with pytest.raises(KeyError, match="mine"):
         nonrigid.register(mesh, case.scan, landmarks=marks, model="graph", callback=fail)
     assert len(calls) == 1
+    assert pickle.loads(pickle.dumps(calls)) == copy.deepcopy(calls) == calls
     with pytest.raises(KeyError, match="mine"):
         nonrigid.register(mesh, case.scan, landmarks=marks, model="graph", on_positions=lambda step, positions: fail(step))
 
@@ -136,6 +138,7 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         nonrigid.Mesh.read(tmp_path / "bad.ply")
     with pytest.raises(IsADirectoryError):
         nonrigid.register(mesh, case.scan, landmarks=tmp_path)
+    (tmp_path / "state.json").write_text("{}")
     (tmp_path / "latin.obj").write_bytes(b"v 0 0 \xe9\n")
     (tmp_path / "latin.toml").write_bytes(b"# \xe9\n")
     for latin in (lambda: nonrigid.Mesh.read(tmp_path / "latin.obj"), lambda: nonrigid.Schedule.read(tmp_path / "latin.toml")):
@@ -152,6 +155,7 @@ def test_errors_by_kind(face: data_gen.Face, case: data_gen.Case, data: Data, tm
         ({"mask": np.full(len(mesh.vertices), 2.0)}, "from 0 to 1"),
         ({"threads": 0}, "threads"),
         ({"flip": "maybe"}, "flip"),
+        ({"warm_start": tmp_path / "state.json"}, "is no state of a registration"),
         ({"regions": ["nowhere"]}, "nowhere"),
         ({"identity_modes": 3}, "give rig"),
         ({"unit": {"scan": "m"}}, "no input 'scan'"),

@@ -39,6 +39,17 @@ def test_arrays(face: data_gen.Face) -> None:
         Rig(rig.neutral, {"a": rig.neutral[1:]})
     with pytest.raises(KeyError, match="no shape"):
         rig.blend({"nothing": 1})
+    with pytest.raises(TypeError, match="weights: expected {shape: weight}, found list"):
+        rig.blend([1.0])
+    for options, error, words in [
+        ({"shapes": [rig.neutral]}, TypeError, "shapes: expected"),
+        ({"neutral": ()}, TypeError, "tuple"),
+        ({"regions": [1]}, TypeError, "regions: expected"),
+        ({"regions": {"a": [[1, 2]]}}, ValueError, "regions: expected a list of vertex indices"),
+        ({"landmarks": np.zeros((2, 34), dtype=int)}, ValueError, "landmarks: expected a list of vertex indices"),
+    ]:
+        with pytest.raises(error, match=words):
+            Rig(**{"neutral": rig.neutral, "shapes": {}, **options})
     with pytest.warns(nonrigid.NonrigidWarning, match="moves nothing"):
         Rig(rig.neutral, {"still": np.zeros_like(rig.neutral), "jawOpen": shapes["jawOpen"]})
 
@@ -78,6 +89,8 @@ def test_transfer_and_fit(face: data_gen.Face) -> None:
             mine.fit(frames, **options)
     with pytest.raises(ValueError):
         mine.fit([frames[0].vertices[1:]])
+    with pytest.raises(ValueError, match="neutral: vertex 0 is not finite"):
+        mine.fit(frames, neutral=np.full_like(mine.neutral, np.nan))
     with pytest.raises(ValueError):
         rig.transfer(subject.vertices[::-1])
 
@@ -157,6 +170,8 @@ def test_flame_arrays_and_pickles(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for protocol in (0, 2, pickle.HIGHEST_PROTOCOL):
         (tmp_path / "flame.pkl").write_bytes(pickle.dumps({**arrays, "kintree": [1, 2], "name": "flame"}, protocol=protocol))
         check_flame(Rig.read(tmp_path / "flame.pkl"), arrays)
+    with pytest.raises(ValueError, match="shape_kind"):
+        Rig.read(tmp_path / "flame.pkl", shape_kind="delta")
     few = nonrigid.read_flame(tmp_path / "flame.pkl", identity_modes=2, expressions=1)
     assert few.names == ["expression000", "identity000", "identity001"]
 
