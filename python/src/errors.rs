@@ -113,6 +113,11 @@ fn said(panic: &(dyn Any + Send)) -> &str {
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message")
 }
 
+/// The system gives no more threads.
+pub fn no_thread(error: impl Error) -> PyErr {
+    ComputationError::new_err(format!("threads: {error}"))
+}
+
 /// Runs `work` on threads of its own, as many as asked for or one a core.
 pub fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> PyResult<R> + Send) -> PyResult<R> {
     if threads.is_some_and(|n| !(1..=1024).contains(&n)) {
@@ -120,7 +125,7 @@ pub fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> PyResu
     }
     let in_pool = || {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build();
-        pool.map_err(|e| ComputationError::new_err(format!("threads: {e}")))?.install(work)
+        pool.map_err(no_thread)?.install(work)
     };
     guarded(in_pool)
 }
@@ -142,7 +147,8 @@ pub fn interruptible<R: Send>(
     let stop = AtomicBool::new(false);
     let stopped = &stop;
     std::thread::scope(|scope| {
-        let thread = scope.spawn(move || on_threads(threads, || work(stopped)));
+        let thread = std::thread::Builder::new().spawn_scoped(scope, move || on_threads(threads, || work(stopped)));
+        let thread = thread.map_err(no_thread)?;
         let mut interrupted = None;
         while !thread.is_finished() {
             if let Err(error) = py.check_signals() {
@@ -165,7 +171,7 @@ pub fn abandonable<R: Send + 'static>(
     work: impl FnOnce() -> PyResult<R> + Send + 'static,
 ) -> PyResult<R> {
     let (to_here, from_there) = channel();
-    std::thread::spawn(move || to_here.send(on_threads(threads, work)));
+    std::thread::Builder::new().spawn(move || to_here.send(on_threads(threads, work))).map_err(no_thread)?;
     let from_there = Mutex::new(from_there);
     loop {
         let outcome = py.detach(|| {

@@ -26,7 +26,7 @@ use numpy::{IntoPyArray as _, PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::{computation, compute, input, on_threads, value};
+use crate::errors::{computation, compute, input, no_thread, on_threads, value};
 use crate::inputs::{Landmarks, Mask, Schedule};
 use crate::mesh::{Mesh, check_plan, unit};
 use crate::rig::Rig;
@@ -512,7 +512,7 @@ fn register(
         equations: equations.then_some(None),
     };
     let (outcome, attended) = std::thread::scope(|scope| {
-        let thread = scope.spawn(move || {
+        let thread = std::thread::Builder::new().spawn_scoped(scope, move || {
             on_threads(threads, move || {
                 let result = work(&mut observer);
                 let equations = observer.equations.take().flatten();
@@ -520,10 +520,11 @@ fn register(
                 result.map(|result| Registration { equations, ..result })
             })
         });
+        let thread = thread.map_err(no_thread)?;
         let attended = attend(py, (events, done), &stop, callback, on_positions);
         let outcome = py.detach(|| thread.join());
-        (outcome, attended)
-    });
+        PyResult::Ok((outcome, attended))
+    })?;
     attended?;
     outcome
         .unwrap_or_else(|_| Err(computation(std::io::Error::other("a thread of nonrigid has ended; please report it"))))

@@ -342,6 +342,30 @@ def test_after_a_fork(python: Callable[..., subprocess.CompletedProcess[str]], m
     assert ended.returncode == 0 and ended.stdout == "same\n", ended.stderr
 
 
+NO_THREADS = """
+import os, resource
+import nonrigid
+from nonrigid import data_gen
+face = data_gen.Face(1000, 2)
+case = face.scan(triangles=5000)
+if os.getuid() == 0:
+    os.setuid(65534)  # root has no limit
+resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))
+register = lambda: nonrigid.register(face.rig.mesh, case.scan, model="rigid")
+for work in (lambda: data_gen.Face(1000, 2), register, lambda: face.rig.fit([face.rig.neutral])):
+    try:
+        work()
+    except nonrigid.ComputationError as error:
+        print(str(error).split(":")[0])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of threads")
+def test_without_threads_is_an_error(python: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    ended = python(NO_THREADS)
+    assert ended.returncode == 0 and ended.stdout == "threads\n" * 3, ended.stderr
+
+
 def test_a_result_is_divided(face: data_gen.Face, case: data_gen.Case) -> None:
     found = nonrigid.register(face.rig.mesh, case.scan, rig=face.rig, landmarks=case.landmarks, subdivide=1)
     finer = pickle.loads(pickle.dumps(found)).finer
