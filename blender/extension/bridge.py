@@ -81,7 +81,8 @@ class Surface:
 
     def unit(self) -> tuple[float, str | None]:
         """Millimetres of the unit in which this is a face, a head or a body; another that it could be in, in words. Raises ValueError."""
-        return package()._nonrigid.unit_of(UNNAMED, self._points())
+        factor, doubt, _ = package()._nonrigid.unit_of(UNNAMED, self._points())
+        return factor, doubt
 
     def _points(self) -> np.ndarray:
         used = np.zeros(len(self.positions), dtype=bool)

@@ -52,7 +52,7 @@ def _rig(
     mesh: Mesh, names: list[str], families: list[str], deltas: Any, path: PathLike, unit: str, files: list[str], own: str | None = None
 ) -> Rig:
     """A rig whose lengths are in `unit`; "auto" is the format's own, or one that is found."""
-    known, factor, note = _nonrigid.unit_of(os.fspath(path), mesh.vertices, own if unit == "auto" else unit)
+    factor, note, known = _nonrigid.unit_of(os.fspath(path), mesh.vertices, own if unit == "auto" else unit)
     if unit == "auto" and own is not None:
         known = (own, "file")
     warn(note)

@@ -433,17 +433,17 @@ fn millimetres(unit: &str) -> PyResult<f64> {
     unit.parse::<LengthUnit>().map(LengthUnit::millimetres).map_err(|e| value(format!("unit: {e}")))
 }
 
-/// Names of the unit of lengths that were read from `path` and of how it is known, what they are multiplied by to be millimetres, and
-/// what should be said about that.
+/// What lengths that were read from `path` are multiplied by to be millimetres, what should be said about that, and names of their unit
+/// and of how it is known.
 #[pyfunction]
 #[pyo3(signature = (path, points, unit=None))]
 fn unit_of(
     path: PathBuf,
     points: PyReadonlyArray2<'_, f64>,
     unit: Option<&str>,
-) -> PyResult<(Option<(String, String)>, f64, Option<String>)> {
+) -> PyResult<(f64, Option<String>, Option<(String, String)>)> {
     let Measured { known, note, .. } = measured(&path, &arrays::points("vertices", &points)?, self::unit(unit)?)?;
-    Ok((names_of_unit(known), known.unit.millimetres(), note))
+    Ok((known.unit.millimetres(), note, names_of_unit(known)))
 }
 
 /// Files that were read by others, as inputs.
