@@ -100,7 +100,7 @@ impl<'a> Registration<'a> {
         self
     }
 
-    /// The deformation model; unless stated the hybrid, or without shapes the graph.
+    /// The deformation model; unless stated the hybrid, or without shapes Sumner's graph, as on the command line.
     #[must_use]
     pub fn model(mut self, model: ModelKind) -> Self {
         self.model = Some(model);
@@ -126,7 +126,7 @@ impl<'a> Registration<'a> {
     /// # Errors
     /// When the inputs do not fit together, the schedule is wrong, no start is found, or the minimisation fails.
     pub fn run(self) -> Result<RegistrationResult, RegistrationError> {
-        let unstated = if self.input.shapes.is_empty() { ModelKind::Graph } else { ModelKind::Hybrid };
+        let unstated = if self.input.shapes.is_empty() { ModelKind::Sumner } else { ModelKind::Hybrid };
         let model = self.model.unwrap_or(unstated);
         let schedule = self.schedule.map_or_else(|| model.schedule(), Ok)?;
         register(&self.input, &model, &schedule, self.observer.unwrap_or(&mut Silent))
