@@ -1,6 +1,6 @@
 //! Ctrl-C, and SIGTERM as Slurm, systemd and `kill` send it: the first one asks a command to end at its next step with what it has;
-//! the second ends the process where it is. Commands that do not listen end at the first, as any program does; files are whole or
-//! not there in either case.
+//! the second ends the process where it is. Commands that do not listen, or not yet, as while an input is a pipe that nobody writes to,
+//! end at the first, as any program does; files are whole or not there in either case.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

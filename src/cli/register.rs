@@ -185,7 +185,6 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
     let clock = Instant::now();
-    let mut progress = Progress::new(Interrupt::listen()?);
     let inputs = Inputs::default();
     if a.model().needs_shapes() && a.rig.rig.is_none() {
         return Err(Failure::new(Stage::Arguments, format!("model '{}' needs blendshapes; give --rig", a.model())));
@@ -258,6 +257,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     };
     let reading = clock.elapsed().as_secs_f64();
 
+    let mut progress = Progress::new(Interrupt::listen()?);
     let failed = |e: RegistrationError| {
         let stage = if e.is_input() { Stage::Loading } else { Stage::Computation };
         Failure::new(stage, e.to_string())

@@ -31,6 +31,19 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
+/// Waits until a program has a handler of SIGTERM, as `register` has from its first step on; where the system does not say, some time.
+fn await_handler(child: &Child) {
+    let catches = || {
+        let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+        caught.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).unwrap() & 1 << 14 != 0)
+    };
+    let begin = Instant::now();
+    while !catches() && begin.elapsed() < Duration::from_secs(5) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 /// The end of a program that was told to end, within a minute.
 fn ended(mut child: Child) -> Output {
     let begin = Instant::now();
@@ -46,7 +59,7 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     let bench = Bench::new();
     bench.write("endless.toml", endless_schedule());
     let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj --report r.json --picture r.png"));
-    std::thread::sleep(Duration::from_millis(1500));
+    await_handler(&child);
     signal(&child, "-INT");
     let output = ended(child);
     let said = text(&output.stderr);
@@ -77,7 +90,24 @@ fn start_endless(bench: &Bench, outputs: &str) -> Child {
     fs::OpenOptions::new().write(true).open(&path).unwrap().write_all(&landmarks).unwrap();
     fs::remove_file(&path).unwrap();
     bench.write("case/landmarks.json", landmarks);
+    await_handler(&child);
     child
+}
+
+#[test]
+fn one_signal_ends_what_waits_for_an_input() {
+    let bench = Bench::new();
+    fs::remove_file(bench.path("case/scan.ply")).unwrap();
+    assert!(Command::new("mkfifo").arg(bench.path("case/scan.ply")).status().unwrap().success());
+    for (name, number) in [("-TERM", 15), ("-INT", 2)] {
+        let before = files_in(&bench.path(""));
+        let child = start(&bench, &format!("{FIT} --out r.obj --report r.json"));
+        std::thread::sleep(Duration::from_millis(500));
+        signal(&child, name);
+        let output = ended(child);
+        assert_eq!(output.status.signal(), Some(number), "{}", text(&output.stderr));
+        assert_eq!(files_in(&bench.path("")), before);
+    }
 }
 
 #[test]
@@ -239,7 +269,7 @@ fn a_second_ctrl_c_ends_it_there_and_then() {
     bench.write("r.obj", "from last week");
     // Stopped, it cannot take the step that the first one waits for.
     let child = start(&bench, &format!("{FIT} --config endless.toml --out r.obj"));
-    std::thread::sleep(Duration::from_millis(1000));
+    await_handler(&child);
     signal(&child, "-STOP");
     signal(&child, "-INT");
     signal(&child, "-CONT");
