@@ -2,10 +2,10 @@
 
 use std::borrow::Borrow;
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::fs;
 
 use serde_json::Value;
 
+use super::job::read_json;
 use super::{Batch, BatchError, Job, Record, Status};
 
 /// How the frames of a sequence become one file.
@@ -87,8 +87,7 @@ impl Told {
         if record.status == Status::Failed {
             return Self { error: record.error, ..Self::default() };
         }
-        let report = fs::read(batch.folder.join(format!("{FOLDER}/{sequence}.json"))).ok();
-        let report: Value = report.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        let report: Value = read_json(&batch.folder.join(format!("{FOLDER}/{sequence}.json"))).unwrap_or_default();
         let lost = |frame: &Value| Some((frame["name"].as_str()?.to_owned(), frame["lost"].as_str()?.to_owned()));
         Self { lost: report["frames"].as_array().into_iter().flatten().filter_map(lost).collect(), error: None }
     }

@@ -5,9 +5,10 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::io::{WriteError, sha256, sha256_of_file};
+use crate::io::{WriteError, check_side_file, sha256, sha256_of_file};
 
 /// What is to be run.
 #[derive(Debug, Clone)]
@@ -120,6 +121,12 @@ fn hash_of(path: &Path) -> Option<String> {
     sha256_of_file(path).ok()
 }
 
+/// What a batch has written as JSON; `None` if there is none that can be read. A pipe is not opened: that waits for who writes it.
+pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
+    check_side_file(path).ok()?;
+    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+}
+
 /// Removes a file, if it is there.
 pub(super) fn remove(path: &Path) -> Result<(), WriteError> {
     match std::fs::remove_file(path) {
@@ -187,7 +194,7 @@ impl Record {
     /// Reads a record; `None` if there is none that can be read, which is as if nothing had been done.
     #[must_use]
     pub fn read(path: &Path) -> Option<Self> {
-        serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+        read_json(path)
     }
 
     /// The record of the run whose outputs are there: this, or of a job that has failed since the one that was [kept](Kept).

@@ -15,6 +15,7 @@ use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
+use super::job::read_json;
 use super::{BatchError, Shard};
 use crate::io::WriteError;
 
@@ -171,7 +172,7 @@ impl Lock {
         others.sort();
         for path in others {
             let Ok(beat) = time(&path) else { continue }; // it has ended meanwhile
-            let other: Option<Holder> = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+            let other: Option<Holder> = read_json(&path);
             let fresh = now.duration_since(beat).is_ok_and(|age| age < GONE) || beat > now;
             let runs = other.as_ref().and_then(Holder::runs).unwrap_or(fresh);
             if runs && other.as_ref().is_some_and(|other| own.goes_with(other)) {

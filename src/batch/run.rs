@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::job::InputHash;
+use super::job::{InputHash, read_json};
 use super::lock::{HIDDEN, Lock};
 use super::plan::{self, SUMMARY};
 use super::{Animation, BatchError, Hashes, Job, Kept, Plan, Record, Row, Shard, Start, Status, Summary, animation};
@@ -114,11 +114,15 @@ impl Batch {
         self.folder.join(format!("log/{name}.json"))
     }
 
-    /// Why a job of this name cannot be done: its record cannot be read, and it has outputs that then may be anybody's.
+    /// Why a job of this name cannot be done: its record cannot be read, and it has outputs that then may be anybody's; or none can be
+    /// written, as something else than a file is in its place.
     pub(super) fn broken_record(&self, name: &str) -> Option<String> {
         let path = self.record_of(name);
         if fs::symlink_metadata(&path).is_err() || Record::read(&path).is_some() {
             return None;
+        }
+        if is_no_file(&path) {
+            return Some(format!("{}: is no file, so nothing can be noted there; move it away", path.display()));
         }
         let files = self.outputs(name).into_iter().chain(others(name)).map(|name| self.folder.join(name));
         let there: Vec<PathBuf> = files.filter(|path| fs::symlink_metadata(path).is_ok()).collect();
@@ -158,6 +162,16 @@ impl Batch {
 /// What a job writes besides: files that differ from run to run.
 fn others(name: &str) -> [String; 2] {
     [format!("{name}.timing.json"), format!("log/{name}.txt")]
+}
+
+/// Where a part notes the files that it writes besides results.
+fn claim_name(shard: Shard) -> String {
+    format!("{HIDDEN}/wrote-{shard}.json")
+}
+
+/// Whether a pipe, a device or a folder is where a file is to be: to open a pipe waits for the other side.
+fn is_no_file(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|metadata| !metadata.is_file())
 }
 
 impl Plan {
@@ -326,8 +340,7 @@ impl Batch {
     /// Writes down, before they are written, the names of the files besides results.
     fn claim(&self, shard: Shard) -> Result<(), WriteError> {
         let names: Vec<String> = Self::shared(shard).collect();
-        let path = self.folder.join(HIDDEN).join(format!("wrote-{shard}.json"));
-        write_durably(&path, |file| Ok(serde_json::to_writer_pretty(file, &names)?))
+        write_durably(&self.folder.join(claim_name(shard)), |file| Ok(serde_json::to_writer_pretty(file, &names)?))
     }
 
     fn write_timing(&self, shard: Shard, timing: &Timing) -> Result<(), WriteError> {
@@ -346,7 +359,8 @@ impl Batch {
     fn refuse_strangers<'a>(&self, shard: Shard, jobs: impl Iterator<Item = &'a str>) -> Result<(), BatchError> {
         let folder = &self.folder;
         let claimed = self.claimed();
-        let mut strangers = Vec::new();
+        let special = |name: &String| is_no_file(&folder.join(name));
+        let mut strangers: Vec<String> = std::iter::once(claim_name(shard)).filter(special).collect();
         for job in jobs {
             let path = self.record_of(job);
             let record = Record::read(&path);
@@ -357,10 +371,10 @@ impl Batch {
             let known =
                 |name: &String| record.as_ref().is_some_and(|r| r.lists(name) || *name == format!("log/{job}.json"));
             let there = self.names(job).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
-            strangers.extend(there.filter(|name| !known(name)));
+            strangers.extend(there.filter(|name| !known(name) || special(name)));
         }
         let there = Self::shared(shard).filter(|name| fs::symlink_metadata(folder.join(name)).is_ok());
-        strangers.extend(there.filter(|name| !claimed.contains(name)));
+        strangers.extend(there.filter(|name| !claimed.contains(name) || special(name)));
         match &strangers[..] {
             [] => Ok(()),
             [first, others @ ..] => Err(BatchError::Stranger { file: folder.join(first), others: others.len() }),
@@ -372,8 +386,7 @@ impl Batch {
         let mut claimed = BTreeSet::new();
         let entries = fs::read_dir(self.folder.join(HIDDEN)).into_iter().flatten().flatten();
         for path in entries.map(|e| e.path()).filter(|path| path.extension().is_some_and(|e| e == "json")) {
-            let names: Option<Vec<String>> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
-            claimed.extend(names.into_iter().flatten());
+            claimed.extend(read_json::<Vec<String>>(&path).into_iter().flatten());
         }
         claimed
     }
@@ -604,8 +617,7 @@ impl<'a> Run<'a> {
     }
 
     fn report(&self, job: &Job) -> Option<serde_json::Value> {
-        let bytes = fs::read(self.aside.join(format!("{}.json", job.name))).ok()?;
-        serde_json::from_slice(&bytes).ok()
+        read_json(&self.aside.join(format!("{}.json", job.name)))
     }
 
     /// Names of a job's results, and of the files beside them.

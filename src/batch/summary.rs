@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::animation::AllTold;
+use super::job::read_json;
 use super::{Batch, Job, Outcome, Record, Start, Status};
 use crate::page;
 
@@ -133,8 +134,7 @@ impl SummaryRow {
             let note = record.error.clone().unwrap_or_default() + kept;
             return Self { name, status: "failed".into(), start: start.into(), note, ..Self::default() };
         }
-        let report = std::fs::read(batch.folder.join(format!("{name}.json"))).ok();
-        let report = report.and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).filter(Value::is_object);
+        let report = read_json(&batch.folder.join(format!("{name}.json"))).filter(Value::is_object);
         let Some(report) = report else {
             let note = format!("{name}.json, its report, cannot be read; delete it, and the scan is done again");
             return Self { name, status: "doubtful".into(), start: start.into(), note, ..Self::default() };

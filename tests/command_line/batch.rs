@@ -684,3 +684,21 @@ fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
     assert!(stderr.contains(&name) && stderr.contains("give a shorter name"), "{stderr}");
     assert!(!bench.path("long").exists());
 }
+    // nor is one in the place of what a batch writes, or has written, opened
+    list(&bench, &["case/scan.ply,case/landmarks.json,,person,rigid"]);
+    let cases = [
+        ("log/person.json", 2, "is no file, so nothing can be noted there"),
+        ("person.json", 3, "is there, and no record"),
+        ("summary.csv", 3, "is there, and no record"),
+        (".nonrigid/wrote-1-of-1.json", 3, "is there, and no record"),
+        (".nonrigid/1-far-0.lock", 3, "another batch writes here"),
+    ];
+    for (name, code, words) in cases {
+        bench.done(&format!("batch scans.csv --out piped {OPTIONS}"));
+        let path = bench.path(&format!("piped/{name}"));
+        let _ = fs::remove_file(&path); // there is no lock
+        assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let stderr = bench.ends(&format!("batch scans.csv --out piped {OPTIONS}"), code);
+        assert!(stderr.contains(words), "{name}: {stderr}");
+        fs::remove_dir_all(bench.path("piped")).unwrap();
+    }
