@@ -8,7 +8,7 @@ use super::animation::{ENDING, FOLDER, names};
 use super::job::remove;
 use super::run::{Ended, Run};
 use super::{Animation, Batch, BatchError, Job, Record, Start, Status};
-use crate::io::{WriteError, write_atomically, write_durably};
+use crate::io::{WriteError, write_atomically};
 
 impl Batch {
     /// Sequences of these jobs that have no animated file, and why.
@@ -26,23 +26,18 @@ impl Batch {
     }
 
     /// Takes away what an earlier run has made of a sequence, which shows results as they were then, now that nothing is made of it.
-    /// What somebody has changed stays, and is `said`.
+    /// Where somebody has changed a file of it, all of it stays, which is `said`: a later run with an animation finds it whole.
     pub(super) fn forget_animation(&self, name: &str, said: &dyn Fn(&str)) -> Result<(), WriteError> {
         let path = self.record_of(name);
-        let Some(mut record) = Record::read(&path) else { return Ok(()) };
-        record.take_away(&self.folder, |_| true)?;
-        record.others.drain(..).try_for_each(|other| remove(&self.folder.join(other)))?;
-        let changed: Vec<String> = record.changed(&self.folder).cloned().collect();
-        for file in &changed {
+        let Some(record) = Record::read(&path) else { return Ok(()) };
+        if let Some(file) = record.changed(&self.folder).next() {
             let file = self.folder.join(file);
             said(&format!("{}: was changed since it was made, and stays: it may show earlier results", file.display()));
+            return Ok(());
         }
-        if changed.is_empty() {
-            return remove(&path);
-        }
-        record.outputs.retain(|output, _| changed.contains(output));
-        record.key = None; // it is not whole any more
-        write_durably(&path, |file| Ok(serde_json::to_writer_pretty(file, &record)?))
+        record.take_away(&self.folder, |_| true)?;
+        record.others.iter().try_for_each(|other| remove(&self.folder.join(other)))?;
+        remove(&path)
     }
 }
 
