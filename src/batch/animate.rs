@@ -121,7 +121,10 @@ impl Run<'_> {
         }
         let list = self.aside.join(format!("{FOLDER}/{}.txt", job.name));
         write_atomically(&list, |file| {
-            lines.iter().try_for_each(|line| writeln!(file, "{}", line.split('\t').next().unwrap_or_default()))
+            lines.iter().try_for_each(|line| match line.split_once('\t') {
+                Some((mesh, _)) => writeln!(file, "./{mesh}"), // its name may start as other lines do
+                None => writeln!(file, "{line}"),
+            })
         })?;
         let mut command = self.batch.command_of("animate");
         command.arg("--meshes").arg(&self.batch.folder).arg("--list").arg(&list).args(job.arguments.iter().flatten());

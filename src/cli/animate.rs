@@ -35,7 +35,8 @@ pub struct Arguments {
     /// The frames: every .obj and .ply in this folder, or where there are none every .glb, by name
     #[arg(long, value_name = "DIR")]
     meshes: PathBuf,
-    /// The frames' order: a line for each, the name of its file in that folder, or `-` and a name of one that is missing
+    /// The frames' order: a line for each, the name of its file in that folder, or `-` and a name of one that is missing. Lines that start
+    /// with `#` are skipped; a name that starts with either has `./` before it
     #[arg(long, value_name = "FILE")]
     list: Option<PathBuf>,
     /// The rig that explains the frames: a folder, .npz, .glb or .gltf
@@ -214,8 +215,13 @@ fn files(a: &Arguments) -> Result<Vec<(String, Option<PathBuf>)>, Failure> {
             (stem.to_string_lossy().into_owned(), Some(a.meshes.join(line)))
         }
     };
-    let files: Vec<_> =
-        text.trim_start_matches('\u{feff}').lines().map(str::trim).filter(|line| !line.is_empty()).map(frame).collect();
+    let files: Vec<_> = text
+        .trim_start_matches('\u{feff}')
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty() && !line.starts_with('#'))
+        .map(frame)
+        .collect();
     if files.iter().all(|(_, path)| path.is_none()) {
         return Err(Failure::loading(format!("{}: names no frame that is there", list.display())));
     }

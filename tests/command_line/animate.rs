@@ -252,6 +252,12 @@ fn frames_that_are_no_sequence_are_refused() {
     fails("animate --meshes frames --smooth fast --out a.usda", 1, "neither a frequency");
     bench.write("list.txt", "- f0\n");
     fails("animate --meshes frames --list list.txt --out a.usda", 4, "names no frame that is there");
+    std::fs::copy(bench.path("frames/f1.obj"), bench.path("frames/-f1.obj")).unwrap();
+    bench.write("list.txt", "# take one\nf0.obj\n- f9\n./-f1.obj\n");
+    bench.done("animate --meshes frames --list list.txt --out a.usda --report a.json");
+    let report: Value = serde_json::from_slice(&bench.read("a.json")).unwrap();
+    let names = report["frames"].as_array().unwrap().iter().map(|frame| frame["name"].as_str().unwrap());
+    assert!(names.eq(["f0", "f9", "-f1"]), "{report}");
     bench.write("list.txt", "f0.obj\nf9.obj\n");
     fails("animate --meshes frames --list list.txt --out a.usda", 4, "f9.obj");
     fails("animate --meshes frames --report frames/f0.obj --out a.usda", 1, "f0.obj");

@@ -359,6 +359,14 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     let run = bench.run(&command);
     assert!(run.code == 2 && run.stderr.contains("walk.usda: was changed since it was made"), "{}", run.stderr);
 
+    // names may begin as other lines of a list of frames do
+    let odd = ["f0/scan.ply,f0/landmarks.json,odd,-first,rigid", "f1/scan.ply,f1/landmarks.json,odd,#second,rigid"];
+    list(&bench, &odd);
+    bench.done(&format!("batch scans.csv --out odd {OPTIONS}"));
+    let report: Value = serde_json::from_slice(&bench.read("odd/sequences/odd.json")).unwrap();
+    let lost = ["-first", "#second"].map(|name| serde_json::json!({ "name": name, "lost": null }));
+    assert_eq!(report["frames"], serde_json::json!(lost));
+
     // nobody's file stays, and another template in the middle is no sequence
     bench.write("other/sequences/walk.usda", "mine");
     let run = bench.run(&format!("batch scans.csv --out other {OPTIONS}"));
@@ -681,12 +689,6 @@ fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
     let said = said(&bench.ends(&format!("batch scans.csv --out out {OPTIONS}"), 2));
     assert!(said["pipe"].contains("pipe.ply: cannot be read: it is no regular file"), "{said:?}");
     assert!(!said["person"].contains("failed"), "{said:?}");
-    let name = "n".repeat(249);
-    list(&bench, &[&format!("case/scan.ply,case/landmarks.json,,{name},rigid")]);
-    let stderr = bench.ends(&format!("batch scans.csv --out long {OPTIONS}"), 3);
-    assert!(stderr.contains(&name) && stderr.contains("give a shorter name"), "{stderr}");
-    assert!(!bench.path("long").exists());
-}
     // nor is one in the place of what a batch writes, or has written, opened
     list(&bench, &["case/scan.ply,case/landmarks.json,,person,rigid"]);
     let cases = [
@@ -705,3 +707,9 @@ fn a_pipe_is_no_scan_of_a_batch_and_no_name_is_too_long_for_its_files() {
         assert!(stderr.contains(words), "{name}: {stderr}");
         fs::remove_dir_all(bench.path("piped")).unwrap();
     }
+    let name = "n".repeat(249);
+    list(&bench, &[&format!("case/scan.ply,case/landmarks.json,,{name},rigid")]);
+    let stderr = bench.ends(&format!("batch scans.csv --out long {OPTIONS}"), 3);
+    assert!(stderr.contains(&name) && stderr.contains("give a shorter name"), "{stderr}");
+    assert!(!bench.path("long").exists());
+}
