@@ -191,9 +191,14 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
     files
 }
 
-/// Refuses to overwrite files beside an output that is not there; beside one that is, they are of the run that made it.
-fn refuse_beside<'a>(out: &Path, files: impl IntoIterator<Item = (&'a str, PathBuf)>) -> Result<(), Failure> {
-    match files.into_iter().find(|(_, path)| path.exists() && !out.exists()) {
+/// Refuses to overwrite files beside an output that is not there, unless they are copies of these materials already; beside one that is,
+/// they are of the run that made it.
+fn refuse_beside<'a>(
+    out: &Path,
+    files: impl IntoIterator<Item = (&'a str, PathBuf)>,
+    materials: &MaterialFiles,
+) -> Result<(), Failure> {
+    match files.into_iter().find(|(_, path)| path.exists() && !out.exists() && !materials.is_written(out, path)) {
         None => Ok(()),
         Some((option, path)) => {
             let message = format!("{}: is there already, and would be overwritten ({option})", path.display());

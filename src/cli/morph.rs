@@ -129,7 +129,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let MeshFile { mesh: before, colors, .. } = units.read_mesh_file("mesh", mesh)?;
     let materials = materials_for(out, mesh, &before);
     let copies: Vec<_> = materials.writes(out).into_iter().map(|path| ("--out", path)).collect();
-    refuse_beside(out, copies.clone())?;
+    refuse_beside(out, copies.clone(), &materials)?;
     let material_files = materials.reads().map(|path| ("mesh", path.clone()));
     check_plan(&plan(a, mesh, out, &jobs, &others).reads_all(material_files).writes_all(copies))?;
     warn_of_materials(out, mesh, &before, &materials);

@@ -417,7 +417,7 @@ fn check_outputs(a: &Arguments) -> Result<(), Failure> {
     a.state.as_deref().map_or(Ok(()), |p| check_output(p, &["json"]))?;
     refuse_as_shape(a.rig.rig.as_deref(), a.out.parent().unwrap_or(Path::new("")), "--out")?;
     check_plan(&FilePlan::new().reads_all(a.input_paths()).writes_all(a.output_paths()))?;
-    refuse_beside(&a.out, a.beside(&a.out))
+    refuse_beside(&a.out, a.beside(&a.out), &a.materials())
 }
 
 /// What was read, as the report says it.

@@ -7,9 +7,11 @@ use clap::Args;
 use super::inputs::{RigInput, rig_files};
 use super::units::UnitArguments;
 use super::{
-    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, refuse_beside, same_place, say, warn,
+    Failure, Stage, check_output, check_output_folder, check_plan, has_extension, is_gltf, refuse_beside, same_place,
+    say, warn, warn_of_materials,
 };
-use crate::io::{FilePlan, PlanError};
+use crate::io::{FilePlan, MaterialFiles, PlanError};
+use crate::mesh::PolygonMesh;
 use crate::rig::{Companions, NAMED_LANDMARKS, RIG_FILES, Rig, RigForm, Shape, ShapePca};
 
 /// Arguments of `nonrigid rig convert`.
@@ -120,6 +122,11 @@ impl RigOutput {
     /// Writes the rig, made of the one of `input`, with what goes along, and says so and what the form does not hold.
     pub fn write(&self, rig: &Rig, input: &Path) -> Result<(), Failure> {
         write_with(&Companions::of(input), rig, None, &self.out, self.form())?;
+        // materials noted from an OBJ have none in the file; that .npz has no materials is said
+        let painted = |mesh: &&PolygonMesh| is_gltf(input) && mesh.metadata.material_libraries.is_empty();
+        if let Some(mesh) = rig.mesh().filter(painted).filter(|_| self.form() != RigForm::Npz) {
+            warn_of_materials(&self.out, input, mesh, &MaterialFiles::default());
+        }
         let (vertices, shapes) = (rig.neutral().len(), rig.shapes().len());
         say(format_args!("wrote {}: {vertices} vertices, {shapes} shapes", self.out.display()))
     }
@@ -136,7 +143,8 @@ pub fn write_with(
     let materials = companions.materials(rig, out, form);
     materials.missing.iter().for_each(|(_, told)| warn(told));
     if let Some(mesh) = form.mesh_in(out) {
-        refuse_beside(&mesh, materials.writes(&mesh).into_iter().map(|path| ("--out", path)))?;
+        let copies = materials.writes(&mesh).into_iter().map(|path| ("--out", path));
+        refuse_beside(&mesh, copies, &materials)?;
     }
     let notes = companions.write(rig, pca, out, form, &materials).map_err(Failure::writing)?;
     notes.iter().for_each(warn);

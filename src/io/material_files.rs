@@ -173,6 +173,29 @@ impl MaterialFiles {
         std::iter::once(mesh.with_extension("mtl")).chain(images).collect()
     }
 
+    /// All libraries as one, beside a mesh.
+    fn library(&self, mesh: &Path) -> String {
+        let line = |(line, named): &(String, Option<Named>)| match named {
+            None => format!("{line}\n"),
+            Some(Named { name, copy }) => {
+                let start = line.trim_end().trim_end_matches('"').strip_suffix(name.as_str()).unwrap_or_default();
+                format!("{}{}\n", start.trim_end_matches('"'), beside(mesh, copy))
+            }
+        };
+        self.lines.iter().map(line).collect()
+    }
+
+    /// Whether a file beside a mesh is what would be written there, as one is whose mesh was deleted since.
+    #[must_use]
+    pub fn is_written(&self, mesh: &Path, file: &Path) -> bool {
+        let is = |bytes: &[u8]| file.is_file() && std::fs::read(file).is_ok_and(|found| found == bytes);
+        let is_copy = |(image, name): (&PathBuf, &String)| {
+            file == mesh.with_file_name(beside(mesh, name)) && std::fs::read(image).is_ok_and(|bytes| is(&bytes))
+        };
+        let is_library = file == mesh.with_extension("mtl") && !self.is_empty() && is(self.library(mesh).as_bytes());
+        is_library || self.images.iter().any(is_copy)
+    }
+
     /// Copies everything beside a mesh file, whose mesh is made to name it. New files go again unless they are [kept](Copied::keep): who
     /// cannot write the mesh leaves none.
     ///
@@ -188,15 +211,7 @@ impl MaterialFiles {
             write_atomically(&path.with_file_name(beside(path, name)), |file| file.write_all(&bytes))?;
         }
         let library = path.with_extension("mtl");
-        write_atomically(&library, |file| {
-            self.lines.iter().try_for_each(|(line, named)| match named {
-                None => writeln!(file, "{line}"),
-                Some(Named { name, copy }) => {
-                    let start = line.trim_end().trim_end_matches('"').strip_suffix(name.as_str()).unwrap_or_default();
-                    writeln!(file, "{}{}", start.trim_end_matches('"'), beside(path, copy))
-                }
-            })
-        })?;
+        write_atomically(&library, |file| file.write_all(self.library(path).as_bytes()))?;
         let names = std::iter::once(file_name(&library)).chain(self.gone.iter().cloned());
         mesh.metadata.material_libraries = names.collect();
         Ok(copied)

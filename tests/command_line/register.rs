@@ -75,6 +75,13 @@ fn materials_that_stay_behind_are_said() {
     let stderr = bench.ends(&format!("register --template rig/template.obj {INPUTS} --model rigid --out d.obj"), 3);
     assert!(stderr.contains("d.mtl: is there already"), "{stderr}");
     assert_eq!(bench.read("d.mtl"), b"mine");
+    // one that a run of ours made is known when its result was deleted
+    std::fs::remove_file(bench.path("c.obj")).unwrap();
+    let again = format!("register --template rig/template.obj {INPUTS} --model rigid --out c.obj");
+    bench.done(&again);
+    std::fs::remove_file(bench.path("c.obj")).unwrap();
+    bench.write("c.mtl", [bench.read("c.mtl"), b"# mine\n".to_vec()].concat());
+    assert!(bench.ends(&again, 3).contains("c.mtl: is there already"));
     // what a glTF notes of an OBJ's libraries is not beside the result
     assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
 }

@@ -247,6 +247,24 @@ fn bounds_of_weights_hold_and_chosen_shapes_are_fitted_alone() {
 }
 
 #[test]
+fn colours_that_stay_in_a_gltf_are_said() {
+    let bench = Bench::new();
+    bench.done("rig convert --rig rig --out ours.glb");
+    let template = String::from_utf8(bench.read("rig/template.obj")).unwrap();
+    bench.write("rig/template.obj", template.replacen("mtllib", "#", 1));
+    bench.done("rig convert --rig rig --out theirs.glb"); // as of other programs, no library is noted
+    for (out, rig, said) in [
+        ("a", "theirs.glb", true),
+        ("b.glb", "theirs.glb", true),
+        ("b.npz", "theirs.glb", false),
+        ("c", "ours.glb", false),
+    ] {
+        let stderr = bench.ends(&format!("rig convert --rig {rig} --out {out}"), 0);
+        assert_eq!(stderr.contains("their colours and images stay with theirs.glb"), said, "{out}: {stderr}");
+    }
+}
+
+#[test]
 fn components_keep_the_materials_of_the_first_mesh() {
     let bench = Bench::new();
     bench.write("people/face.mtl", bench.read("rig/face.mtl"));
