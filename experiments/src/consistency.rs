@@ -12,7 +12,7 @@ use std::time::Instant;
 use anyhow::Result;
 use nonrigid::console::{Failure, Stage, say, tell};
 use nonrigid::evaluation::percentile;
-use nonrigid::io::{read_polygon_mesh, write_polygon_mesh};
+use nonrigid::io::read_polygon_mesh;
 use nonrigid::mesh::closest_point::ClosestPoint;
 use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3};
 use nonrigid::registration::{
@@ -23,7 +23,7 @@ use nonrigid::rig::{Population, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
 use crate::check_millimetres;
-use crate::output::{each_once, make_output_folder};
+use crate::output::{each_once, make_output_folder, write_result};
 use crate::scan_bench::{BenchRig, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
 use crate::{identity_modes, unread};
@@ -197,8 +197,7 @@ fn row_of(
             Ok(result) => {
                 if a.meshes {
                     let path = a.out.join(format!("{model}_{name:02}.obj"));
-                    let mesh = rig.template().with_positions(result.positions.clone());
-                    write_polygon_mesh(&path, &mesh).map_err(Failure::writing)?;
+                    write_result(&path, rig.template(), result.positions.clone())?;
                 }
                 let found = places_on(face, &population.mean, &result)?;
                 tell(format_args!("{model} {name}: {:.3} mm from the face", found.median_distance()));

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::console::{Failure, Stage, check_folder_path, check_plan};
-use nonrigid::io::{FilePlan, write_atomically, write_json};
+use nonrigid::io::{FilePlan, write_atomically, write_json, write_obj};
+use nonrigid::mesh::{PolygonMesh, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Refuses a list that names something twice: its results would stand in the same place.
@@ -27,6 +28,17 @@ pub fn each_once<T: PartialEq + std::fmt::Display>(option: &str, list: &[T]) -> 
 /// A [`Failure`] of writing.
 pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
     Ok(write_atomically(path, |file| file.write_all(content.as_ref())).map_err(Failure::writing)?)
+}
+
+/// Writes the result of a registration, OBJ. Its materials are names alone: the template's libraries are not beside it.
+///
+/// # Errors
+/// A [`Failure`] of writing.
+pub fn write_result(path: &Path, template: &PolygonMesh, positions: Vec<Vec3>) -> Result<PolygonMesh, Failure> {
+    let mut mesh = template.with_positions(positions);
+    mesh.metadata.material_libraries.clear();
+    write_obj(path, &mesh).map_err(Failure::writing)?;
+    Ok(mesh)
 }
 
 /// Says in a folder of results what of it this program may replace: files as it writes them, and these folders.

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage, say, tell, told};
-use nonrigid::io::{self, Scan, write_polygon_mesh};
+use nonrigid::io::{self, Scan};
 use nonrigid::landmark;
 use nonrigid::landmark::Landmark;
 use nonrigid::mesh::{PolygonMesh, Pose, TriangleMesh, Vec3};
@@ -22,7 +22,7 @@ use nonrigid::render::{
 use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
-use crate::output::{each_once, make_folder, make_output_folder};
+use crate::output::{each_once, make_folder, make_output_folder, write_result};
 use crate::tables::{csv_text, table, write_csv, write_json};
 use crate::{identity_modes, unread};
 
@@ -260,8 +260,7 @@ fn every_model(
         let row = |fit, error| RealScanRow { scan: name.into(), model: model.to_string(), fit, error, seconds };
         match fitted {
             Ok((fit, positions, start)) => {
-                let mesh = template.mesh.with_positions(positions);
-                write_polygon_mesh(&folder.join(format!("{model}.obj")), &mesh).map_err(Failure::writing)?;
+                let mesh = write_result(&folder.join(format!("{model}.obj")), &template.mesh, positions)?;
                 view.get_or_insert_with(|| Upright::new(start, &mesh.positions));
                 results.push(Some(mesh.triangulate()));
                 tell(format_args!("{name:10} {model:16} median {:.3} mm  {seconds:.2} s", fit.quality.to_scan.median));

@@ -11,14 +11,13 @@ use std::path::PathBuf;
 use anyhow::Result;
 use nonrigid::console::{Failure, say, tell, told};
 use nonrigid::evaluation::{MeshQuality, TruthErrors, self_intersections};
-use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::closest_point::ClosestVertices;
 use nonrigid::mesh::normals::face_cross;
 use nonrigid::mesh::{PoseKind, TriangleMesh, Vec3, closest_pose, rms_size};
 use nonrigid::registration::{ModelFactory, ModelKind, Schedule, TERMS, TermFactory};
 use serde::Serialize;
 
-use crate::output::{each_once, make_output_folder};
+use crate::output::{each_once, make_output_folder, write_result};
 use crate::scan_bench::{BenchCase, CaseSource, LandmarkUse, fit_case, read_schedule};
 use crate::tables::{csv_text, table, write_csv, write_json};
 
@@ -247,8 +246,7 @@ fn row_of(
     (row.self_intersections, row.stretch) = (self_intersections, [stretch.p1, stretch.p99, stretch.max]);
     if a.meshes {
         let name = format!("{}-{}-{}.obj", row.case, row.view.replace(' ', "_"), row.model);
-        let mesh = case.template.with_positions(result.positions);
-        write_polygon_mesh(&a.out.join(name), &mesh).map_err(Failure::writing)?;
+        write_result(&a.out.join(name), &case.template, result.positions)?;
     }
     Ok(row)
 }

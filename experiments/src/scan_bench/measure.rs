@@ -8,11 +8,11 @@ use std::thread;
 
 use anyhow::{Context, Result, bail};
 use nonrigid::console::{Failure, Stage, told};
-use nonrigid::io::write_polygon_mesh;
 use nonrigid::registration::TERMS;
 use serde::{Deserialize, Serialize};
 
 use super::{BenchCase, BenchRig, BenchRow, Score, Variant, case_folders, run_case};
+use crate::output::write_result;
 use crate::process::Process;
 use crate::random_pose::random_pose;
 use crate::scaling::{peak_bytes, reset_peak};
@@ -149,8 +149,8 @@ impl Variant {
                 bail!("the result is not finite");
             }
             if let Some(results) = results {
-                let mesh = case.template.with_positions(result.positions);
-                write_polygon_mesh(&results.join(&case.name).join(format!("{}.obj", self.file_stem())), &mesh)?;
+                let path = results.join(&case.name).join(format!("{}.obj", self.file_stem()));
+                write_result(&path, &case.template, result.positions)?;
             }
             Ok(score)
         };

@@ -1,14 +1,12 @@
 //! Fig. 5: the most extreme expression, registered by every model, side by side.
 
 use anyhow::Result;
-use nonrigid::console::Failure;
 use nonrigid::evaluation::{TruthErrors, VertexErrors};
-use nonrigid::io::write_polygon_mesh;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use nonrigid::registration::ModelKind;
 use nonrigid::render::{Camera, ColourScale, Frame, Panel, RgbImage, Scene, Sheet, Style, View, render};
 
-use crate::output::make_folder;
+use crate::output::{make_folder, write_result};
 use crate::report::data::upright;
 use crate::report::study::{
     Block, ERROR_COLUMNS, Section, Setting, Study, error_cells, error_text, least_and_most, ranked,
@@ -60,8 +58,8 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         if let Ok((score, result, _)) = outcome {
             let (_, errors) = TruthErrors::new(&result.positions, &case.truth, &case.observed, &triangles)?;
             cells.extend(regions.each_ref().map(|r| number(rmse_of(&errors.distance, r))));
-            let mesh = case.template.with_positions(result.positions);
-            write_polygon_mesh(&folder.join(format!("{}.obj", entrant.name())), &mesh).map_err(Failure::writing)?;
+            let path = folder.join(format!("{}.obj", entrant.name()));
+            let mesh = write_result(&path, &case.template, result.positions)?;
             results.push((entrant.name(), score, mesh.with_positions(stand(&mesh.positions)), errors));
         } else {
             cells.extend(regions.each_ref().map(|_| String::new()));
