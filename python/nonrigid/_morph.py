@@ -217,7 +217,8 @@ def measure(
     parts = parts_of(regions)
     marks, of_unit = _marks(landmarks, unit), None if unit == "auto" else unit
     found = _nonrigid.measure_mesh(before._native, moved, marks, of_unit, None if of_rig is None else of_rig._native, parts, align)
-    warn(found[3])
+    for note in found[3]:
+        warn(note)
     return _measured(json.loads(found[0]), found[1], found[2])
 
 

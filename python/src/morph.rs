@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use nonrigid::correspondence::ScanError;
 use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::io::LengthUnit;
-use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint};
+use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint, swapped_sides};
 use nonrigid::measurement::{self, NamedRegion};
 use nonrigid::mesh::PolygonMesh;
 use nonrigid::morph::{
@@ -72,11 +72,11 @@ fn places(
     unit: Option<LengthUnit>,
     rig: Option<&Rig>,
     mesh: &Mesh,
-) -> PyResult<(Vec<(String, TemplatePoint)>, OffTemplate)> {
+) -> PyResult<(Vec<(String, TemplatePoint)>, Vec<String>)> {
     let mut off = OffTemplate::none();
     if landmarks.is_empty() {
         let of_rig = rig.and_then(|r| r.rig.landmarks()).unwrap_or_default().iter().enumerate();
-        return Ok((of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect(), off));
+        return Ok((of_rig.map(|(k, v)| (k.to_string(), TemplatePoint::Vertex(*v))).collect(), Vec::new()));
     }
     let mut points = Vec::new();
     for landmarks in landmarks.iter().map(Py::get) {
@@ -86,7 +86,10 @@ fn places(
         off.extend(OffTemplate::of(&landmarks.path, &set, &of_set, mesh.polygons()).map_err(input)?);
         points.extend(of_set);
     }
-    Ok((points, off))
+    let positions = &mesh.polygons().positions;
+    let placed: Vec<_> = points.iter().map(|(name, point)| (name.as_str(), point.position(positions))).collect();
+    let doubts = off.doubt().into_iter().chain(swapped_sides(&placed)).collect();
+    Ok((points, doubts))
 }
 
 /// Step by step, behind what is doubtful in words: positions, report (JSON), and of each mask its name and weights.
@@ -128,7 +131,7 @@ fn morph_mesh<'py>(
         let idle = given.into_iter().filter(|(_, given)| *given);
         notes.extend(idle.map(|(option, _)| format!("{option} has no effect: no step's model has blendshapes")));
     }
-    let (outcomes, off) = abandonable(py, threads, move || {
+    let (outcomes, of_landmarks) = abandonable(py, threads, move || {
         let (mesh, rig) = (mesh.get(), rig.as_ref().map(Py::get));
         let mut basis = match rig {
             None => ShapeBasis::none(),
@@ -140,7 +143,7 @@ fn morph_mesh<'py>(
         if let Some(bounds) = bounds {
             basis = basis.with_bounds(|_| bounds);
         }
-        let (points, off) = places(&landmarks, unit, rig, mesh)?;
+        let (points, of_landmarks) = places(&landmarks, unit, rig, mesh)?;
         let mut moved: PolygonMesh = mesh.polygons().clone();
         let regions = Regions::of(rig.map(|r| &r.rig), &moved);
         let mut outcomes = Vec::new();
@@ -152,9 +155,9 @@ fn morph_mesh<'py>(
                 moved.positions.clone_from(&last.positions);
             }
         }
-        Ok((outcomes, off))
+        Ok((outcomes, of_landmarks))
     })?;
-    notes.extend(off.doubt());
+    notes.extend(of_landmarks);
     let step = |outcome: morph::StepOutcome| {
         let report = serde_json::to_string(&outcome.report).map_err(value)?;
         let masks = outcome.masks.into_iter().map(|mask| (mask.name, mask.weights.into_values().into_pyarray(py)));
@@ -178,7 +181,7 @@ fn measure_mesh(
     rig: Option<Py<Rig>>,
     regions: Option<Vec<(String, Vec<u32>)>>,
     align: bool,
-) -> PyResult<(String, String, String, Option<String>)> {
+) -> PyResult<(String, String, String, Vec<String>)> {
     let unit = crate::mesh::unit(unit)?;
     let mut after = after.map(|a| arrays::points("after", &a)).transpose()?;
     abandonable(py, None, move || {
@@ -218,7 +221,7 @@ fn measure_mesh(
             measurement::Subject { mesh: polygons, after: after.as_deref(), landmarks: &known, regions: &regions };
         let measured = subject.measure().map_err(input)?;
         let json = serde_json::to_string(&measured).map_err(value)?;
-        Ok((json, measured.to_csv(), measured.to_string(), known.doubt()))
+        Ok((json, measured.to_csv(), measured.to_string(), known.doubts(&polygons.positions)))
     })
 }
 

@@ -161,7 +161,7 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         };
         return Err(Failure::loading(message));
     }
-    landmarks.doubt().iter().for_each(warn);
+    landmarks.doubts(&mesh.positions).iter().for_each(warn);
     let mask = a.mask.as_deref().map(|path| read_mask(path, vertices)).transpose()?;
     let regions = match &a.regions {
         Some(path) => Regions::read(path, vertices).map_err(Failure::loading)?,

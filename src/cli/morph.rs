@@ -13,7 +13,7 @@ use super::{
     say, warn, warn_of_format, warn_of_materials,
 };
 use crate::io::{self, FilePlan, MeshFile, write_atomically};
-use crate::landmark::{self, LandmarkFormat, OffTemplate, TemplatePoint};
+use crate::landmark::{self, LandmarkFormat, OffTemplate, TemplatePoint, swapped_sides};
 use crate::measurement::{Landmarks, Plan, Subject as Measured, report};
 use crate::mesh::PolygonMesh;
 use crate::morph::{
@@ -350,6 +350,8 @@ fn landmarks(
     set.format = LandmarkFormat::Native; // positions are points of the surface, as where they are measured
     let points = set.on_template(&path, mesh).map_err(Failure::loading)?;
     OffTemplate::of(&path, &set, &points, mesh).map_err(Failure::loading)?.doubt().iter().for_each(warn);
+    let placed: Vec<_> = points.iter().map(|(name, point)| (&**name, point.position(&mesh.positions))).collect();
+    swapped_sides(&placed).iter().for_each(warn);
     Ok(points)
 }
 

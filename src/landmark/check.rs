@@ -114,11 +114,7 @@ impl LandmarkCheck {
         let close = SAME * bounding_box_diagonal(&surface_points(&mesh.positions, mesh.corners.iter().copied()));
         let duplicates = duplicates(positions, close).into_iter().map(both).collect();
 
-        let pairs = pairs(&names);
-        let directions: Vec<Vec3> = pairs.iter().map(|&[right, left]| positions[left] - positions[right]).collect();
-        let left = majority(&directions);
-        let swapped: Vec<[usize; 2]> =
-            pairs.iter().zip(&directions).filter(|(_, d)| d.dot(&left) < 0.0).map(|(pair, _)| *pair).collect();
+        let Sides { pairs, left, swapped } = Sides::of(&names, positions);
         let up = upwards(&names, positions).filter(|_| !pairs.is_empty());
         Ok(Self {
             landmarks,
@@ -135,6 +131,38 @@ impl LandmarkCheck {
     #[must_use]
     pub fn problems(&self) -> usize {
         self.off.len() + self.duplicates.len() + self.swapped.len() + usize::from(self.mirrored == Some(true))
+    }
+}
+
+/// What is to be said of landmarks, by name and position, of which a few have left and right swapped.
+#[must_use]
+pub fn swapped_sides(landmarks: &[(&str, Vec3)]) -> Option<String> {
+    let (names, positions): (Vec<&str>, Vec<Vec3>) = landmarks.iter().copied().unzip();
+    let Sides { pairs, swapped, .. } = Sides::of(&names, &positions);
+    let couples: Vec<String> = swapped.iter().map(|&[a, b]| format!("{} and {}", names[a], names[b])).collect();
+    let count = pairs.len();
+    (!couples.is_empty()).then(|| {
+        format!("left and right look swapped, against most of {count} pairs of landmarks: {}", couples.join(", "))
+    })
+}
+
+/// Pairs of left and right.
+struct Sides {
+    /// Right first.
+    pairs: Vec<[usize; 2]>,
+    /// Where left is, by most of them.
+    left: Vec3,
+    /// Those that point against that.
+    swapped: Vec<[usize; 2]>,
+}
+
+impl Sides {
+    fn of(names: &[&str], positions: &[Vec3]) -> Self {
+        let pairs = pairs(names);
+        let directions: Vec<Vec3> = pairs.iter().map(|&[right, left]| positions[left] - positions[right]).collect();
+        let left = majority(&directions);
+        let against = pairs.iter().zip(&directions).filter(|(_, d)| d.dot(&left) < 0.0);
+        Self { swapped: against.map(|(pair, _)| *pair).collect(), left, pairs }
     }
 }
 

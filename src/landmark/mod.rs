@@ -22,7 +22,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::str::FromStr;
 
-pub use check::{LandmarkCheck, OnSurface};
+pub use check::{LandmarkCheck, OnSurface, swapped_sides};
 pub use pairs::{
     Landmark, OffTemplate, Source, TemplatePoint, pair_landmarks, parse_landmarks, read_landmarks,
     read_template_landmarks,

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::MeasurementError;
 use crate::io::LengthUnit;
-use crate::landmark::{LandmarkFormat, LandmarkSet, OffTemplate, TemplatePoint, parse_landmark_set, read_landmark_set};
+use crate::landmark::{
+    LandmarkFormat, LandmarkSet, OffTemplate, TemplatePoint, parse_landmark_set, read_landmark_set, swapped_sides,
+};
 use crate::mesh::{PolygonMesh, Vec3};
 
 /// A landmark: what its name means.
@@ -202,10 +204,13 @@ impl Landmarks {
         Ok(landmarks)
     }
 
-    /// What is to be said of positions off the mesh.
+    /// What is to be said of them on the template, whose vertices are at `positions`: those off it, left and right that are swapped.
     #[must_use]
-    pub fn doubt(&self) -> Option<String> {
-        self.off.doubt()
+    pub fn doubts(&self, positions: &[Vec3]) -> Vec<String> {
+        let placed = self.placed(positions).unwrap_or([None; LANDMARKS.len()]); // what is past the end is said where it is measured
+        let named: Vec<(&str, Vec3)> =
+            LANDMARKS.iter().zip(placed).filter_map(|(landmark, p)| Some((landmark.name, p?))).collect();
+        self.off.doubt().into_iter().chain(swapped_sides(&named)).collect()
     }
 
     /// Names of those that are known, in the order of [`LANDMARKS`].

@@ -153,6 +153,25 @@ fn landmarks_off_the_mesh_are_said() {
 }
 
 #[test]
+fn a_pair_with_left_and_right_swapped_is_said() {
+    let bench = Bench::new();
+    let swapped = |name: &str| match name {
+        "exocanthion_right" => "exocanthion_left".to_owned(),
+        "exocanthion_left" => "exocanthion_right".to_owned(),
+        name => name.to_owned(),
+    };
+    let vertices = bench.rig.anthropometric.iter().map(|l| format!("\"{}\": {}", swapped(l.name), l.vertex));
+    bench.write("swapped.json", format!("{{{}}}", vertices.collect::<Vec<_>>().join(", ")));
+    let words = "pairs of landmarks: exocanthion_right and exocanthion_left";
+    for command in ["measure", "morph --preset nose-tip --out m.obj"] {
+        let said = |file: &str| bench.ends(&format!("{command} --mesh rig/template.obj --landmarks {file}"), 0);
+        assert!(said("swapped.json").contains(words), "{command}");
+    }
+    let stderr = bench.ends("measure --mesh rig/template.obj --rig rig", 0);
+    assert!(!stderr.contains("swapped"), "{stderr}");
+}
+
+#[test]
 fn several_plans_stand_beside_each_other() {
     let bench = Bench::new();
     let other: Vec<Vec3> = bench.rig.neutral.iter().map(|p| p * 1.01).collect();
