@@ -400,7 +400,10 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
         Some(path) => {
             let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
             let text = io::read_text(path).map_err(Failure::loading)?;
-            Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model(), &TERMS)).map_err(|e| failed(&e))?
+            let schedule = Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model(), &TERMS));
+            let schedule = schedule.map_err(|e| failed(&e))?;
+            schedule.without_effect().iter().for_each(|said| warn(format_args!("{}: {said}", path.display())));
+            schedule
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);

@@ -53,6 +53,7 @@ pub use hybrid::{Hybrid, HybridLevel, Linearisation, Stiffness};
 pub use laplacian::{Laplacian, LaplacianOptions};
 pub use mass_spring::{MassSpring, SpringOptions};
 pub use node_graph::NodeGraph;
+pub(crate) use node_options::without_effect;
 pub use node_options::{GraphDistance, GraphLevel, GraphOptions, NodeKind, OneNodeOptions, RotationKind};
 pub use on_patch::{PatchFactory, PatchInput};
 pub use poisson::{Guidance, Patches, Poisson, PoissonOptions};

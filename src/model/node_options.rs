@@ -207,6 +207,27 @@ impl OptionTable for GraphLevel {
     }
 }
 
+/// Keys of a graph, and of its levels, that say something else than the default and have no effect, and why.
+pub(crate) fn without_effect<'a>(
+    graph: &Options,
+    levels: impl Iterator<Item = &'a Options> + Clone,
+) -> Vec<(&'static str, &'static str)> {
+    let usual = Options::of(&GraphOptions::default());
+    let other = |key: &str| graph.get(key).is_some_and(|value| Some(value) != usual.get(key));
+    let rigid = graph.get("node").is_some_and(|node| Some(node) == usual.get("node"));
+    let rotates = levels.clone().any(|level| level.number("lambda_rotation").is_some_and(|lambda| lambda > 0.0));
+    let said = [
+        ("smooth", other("smooth") && !other("smooth_shapes"), "smooth_shapes is 0"),
+        (
+            "coarse_nodes",
+            other("coarse_nodes") && !levels.clone().any(|level| level.flag("coarse")),
+            "no level is coarse",
+        ),
+        ("lambda_rotation", rigid && rotates, "rigid nodes are rotations"),
+    ];
+    said.into_iter().filter(|(_, idle, _)| *idle).map(|(key, _, why)| (key, why)).collect()
+}
+
 /// The hybrid, or the graph where `shapes` is empty, with nodes as `[model]` says.
 pub(super) fn build(
     name: &'static str,

@@ -138,6 +138,10 @@ impl LandmarkFrame {
     /// # Errors
     /// When the corners are not finite or the box has no area.
     pub fn projector(&self, low: [f64; 2], high: [f64; 2]) -> Result<Projector, MorphError> {
-        Projector::of_frame(self.axes, self.origin, low.map(|c| c * self.unit), high.map(|c| c * self.unit))
+        let [of_mesh_low, of_mesh_high] = [low, high].map(|corner| corner.map(|c| c * self.unit));
+        Projector::of_frame(self.axes, self.origin, of_mesh_low, of_mesh_high).map_err(|error| match error {
+            MorphError::Covered { .. } => MorphError::Covered { low, high }, // as it was asked for
+            other => other,
+        })
     }
 }

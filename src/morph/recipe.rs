@@ -152,6 +152,14 @@ impl MaskSpec {
                 (Some("texture coordinates have their own place"), Some("in texture coordinates nothing is hidden"))
             }
         };
+        let of_picture = self.png.as_ref().map(|_| "a picture has its own pixels");
+        let of_pixels = match &self.view {
+            ViewSpec::Frame { pixels_per_mm: asked, .. } => ("pixels_per_mm", *asked != pixels_per_mm(), of_picture),
+            ViewSpec::Camera { size: asked, .. } | ViewSpec::Uv { size: asked } => {
+                ("size", *asked != size(), of_picture)
+            }
+        };
+        let has_both = matches!(self.view, ViewSpec::Camera { vertical_fov: Some(_), height: Some(_), .. });
         let said = [
             ("view", self.view != ViewSpec::default(), by_vertex),
             ("at", !self.at.is_empty(), by_vertex.or(no_frame)),
@@ -159,6 +167,8 @@ impl MaskSpec {
             ("sampling", self.sampling != Sampling::default(), by_vertex),
             ("visibility", self.visibility != Visibility::default(), by_vertex.or(all_seen)),
             ("grey", self.grey != GreyWeights::default(), drawn),
+            of_pixels,
+            ("vertical_fov", has_both, Some("a camera with a height has no angle")),
         ];
         said.into_iter().filter(|(_, other, _)| *other).filter_map(|(key, _, why)| Some((key, why?))).collect()
     }

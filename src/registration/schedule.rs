@@ -18,7 +18,7 @@ use crate::correspondence::ScanOptions;
 use crate::energy::Options;
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::{PolygonMesh, PoseKind};
-use crate::model::{ModelFactory, ModelKind};
+use crate::model::{ModelFactory, ModelKind, without_effect};
 use crate::rig::{Family, ShapeBasis};
 use crate::term::TermFactory;
 use crate::text;
@@ -268,6 +268,24 @@ impl Schedule {
         Ok(resolved)
     }
 
+    /// What a [resolved](Self::resolved) schedule says and has no effect, and why.
+    #[must_use]
+    pub fn without_effect(&self) -> Vec<String> {
+        let said = |prefix: &str, model: &Options, levels: &[&Level]| -> Vec<String> {
+            let found = without_effect(model, levels.iter().map(|level| &level.model));
+            found.into_iter().map(|(key, why)| format!("{prefix}model: {key} has no effect: {why}")).collect()
+        };
+        let mut all = said("", &self.model, &self.bend.iter().chain(&self.levels).collect::<Vec<_>>());
+        for (k, stage) in (1..).zip(self.later_stages()) {
+            all.extend(said(&"then.".repeat(k), &stage.model.options, &stage.levels.iter().collect::<Vec<_>>()));
+        }
+        if let Some(closed) = &self.closed {
+            let levels: Vec<&Level> = closed.bend.iter().chain(&closed.levels).collect();
+            all.extend(said("closed.", &closed.model, &levels));
+        }
+        all
+    }
+
     /// The schedule for closed subjects, if there is one of their own.
     fn of_closed(&self) -> Option<Self> {
         let ClosedSubject { model, bend, levels } = self.closed.as_deref()?.clone();
@@ -409,6 +427,21 @@ mod tests {
             "[then.model]\nname = \"blendshape\"\n[[then.level]]\nsteps = 1\ndistance_cap = 1.0\nkernel = \"none\"";
         let error = with("untangle = true", then).unwrap_err();
         assert!(error.to_string().starts_with("then.model"), "{error}");
+    }
+
+    #[test]
+    fn what_has_no_effect_is_said_of_every_stage() {
+        let said = |model: ModelKind, text: &str| {
+            Schedule::from_toml(text).unwrap().resolved(&model, &TERMS).unwrap().without_effect()
+        };
+        for model in ModelKind::ALL {
+            assert_eq!(said(model, model.default_schedule()), [""; 0], "{model}");
+        }
+        let text = ModelKind::Hybrid.default_schedule();
+        let found = said(ModelKind::Hybrid, &text.replace("smooth_shapes = 150\n", ""));
+        assert_eq!(found, ["closed.model: smooth has no effect: smooth_shapes is 0"]);
+        let text = ModelKind::Sumner.default_schedule().replace("coarse = true, ", "");
+        assert_eq!(said(ModelKind::Sumner, &text), ["model: coarse_nodes has no effect: no level is coarse"]);
     }
 
     #[test]

@@ -297,12 +297,20 @@ fn a_schedule_file_steers_the_run_and_is_reported() {
     let text = "reference_size = 67.0\nreference_vertices = 6706\n[model]\nnodes = 40\n[stop]\nenergy = 0.0\nmotion = 0.0\n\
         [[level]]\nsteps = 3\nmodel = { lambda_graph = 7.0 }\nkernel = { cauchy = { delta = 2.0 } }\ndistance_cap = 20.0\nnormal_angle = 50.0\n";
     bench.write("mine.toml", text);
-    bench.done(&format!("{FIT} {INPUTS} --model graph --config mine.toml --out r.obj --report r.json"));
+    let stderr = bench.ends(&format!("{FIT} {INPUTS} --model graph --config mine.toml --out r.obj --report r.json"), 0);
+    assert!(!stderr.contains("no effect"), "{stderr}");
     let report = bench.json("r.json");
     assert_eq!(report["history"].as_array().unwrap().len(), 3);
     assert_eq!(report["schedule"]["model"]["nodes"], 40);
     assert_eq!(report["schedule"]["level"][0]["model"]["lambda_graph"], 7.0);
     assert!(report["inputs"].as_array().unwrap().iter().any(|i| i["role"] == "schedule" && i["name"] == "mine.toml"));
+    let idle =
+        text.replace("nodes = 40", "nodes = 40\ncoarse_nodes = 9").replace("7.0 }", "7.0, lambda_rotation = 2.0 }");
+    bench.write("mine.toml", idle);
+    let stderr = bench.ends(&format!("{FIT} {INPUTS} --model graph --config mine.toml --out r.obj"), 0);
+    for key in ["coarse_nodes has no effect: no level", "lambda_rotation has no effect: rigid"] {
+        assert!(stderr.contains(&format!("warning: mine.toml: model: {key}")), "{stderr}");
+    }
 }
 
 #[test]

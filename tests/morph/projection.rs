@@ -333,6 +333,9 @@ fn wrong_frames_are_named() {
     assert!(frame(&FrameSpec { scale: scale("0", 0.0), ..spec() }).contains("millimetres"));
     let right = LandmarkFrame::new(&spec(), &landmarks()).unwrap();
     assert!(matches!(right.projector([0.0, 0.0], [1.0, f64::NAN]), Err(MorphError::Covered { .. })));
+    let scaled = LandmarkFrame::new(&FrameSpec { scale: scale("0", 7.0), ..spec() }, &landmarks()).unwrap();
+    let message = scaled.projector([2.0, 0.0], [1.0, 3.0]).unwrap_err().to_string();
+    assert!(message.contains("[2.0, 0.0] to [1.0, 3.0]"), "as it was asked for: {message}");
     assert!(MirrorPlane::new(Vec3::zeros(), Vec3::zeros()).is_none());
 }
 

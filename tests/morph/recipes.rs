@@ -457,6 +457,7 @@ fn what_has_no_effect_and_what_a_recipe_is_not_made_for_are_said() {
     let step = |step: &str, mask: &str| format!("[[step]]\n{step}\n[[step.mask]]\n{mask}\n");
     let doubts = |text: &str, amount, model| Recipe::from_text(text, "r.toml").unwrap().doubts(amount, model);
     let arap = Some(MorphModel::Energy(ModelKind::Arap));
+    let looking = "eye = [0, 0, 9], target = [0, 0, 0]";
     for (text, model, said) in [
         (step("", circle), None, &[][..]),
         (step("energy = { smoothing = 3 }", circle), None, &["line 1: smoothing has no effect: model direct"]),
@@ -472,6 +473,18 @@ fn what_has_no_effect_and_what_a_recipe_is_not_made_for_are_said() {
         (step("", "weights = \"w.npy\"\nvisibility = \"through\""), None, &["visibility has no effect: weights"]),
         (step("", &format!("{circle}\ngrey = \"as_printed\"")), None, &["grey has no effect"]),
         (step("", &format!("{circle}\nview = {{ uv = {{}} }}\nat = [\"3\"]")), None, &["at has no effect"]),
+        (
+            step("", "png = \"a.png\"\nview = { frame = { pixels_per_mm = 2, covers = [[0, 0], [1, 1]] } }"),
+            None,
+            &["pixels_per_mm has no effect: a picture"],
+        ),
+        (step("", "png = \"a.png\"\nview = { uv = { size = [9, 9] } }"), None, &["size has no effect: a picture"]),
+        (step("", &format!("{circle}\nview = {{ uv = {{ size = [9, 9] }} }}")), None, &[]),
+        (
+            step("", &format!("{circle}\nview = {{ camera = {{ {looking}, height = 9, vertical_fov = 9 }} }}")),
+            None,
+            &["vertical_fov has no effect"],
+        ),
         (
             step("", &format!("{circle}\n[[step.pin]]\nvertex = 3\nby = [0, 0, 1]\nweight = 3")),
             None,
