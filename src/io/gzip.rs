@@ -32,7 +32,7 @@ pub(super) fn read_unpacked(path: &Path) -> Result<Vec<u8>, ReadError> {
     if is_packed(path) { unpack(&bytes, path, most_unpacked(bytes.len() as u64)) } else { Ok(bytes) }
 }
 
-fn is_packed(path: &Path) -> bool {
+pub(super) fn is_packed(path: &Path) -> bool {
     extension(path) == "gz"
 }
 

@@ -68,7 +68,7 @@ pub fn check_coordinates(path: &Path, points: &[Vec3]) -> Result<(), ReadError> 
     }
 }
 
-const READ: &str = ".obj, .ply, .stl, .off and .xyz, each also as .gz, .glb and .gltf";
+const READ: &str = ".glb, .gltf, and .obj, .ply, .stl, .off and .xyz, these also packed, as .obj.gz";
 const WRITTEN: &str = ".obj, .ply, .glb and .usda";
 
 /// What a mesh file holds.
@@ -110,7 +110,10 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshFile, ReadError> {
         "stl" => |bytes, path| parse_stl(bytes, path).map(MeshFile::from),
         "off" => parse_off,
         "xyz" => parse_xyz,
-        found => return Err(ReadError::UnknownExtension { path: path.into(), found: found.into(), supported: READ }),
+        inner => {
+            let found = if gzip::is_packed(path) { format!("{inner}.gz") } else { inner.to_owned() };
+            return Err(ReadError::UnknownExtension { path: path.into(), found, supported: READ });
+        }
     };
     let file = parse(&gzip::read_unpacked(path)?, path)?;
     check_coordinates(path, &file.mesh.positions)?;

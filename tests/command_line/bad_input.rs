@@ -21,6 +21,7 @@ const ROWS: &[Row] = &[
     // the scan
     ("register", "--target missing.ply", LOADING, &["missing.ply", "cannot be read"]),
     ("register", "--target truncated.ply", LOADING, &["truncated.ply", "bytes"]),
+    ("register", "--target scan.glb.gz", LOADING, &["scan.glb.gz", "extension \"glb.gz\"", ".glb, .gltf, and .obj", "these also packed"]),
     ("register", "--target no_faces.ply --unit mm", LOADING, &["scan", "no triangles"]),
     ("register", "--target triangle.obj --landmarks - --unit mm", COMPUTATION, &["no start found"]),
     ("register", "--target no_faces.ply --unit mm", LOADING, &["no normals", "nx, ny, nz"]),
