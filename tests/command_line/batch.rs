@@ -366,6 +366,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     let report: Value = serde_json::from_slice(&bench.read("odd/sequences/odd.json")).unwrap();
     let lost = ["-first", "#second"].map(|name| serde_json::json!({ "name": name, "lost": null }));
     assert_eq!(report["frames"], serde_json::json!(lost));
+    list(&bench, &FRAMES);
 
     // nobody's file stays, and another template in the middle is no sequence
     bench.write("other/sequences/walk.usda", "mine");

@@ -160,12 +160,12 @@ fn a_pair_with_left_and_right_swapped_is_said() {
         "exocanthion_left" => "exocanthion_right".to_owned(),
         name => name.to_owned(),
     };
-    let vertices = bench.rig.anthropometric.iter().map(|l| format!("\"{}\": {}", swapped(l.name), l.vertex));
+    let vertices = bench.rig.anthropometric.iter().map(|l| format!("\"{}\": {}", swapped(&l.name), l.vertex));
     bench.write("swapped.json", format!("{{{}}}", vertices.collect::<Vec<_>>().join(", ")));
     let words = "pairs of landmarks: exocanthion_right and exocanthion_left";
     for command in ["measure", "morph --preset nose-tip --out m.obj"] {
-        let said = |file: &str| bench.ends(&format!("{command} --mesh rig/template.obj --landmarks {file}"), 0);
-        assert!(said("swapped.json").contains(words), "{command}");
+        let run = bench.run(&format!("{command} --mesh rig/template.obj --landmarks swapped.json"));
+        assert!(run.stderr.contains(words), "{command}: {}", run.stderr);
     }
     let stderr = bench.ends("measure --mesh rig/template.obj --rig rig", 0);
     assert!(!stderr.contains("swapped"), "{stderr}");
