@@ -314,8 +314,8 @@ fn a_position_off_the_mesh_is_measured_on_it_and_said() {
         std::fs::write(&path, text).unwrap();
         Landmarks::read(&[path], &rig.mesh, LengthUnit::Millimetre).unwrap()
     };
-    assert_eq!(read(0.0).doubt(), None);
-    let doubt = read(5.0).doubt().unwrap();
+    assert_eq!(read(0.0).doubts(&rig.neutral), [""; 0]);
+    let doubt = read(5.0).doubts(&rig.neutral).remove(0);
     assert!(doubt.starts_with("1 landmark lies off the mesh, menton by "), "{doubt}");
     // A point inside a polygon is that point, not the vertex next to it.
     let middle = {
