@@ -293,6 +293,7 @@ impl<T: NodeTransform<W>, const W: usize> RegistrationModel for Hybrid<T, W> {
             rotation: lambda("lambda_rotation"),
             blend: lambda("lambda_blend") * unit * unit,
         };
+        self.shapes.set_sparse(lambda("sparse"));
         Ok(())
     }
 

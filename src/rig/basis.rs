@@ -17,6 +17,9 @@ pub struct ShapeBasis {
     sigmas: Vec<f64>,
     /// Standard deviation of what lies beyond 0 and 1; infinite where nothing is said.
     beyond: Vec<f64>,
+    /// Which weights are meant to lie between 0 and 1, and the scale of their sparse prior; 0 for none.
+    from_zero_to_one: Vec<bool>,
+    sparse: f64,
     /// Of the weights, lower and upper; both empty for none.
     bounds: [Vec<f64>; 2],
     /// In the order of the shapes: [joined](Self::joined) ones keep their own.
@@ -52,6 +55,8 @@ impl ShapeBasis {
         Self {
             sigmas: vec![1.0; shapes.len()],
             beyond,
+            from_zero_to_one: shapes.iter().map(Shape::from_zero_to_one).collect(),
+            sparse: 0.0,
             bounds: Default::default(),
             shapes,
             slabs: slabs.into_iter().collect(),
@@ -84,6 +89,12 @@ impl ShapeBasis {
     pub fn with_beyond(mut self, sigma: impl Fn(&Shape) -> f64) -> Self {
         self.beyond = self.shapes.iter().map(sigma).collect();
         self
+    }
+
+    /// Gives expressions whose weights are meant to lie between 0 and 1 ([`Shape::from_zero_to_one`]) a sparse [prior](Self::prior) of this
+    /// scale instead of a normal one; 0 for a normal one.
+    pub fn set_sparse(&mut self, scale: f64) {
+        self.sparse = scale;
     }
 
     /// The same shapes with `l_k <= w_k <= u_k`, `[l_k, u_k] = bounds(shape k)`; infinite where there is no bound. Without any, the
@@ -153,6 +164,8 @@ impl ShapeBasis {
             shapes: [&self.shapes[..], &other.shapes].concat(),
             sigmas: [&self.sigmas[..], &other.sigmas].concat(),
             beyond: [&self.beyond[..], &other.beyond].concat(),
+            from_zero_to_one: [&self.from_zero_to_one[..], &other.from_zero_to_one].concat(),
+            sparse: self.sparse,
             bounds,
             slabs: [&self.slabs[..], &other.slabs].concat(),
         }
@@ -202,17 +215,26 @@ impl ShapeBasis {
         if count > 0.0 { sum / (count + 2.0 * (2.0_f64 * count).sqrt()) } else { 0.0 }
     }
 
-    /// The prior of weight `k` at `w`: `(w / sigma)^2 + ((w - clamp(w, 0, 1)) / sigma_beyond)^2`, half its derivative, and half its
-    /// second derivative.
+    /// The prior of weight `k` at `w`: `(w / sigma)^2 + ((w - clamp(w, 0, 1)) / sigma_beyond)^2`, half its derivative, and half the
+    /// second derivative of the parabola through these that lies above it.
+    ///
+    /// [Sparse](Self::set_sparse) with scale `e`, `ln(1 + (w / e)^2) / 2` stands for `(w / sigma)^2`: nearly all weights are zero, and the others
+    /// may have any size (the heavy-tailed prior of sparse Bayesian learning, Tipping 2001).
     ///
     /// # Panics
     /// When there is no such shape.
     #[must_use]
     pub fn prior(&self, k: usize, w: f64) -> [f64; 3] {
+        let (value, curvature) = if self.sparse > 0.0 && self.from_zero_to_one[k] {
+            let scale = self.sparse * self.sparse;
+            (0.5 * (w * w / scale).ln_1p(), 0.5 / (scale + w * w))
+        } else {
+            let own = 1.0 / (self.sigmas[k] * self.sigmas[k]);
+            (own * w * w, own)
+        };
         let outside = w - w.clamp(0.0, 1.0);
-        let [own, beyond] = [self.sigmas[k], self.beyond[k]].map(|sigma| 1.0 / (sigma * sigma));
-        let beyond = if outside == 0.0 { 0.0 } else { beyond };
-        [own * w * w + beyond * outside * outside, own * w + beyond * outside, own + beyond]
+        let beyond = if outside == 0.0 { 0.0 } else { 1.0 / (self.beyond[k] * self.beyond[k]) };
+        [value + beyond * outside * outside, curvature * w + beyond * outside, curvature + beyond]
     }
 
     /// Bounds `l` and `u` of the weights, if there are any.
@@ -363,5 +385,27 @@ mod tests {
                 assert!((here - (w * w / 4.0 + 100.0 * outside * outside)).abs() < 1e-9, "{k} {w}");
             }
         }
+    }
+
+    /// Expressions alone are sparse; the slope is that of differences, and the parabola touches at `w` and lies above elsewhere.
+    #[test]
+    fn a_sparse_prior_lets_few_weights_be_large() {
+        let shape = |name: &str, family| Shape { name: name.into(), family };
+        let shapes = vec![shape("jawOpen", Family::Expression), shape("jawOpen", Family::Identity)];
+        let mut basis = ShapeBasis::new(shapes, vec![0.0; 6]);
+        let normal = basis.clone();
+        basis.set_sparse(0.05);
+        let value = |w: f64| basis.prior(0, w)[0];
+        for w in [-0.7, -0.01, 0.0, 0.04, 0.3, 1.5] {
+            assert_eq!(basis.prior(1, w), normal.prior(1, w));
+            let (h, [here, slope, curvature]) = (1e-5, basis.prior(0, w));
+            assert!((slope - (value(w + h) - value(w - h)) / (4.0 * h)).abs() < 1e-6, "{w}");
+            for step in [-2.0, -0.3, -0.01, 0.02, 0.5] {
+                let above = here + 2.0 * slope * step + curvature * step * step;
+                assert!(value(w + step) <= above + 1e-12, "{w} {step}");
+            }
+        }
+        // Once large it costs little to be larger.
+        assert!(value(1.0) - value(0.5) < 0.5 * (value(0.5) - value(0.0)));
     }
 }

@@ -6,7 +6,7 @@
 //!     v_i    = sum_j omega_ij ( T_j(b_i - x_j) + x_j )                        (6), (8)   T_j(q) = A_j q + t_j
 //!     E_smooth = lambda_graph sum_(i,j) s_ij rho(|T_i(x_j - x_i) + x_i - T_j(0) - x_j|^2)     (7)
 //!              + lambda_graph lambda_rotation d^2 sum_j E_rot(A_j)                               affine nodes only
-//!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5)
+//!              + lambda_blend sum_k (w_k / sigma_k)^2                                    (5), or sparse: [`ShapeBasis::prior`]
 //!              + lambda_blend sum_k ((w_k - clamp(w_k, 0, 1)) / sigma_beyond)^2          [`ShapeBasis::with_beyond`]
 //! ```
 //!
@@ -516,6 +516,9 @@ pub struct HybridLevel {
     pub kernel: Kernel,
     /// `lambda_blend` of (5), per shape.
     pub lambda_blend: f64,
+    /// Scale of the sparse prior of expressions whose weights are meant to lie between 0 and 1, which stands for theirs in (5)
+    /// ([`ShapeBasis::prior`]): a face makes few of them at a time, and many small ones explain what else the rig misses. 0 for (5).
+    pub sparse: f64,
     /// As [`GraphLevel::lambda_rotation`](super::GraphLevel::lambda_rotation).
     pub lambda_rotation: f64,
     /// As [`GraphLevel::coarse`](super::GraphLevel::coarse).
@@ -527,6 +530,7 @@ impl OptionTable for HybridLevel {
         OptionsError::not_negative("lambda_graph", self.lambda_graph)?;
         OptionsError::kernel(self.kernel)?;
         OptionsError::not_negative("lambda_blend", self.lambda_blend)?;
+        OptionsError::not_negative("sparse", self.sparse)?;
         OptionsError::not_negative("lambda_rotation", self.lambda_rotation)
     }
 }
