@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -59,6 +59,7 @@ fn files_of(vault: &Vault, asset: &str) -> Result<Vec<(String, PathBuf)>, Proble
 /// # Errors
 /// When a file cannot be read or the zip file not be written.
 pub fn with_files_beside(vault: &Vault, at: &FileRef) -> Result<FileRef, Problem> {
+    vault.path(at)?;
     let files = files_of(vault, &at.asset)?;
     if files.len() == 1 {
         return Ok(at.clone());
@@ -74,13 +75,25 @@ pub fn with_files_beside(vault: &Vault, at: &FileRef) -> Result<FileRef, Problem
     })
 }
 
-/// Packs a case and its history.
+/// Packs a case and its history, and says how many steps of that are left out since their files are not what they were.
 ///
 /// # Errors
-/// When a file cannot be read or the zip file not be written.
-pub fn export(vault: &Vault, id: u32) -> Result<FileRef, Problem> {
-    let history = vault.history(id)?;
+/// When a file of the case itself is not what it was, or the zip file cannot be written.
+pub fn export(vault: &Vault, id: u32) -> Result<(FileRef, usize), Problem> {
+    let mut history = vault.history(id)?;
     let case = history.at_head().clone();
+    let assets: BTreeSet<String> = history.cases().flat_map(Case::assets).map(str::to_owned).collect();
+    let (assets, damaged): (BTreeSet<_>, BTreeSet<_>) = assets.into_iter().partition(|asset| vault.is_whole(asset));
+    let of_case = case.assets_and_files().filter(|(asset, _)| damaged.contains(*asset));
+    let names: BTreeSet<&str> = of_case.map(|(_, file)| if file.is_empty() { "the rig" } else { file }).collect();
+    if !names.is_empty() {
+        return Err(problem(format!(
+            "nothing is exported, as files of this client are missing in the vault, cannot be read or were changed there: {}; \
+             add the same ones again, or remove them from the client; wrap again where it is a result",
+            Vec::from_iter(names).join(", ")
+        )));
+    }
+    let left_out = history.retain(|case| !case.assets().any(|asset| damaged.contains(asset)));
     let mut plain = String::new();
     for c in case.name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' }) {
         // the name of a file is counted in bytes
@@ -89,7 +102,7 @@ pub fn export(vault: &Vault, id: u32) -> Result<FileRef, Problem> {
         }
         plain.push(c);
     }
-    vault.add_file(&format!("{plain}.zip"), |path| {
+    let at = vault.add_file(&format!("{plain}.zip"), |path| {
         let options = SimpleFileOptions::default().large_file(true);
         let mut zip = ZipWriter::new(File::create(path)?);
         // revisions are so alike that packed they would look like a bomb
@@ -97,15 +110,15 @@ pub fn export(vault: &Vault, id: u32) -> Result<FileRef, Problem> {
         zip.start_file("case.json", plain).map_err(packed)?;
         let document = Document { format: FORMAT, case: case.clone(), history: Some(history.clone()) };
         zip.write_all(serde_json::to_string(&document).map_err(problem)?.as_bytes())?;
-        let assets: BTreeSet<&str> = history.cases().flat_map(Case::assets).collect();
-        for asset in assets {
+        for asset in &assets {
             for (name, file) in files_of(vault, asset)? {
                 zip.start_file(format!("assets/{asset}/{name}"), options).map_err(packed)?;
                 std::io::copy(&mut File::open(&file)?, &mut zip)?;
             }
         }
         zip.finish().map(drop).map_err(packed)
-    })
+    })?;
+    Ok((at, left_out))
 }
 
 /// Unpacks a case as a new one: its number.
@@ -116,20 +129,22 @@ pub fn import(vault: &Vault, path: &Path) -> Result<u32, Problem> {
     let no_case = |why: String| problem(format!("this is no case of the studio: {why}; export it again"));
     let file = File::open(path)?;
     let mut budget = (file.metadata()?.len().saturating_mul(RATIO) + (1 << 20)).min(LARGEST);
-    let mut zip = ZipArchive::new(file).map_err(|e| no_case(e.to_string()))?;
+    let mut zip = ZipArchive::new(file).map_err(|_| no_case("it is no zip file, or not a whole one".to_owned()))?;
     if zip.len() > MOST {
         return Err(no_case(format!("it has {} entries, at most {MOST} are read", zip.len())));
     }
     let mut document = None;
     let mut assets: BTreeMap<String, crate::vault::Incoming> = BTreeMap::new();
     for index in 0..zip.len() {
-        let mut entry = zip.by_index(index).map_err(|e| no_case(e.to_string()))?;
+        let broken = || no_case(format!("file {} in it cannot be unpacked", index + 1));
+        let unpacked = |e: std::io::Error| if e.kind() == ErrorKind::StorageFull { e.into() } else { broken() };
+        let mut entry = zip.by_index(index).map_err(|_| broken())?;
         let name = entry.name().to_owned();
         // one byte more than the budget shows that there is more, whatever the headers say
         let mut bytes = (&mut entry).take(budget + 1);
         let read = if name == "case.json" {
             let mut text = Vec::new();
-            bytes.read_to_end(&mut text).map_err(|e| no_case(e.to_string()))?;
+            bytes.read_to_end(&mut text).map_err(unpacked)?;
             if text.len() as u64 <= budget {
                 document = Some(text.clone());
             }
@@ -148,13 +163,13 @@ pub fn import(vault: &Vault, path: &Path) -> Result<u32, Problem> {
             if target.exists() {
                 return Err(no_case(format!("it holds {name:?} twice")));
             }
-            std::io::copy(&mut bytes, &mut File::create(target)?).map_err(|e| no_case(e.to_string()))?
+            std::io::copy(&mut bytes, &mut File::create(target)?).map_err(unpacked)?
         };
         budget =
             budget.checked_sub(read).ok_or_else(|| no_case("it unpacks to more than a case can have".to_owned()))?;
     }
     let document = document.ok_or_else(|| no_case("there is no case.json in it".to_owned()))?;
-    let unreadable = |e: serde_json::Error| no_case(e.to_string());
+    let unreadable = |_| no_case("its case.json is not whole, or another program's".to_owned());
     let Format { format } = serde_json::from_slice(&document).map_err(unreadable)?;
     if !(1..=FORMAT).contains(&format) {
         return Err(no_case(format!("its format is {format}, this program knows 1 to {FORMAT}")));

@@ -477,11 +477,17 @@ impl Case {
         sources.chain(wrapped).chain(own).chain(self.photos.iter().map(|p| &p.at))
     }
 
+    /// All assets that it refers to, each with the file in it that is meant; of a rig none.
+    pub fn assets_and_files(&self) -> impl Iterator<Item = (&str, &str)> {
+        let of_command = self.wrapped.iter().flat_map(|w| &w.command);
+        let of_command = of_command.filter_map(|a| a.strip_prefix("asset:"));
+        let of_command = of_command.map(|a| a.split_once('/').unwrap_or((a, "")));
+        self.files().map(|at| (&*at.asset, &*at.file)).chain(of_command)
+    }
+
     /// All assets that it refers to.
     pub fn assets(&self) -> impl Iterator<Item = &str> {
-        let of_command = self.wrapped.iter().flat_map(|w| &w.command);
-        let of_command = of_command.filter_map(|a| a.strip_prefix("asset:").map(|a| a.split('/').next().unwrap_or(a)));
-        self.files().map(|at| at.asset.as_str()).chain(of_command)
+        self.assets_and_files().map(|(asset, _)| asset)
     }
 
     /// The model that wraps it.

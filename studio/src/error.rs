@@ -25,7 +25,14 @@ impl From<rusqlite::Error> for Problem {
 
 impl From<std::io::Error> for Problem {
     fn from(error: std::io::Error) -> Self {
-        Self(format!("the vault's files: {error}; is the disk full or write-protected?"))
+        use std::io::ErrorKind::{NotFound, PermissionDenied, ReadOnlyFilesystem, StorageFull};
+        let advice = match error.kind() {
+            NotFound => "; was its folder moved or removed?",
+            PermissionDenied | ReadOnlyFilesystem => "; may its folder be read and written?",
+            StorageFull => "; make room on the disk",
+            _ => "",
+        };
+        Self(format!("the vault's files: {error}{advice}"))
     }
 }
 

@@ -70,6 +70,17 @@ impl History {
         &self.revisions[self.head].1
     }
 
+    /// Leaves out what does not hold, but for the case itself: how many of them.
+    pub fn retain(&mut self, holds: impl Fn(&Case) -> bool) -> usize {
+        let before = self.revisions.len();
+        let stay: Vec<bool> =
+            self.revisions.iter().enumerate().map(|(n, (_, case))| n == self.head || holds(case)).collect();
+        self.head = stay[..self.head].iter().filter(|stays| **stays).count();
+        let mut stays = stay.into_iter();
+        self.revisions.retain(|_| stays.next() == Some(true));
+        before - self.revisions.len()
+    }
+
     /// All of them, the oldest first.
     pub fn cases(&self) -> impl Iterator<Item = &Case> {
         self.revisions.iter().map(|(_, case)| case)
@@ -133,7 +144,22 @@ pub struct Article {
 /// A vault that is open.
 pub struct Vault {
     folder: PathBuf,
+    /// What tells its database's file from another one in its place.
+    identity: Option<(u64, u64)>,
     database: Mutex<Connection>,
+}
+
+/// Device and number of the database's file in this folder.
+#[cfg(unix)]
+fn identity(folder: &Path) -> Option<(u64, u64)> {
+    use std::os::unix::fs::MetadataExt as _;
+    fs::metadata(folder.join("vault.sqlite")).ok().map(|file| (file.dev(), file.ino()))
+}
+
+/// Elsewhere a file that is open stays where it is.
+#[cfg(not(unix))]
+fn identity(_: &Path) -> Option<(u64, u64)> {
+    None
 }
 
 /// Most bytes of one file.
@@ -180,14 +206,22 @@ impl Vault {
             }
         }
         change.commit()?;
-        let vault = Self { folder, database: Mutex::new(database) };
+        let vault = Self { identity: identity(&folder), folder, database: Mutex::new(database) };
         vault.sweep()?;
         Ok(vault)
     }
 
-    fn database(&self) -> MutexGuard<'_, Connection> {
+    /// The database, while it is the one in the folder: what is written to a file that was removed or replaced is lost.
+    fn database(&self) -> Result<MutexGuard<'_, Connection>, Problem> {
+        if identity(&self.folder) != self.identity {
+            return Err(problem(format!(
+                "the vault {} was moved, removed or replaced while the program runs, so nothing is kept: put it back, or start the \
+                 program again with --vault",
+                self.folder.display()
+            )));
+        }
         // a panic elsewhere rolls its transaction back; the connection stays sound
-        self.database.lock().unwrap_or_else(PoisonError::into_inner)
+        Ok(self.database.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// A number that grows when another program changes the vault.
@@ -195,7 +229,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be read.
     pub fn foreign_version(&self) -> Result<i64, Problem> {
-        Ok(self.database().query_row("PRAGMA data_version", [], |row| row.get(0))?)
+        Ok(self.database()?.query_row("PRAGMA data_version", [], |row| row.get(0))?)
     }
 
     /// Cases whose name, date, notes or plans contain `query`, the last changed one first.
@@ -203,7 +237,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be read.
     pub fn cases(&self, query: &str) -> Result<Vec<CaseSummary>, Problem> {
-        let database = self.database();
+        let database = self.database()?;
         let mut rows = database.prepare(
             "SELECT c.id, c.touched, r.document FROM cases c JOIN revisions r ON r.case_id = c.id AND r.number = c.head
              ORDER BY c.touched DESC, c.id DESC",
@@ -254,7 +288,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be written.
     pub fn add_history(&self, history: &History) -> Result<u32, Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         let change = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let head = u32::try_from(history.head + 1).map_err(problem)?;
         change.execute("INSERT INTO cases (head, touched) VALUES (?1, ?2)", params![head, now()])?;
@@ -271,7 +305,7 @@ impl Vault {
     /// # Errors
     /// When it is not there.
     pub fn history(&self, id: u32) -> Result<History, Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         // one view of it, whatever other windows write
         let view = database.transaction()?;
         let open = read(&view, id)?;
@@ -294,7 +328,8 @@ impl Vault {
     /// # Errors
     /// When it is not there.
     pub fn case(&self, id: u32) -> Result<OpenCase, Problem> {
-        read(&self.database(), id)
+        let database = self.database()?;
+        read(&database, id)
     }
 
     /// Applies a change of the user's.
@@ -336,7 +371,7 @@ impl Vault {
         label: &str,
         change: impl FnOnce(&mut OpenCase) -> Result<(), Problem>,
     ) -> Result<OpenCase, Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let before = read(&transaction, id)?;
         let mut open = before.clone();
@@ -359,7 +394,7 @@ impl Vault {
     /// # Errors
     /// When there is none.
     pub fn step(&self, id: u32, forth: bool) -> Result<OpenCase, Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let open = read(&transaction, id)?;
         let none = || problem(if forth { "nothing was undone" } else { "this is where the case began" });
@@ -373,7 +408,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be written, or the case is not there any more.
     pub fn leave(&self, id: u32, at: &FileRef) -> Result<(), Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         if let Err(gone) = read(&transaction, id) {
             if !assets(&transaction)?.contains(&at.asset) {
@@ -390,7 +425,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be written.
     pub fn delete_case(&self, id: u32) -> Result<(), Problem> {
-        let mut database = self.database();
+        let mut database = self.database()?;
         let transaction = database.transaction_with_behavior(TransactionBehavior::Immediate)?;
         // What cannot be read names no files: those that it alone had are swept when no case has them.
         let mut own = assets_of(&transaction, "case_id = ?1", [id]).unwrap_or_default();
@@ -415,7 +450,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be read.
     pub fn articles(&self, query: &str) -> Result<Vec<Article>, Problem> {
-        let database = self.database();
+        let database = self.database()?;
         let mut rows = database.prepare("SELECT id, title, tags, body, recipe FROM articles ORDER BY title, id")?;
         let rows = rows.query_map([], |row| {
             Ok(Article {
@@ -446,7 +481,7 @@ impl Vault {
         if !article.recipe.is_empty() {
             crate::plan::read(&article.recipe)?;
         }
-        let database = self.database();
+        let database = self.database()?;
         if article.id == 0 {
             insert_article(&database, article)?;
             return u32::try_from(database.last_insert_rowid()).map_err(problem);
@@ -464,7 +499,7 @@ impl Vault {
     /// # Errors
     /// When the database cannot be written.
     pub fn delete_article(&self, id: u32) -> Result<(), Problem> {
-        self.database().execute("DELETE FROM articles WHERE id = ?1", [id])?;
+        self.database()?.execute("DELETE FROM articles WHERE id = ?1", [id])?;
         Ok(())
     }
 
@@ -500,7 +535,7 @@ impl Vault {
     /// When the name is not one of the vault's, or nothing is there.
     pub fn path(&self, at: &FileRef) -> Result<PathBuf, Problem> {
         let what = if at.file.is_empty() { "rig".to_owned() } else { format!("file {:?}", at.file) };
-        let missing = || problem(format!("the vault has no {what} any more; add it again"));
+        let missing = || problem(format!("the vault has no {what} any more; add it again, or make it anew"));
         if !is_hash(&at.asset) {
             return Err(missing());
         }
@@ -527,21 +562,14 @@ impl Vault {
     /// # Errors
     /// When a file cannot be read or moved.
     pub fn take(&self, incoming: &Incoming) -> Result<String, Problem> {
-        let mut listing = Vec::new();
         for entry in fs::read_dir(&incoming.folder)? {
-            let path = entry?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            check_name(&name)?;
-            fs::File::open(&path)?.sync_all()?;
-            listing.push((name, sha256_of_file(&path)?));
+            fs::File::open(entry?.path())?.sync_all()?;
         }
-        if listing.is_empty() {
-            return Err(problem("no file came; choose at least one"));
-        }
-        listing.sort();
-        let text = serde_json::to_string(&listing).map_err(problem)?;
-        let asset = sha256(text.as_bytes());
+        let asset = hash_of(&incoming.folder)?;
         let place = self.folder.join("assets").join(&asset);
+        if place.exists() && !self.is_whole(&asset) {
+            remove_folder(&place)?;
+        }
         if !place.exists()
             && let Err(error) = fs::rename(&incoming.folder, &place)
             && !place.exists()
@@ -549,6 +577,12 @@ impl Vault {
             return Err(error.into());
         }
         Ok(asset)
+    }
+
+    /// Whether the files of an asset are there as they were taken.
+    #[must_use]
+    pub fn is_whole(&self, asset: &str) -> bool {
+        is_hash(asset) && hash_of(&self.folder.join("assets").join(asset)).is_ok_and(|hash| hash == asset)
     }
 
     /// Writes one file into the vault.
@@ -573,7 +607,8 @@ impl Vault {
     /// Removes what no case refers to and nobody can be writing any more.
     fn sweep(&self) -> Result<(), Problem> {
         // Of a case that cannot be read, which the list of cases says, nobody knows which files are its own.
-        let Ok(used) = assets(&self.database()) else { return Ok(()) };
+        let database = self.database()?;
+        let Ok(used) = assets(&database) else { return Ok(()) };
         for part in ["assets", "incoming"] {
             for entry in fs::read_dir(self.folder.join(part))? {
                 let entry = entry?;
@@ -622,9 +657,9 @@ fn insert_article(database: &Connection, article: &Article) -> Result<(), Proble
 }
 
 fn parse(id: u32, document: &str) -> Result<Case, Problem> {
-    serde_json::from_str(document).map_err(|e| {
+    serde_json::from_str(document).map_err(|_| {
         problem(format!(
-            "case {id} in the vault cannot be read ({e}), so no file of the vault is removed: put vault.sqlite back from a backup, \
+            "case {id} in the vault cannot be read, so no file of the vault is removed: put vault.sqlite back from a backup, \
              or delete this case"
         ))
     })
@@ -696,6 +731,23 @@ fn assets_of(database: &Connection, of: &str, params: impl rusqlite::Params) -> 
     Ok(found)
 }
 
+/// The hash of the names and contents of a folder's files.
+fn hash_of(folder: &Path) -> Result<String, Problem> {
+    let mut listing = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        check_name(&name)?;
+        listing.push((name, sha256_of_file(&path)?));
+    }
+    if listing.is_empty() {
+        return Err(problem("no file came; choose at least one"));
+    }
+    listing.sort();
+    let text = serde_json::to_string(&listing).map_err(problem)?;
+    Ok(sha256(text.as_bytes()))
+}
+
 /// Whether a text can be an asset's.
 #[must_use]
 pub fn is_hash(text: &str) -> bool {
@@ -710,7 +762,9 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     let odd = |c: char| c.is_control() || "/\\:*?\"<>|".contains(c);
     if name.is_empty() || name.len() > 200 || name.starts_with('.') || name.contains(odd) {
         let shown: String = name.chars().take(60).collect();
-        return Err(problem(format!("{shown:?} cannot be the name of a file here; rename it")));
+        return Err(problem(format!(
+            "{shown:?} cannot be the name of a file here, at most 200 bytes without / \\ : * ? \" < > | and no dot first; rename it"
+        )));
     }
     Ok(())
 }

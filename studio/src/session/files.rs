@@ -6,7 +6,7 @@ use std::path::Path;
 use nonrigid::io;
 use nonrigid::mesh::PolygonMesh;
 
-use super::{Window, nearest_vertex};
+use super::{Shown, Window, nearest_vertex};
 use crate::case::{Edit, FileRef, Pair, Photo, Source, Unit};
 use crate::error::{Problem, problem};
 use crate::protocol::{Export, Role, ServerMessage, Upload};
@@ -164,6 +164,10 @@ impl Window {
                     }
                     Ok(())
                 })?;
+                if role != Role::Photo {
+                    // a file that was missing may be there again
+                    self.shown = Shown::default();
+                }
                 let outcome = self.made(open);
                 if !taken_out.is_empty() {
                     let text = format!(
@@ -272,7 +276,17 @@ impl Window {
                 }
                 wrap::landmark_files(&hub.vault, &whole)?[0].clone()
             }
-            Export::Case => crate::archive::export(&hub.vault, id)?,
+            Export::Case => {
+                let (at, left_out) = crate::archive::export(&hub.vault, id)?;
+                if left_out > 0 {
+                    let text = format!(
+                        "{left_out} earlier states of this client are not in the zip file: files of theirs are missing in the vault \
+                         or were changed there"
+                    );
+                    self.say(ServerMessage::Note { text });
+                }
+                at
+            }
         };
         hub.vault.leave(id, &at)?;
         let at = match what {

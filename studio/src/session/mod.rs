@@ -237,6 +237,16 @@ impl Window {
         let _ = self.page.blocking_send(Outgoing::Frame(frame));
     }
 
+    /// Shows what a slot holds by now; what cannot be read leaves nothing there, above all not what was shown before.
+    fn show_in(&self, slot: &str, frame: Option<Result<Vec<u8>, Problem>>) -> Result<(), Problem> {
+        let (frame, outcome) = match frame.transpose() {
+            Ok(frame) => (frame, Ok(())),
+            Err(problem) => (None, Err(problem)),
+        };
+        self.show(frame.unwrap_or_else(|| clear_frame(slot)));
+        outcome
+    }
+
     /// Does something that may take a while, and says so. What a job says of itself goes before.
     fn busy(&mut self, what: &str, work: impl FnOnce(&mut Self) -> Result<(), Problem>) -> Result<(), Problem> {
         if self.job.is_some() {
@@ -371,46 +381,44 @@ impl Window {
             current: case.wrapped.as_ref().is_some_and(|wrapped| wrapped.is_of(&case)),
         };
         self.say(message);
+        // what cannot be read is said in the end: the rest is shown
+        let mut outcomes = vec![unreadable.map_or(Ok(()), Err)];
         if self.shown.template != case.template {
             self.shown.template.clone_from(&case.template);
             (self.shown.wrapped, self.shown.mask) = (None, None);
-            self.show(match template.transpose()? {
-                Some(mesh) => mesh_frame("template", &mesh),
-                None => clear_frame("template"),
-            });
+            let frame = template.map(|mesh| Ok(mesh_frame("template", &*mesh?)));
+            outcomes.push(self.show_in("template", frame));
         }
         if self.shown.mask != case.wrap.mask {
             self.shown.mask.clone_from(&case.wrap.mask);
-            let weights =
-                case.wrap.mask.as_ref().map(|at| Ok::<_, Problem>(io::read_npy_vector(&hub.vault.path(at)?, None)?));
+            let read = |at| Ok(io::read_npy_vector(&hub.vault.path(at)?, None)?);
             // without a mask everything counts
-            let weights = weights.transpose()?.unwrap_or_default();
-            self.show(values_frame("template", "mask", &weights, 0.0, 1.0));
+            let weights = case.wrap.mask.as_ref().map_or_else(|| Ok(Vec::new()), read);
+            self.show(values_frame("template", "mask", weights.as_deref().unwrap_or_default(), 0.0, 1.0));
+            outcomes.push(weights.map(drop));
         }
         let scan = case.scan_in_work().cloned();
         if self.shown.scan != scan {
             self.shown.scan.clone_from(&scan);
             self.shown.wrapped = None;
-            let loaded = scan.map(|source| hub.store.scan(&hub.vault, &source)).transpose()?;
-            self.show(loaded.map_or_else(|| clear_frame("scan"), |loaded| scan_frame("scan", &loaded.scan)));
+            let loaded = scan.map(|source| hub.store.scan(&hub.vault, &source));
+            outcomes.push(self.show_in("scan", loaded.map(|loaded| Ok(scan_frame("scan", &loaded?.scan)))));
         }
-        self.show_result(&case)?;
+        outcomes.push(self.show_result(&case));
         let face = store::face_source(&case).ok();
         if self.shown.face != face {
             self.shown.face.clone_from(&face);
             (self.base, self.dragged) = (None, None);
-            match &face {
-                Some(source) => self.show(mesh_frame("face", &*hub.store.mesh(&hub.vault, source)?)),
-                None => self.show(clear_frame("face")),
-            }
+            let mesh = face.as_ref().map(|source| hub.store.mesh(&hub.vault, source));
+            outcomes.push(self.show_in("face", mesh.map(|mesh| Ok(mesh_frame("face", &*mesh?)))));
         }
         let recipe = case.plan_in_work()?.recipe.clone();
         let plan = Some((face, case.rig.clone(), recipe.clone()));
         if self.shown.plan != plan {
             self.shown.plan = plan;
-            self.replay(&case, &recipe, false)?;
+            outcomes.push(self.replay(&case, &recipe, false));
         }
-        unreadable.map_or(Ok(()), Err)
+        outcomes.into_iter().collect()
     }
 
     /// Shows the result of a case, unless the page shows it.
@@ -425,8 +433,10 @@ impl Window {
             self.show(clear_frame("wrapped"));
             return Ok(());
         };
-        let mesh = hub.store.face(&hub.vault, case)?;
-        self.show(positions_frame("wrapped", &mesh.positions));
+        let mesh = hub.store.face(&hub.vault, case);
+        let positions = mesh.as_ref().map(|mesh| positions_frame("wrapped", &mesh.positions));
+        self.show_in("wrapped", Some(positions.map_err(Clone::clone)))?;
+        let mesh = mesh?;
         // only on the scan that it was wrapped onto
         if let Some(scan) = case.scan_in_work().filter(|_| result.is_of(case)) {
             let scan = hub.store.scan(&hub.vault, scan)?;

@@ -5,7 +5,7 @@ use studio::case::FileRef;
 use studio::session::MOST_UPLOADS;
 use zip::ZipArchive;
 
-use crate::client::{Running, edit, no_file, scaled_sheet, sheet};
+use crate::client::{Page, Running, edit, no_file, scaled_sheet, sheet};
 
 #[test]
 fn a_page_is_greeted_and_shown_the_case() {
@@ -67,7 +67,9 @@ fn malformed_messages_are_answered_and_end_nothing() {
         "{\"type\":\"place\",\"name\":null,\"side\":\"scan\",\"point\":[1,2]}",
     ] {
         page.text(text);
-        assert!(page.wait("error")["text"].as_str().unwrap().contains("does not understand"), "{text:.40}");
+        // nor with what a parser says of it
+        let answer = page.wait("error")["text"].clone();
+        assert_eq!(answer, "the page sent what the server does not understand: reload the page", "{text:.40}");
     }
     page.bytes(&[0; 64]);
     page.wait("error");
@@ -390,6 +392,24 @@ fn a_landmark_s_number_is_a_vertex_where_the_template_has_it() {
 }
 
 #[test]
+fn what_is_no_json_or_zip_is_said_without_its_parser_s_words() {
+    let (server, _, mut page) = Running::with_sheet();
+    for (role, name, text, said) in [
+        ("scan_landmarks", "x.json", "hello", "x.json: line 1: expected JSON, found other text in column 1"),
+        ("scan_landmarks", "x.json", "{\n", "x.json: line 2: expected JSON, found its end"),
+        (
+            "scan",
+            "x.gltf",
+            "{}",
+            "x.gltf: line 1: expected a glTF 2.0 file: glTF and version 2, or JSON, found missing field `asset`",
+        ),
+        ("rig", "x.npz", "hello", "x.npz: expected an NPZ (zip) archive, found another file, or a part of one"),
+    ] {
+        assert_eq!(page.refused(&server.adding(role, &[(name, text.as_bytes())], None)), said);
+    }
+}
+
+#[test]
 fn uploads_that_nobody_uses_make_room_for_new_ones() {
     let (server, mut page) = Running::with_empty_case();
     let first = server.adding("photo", &[("a.png", b"\x89PNG\r\n\x1a\n 1")], None);
@@ -408,10 +428,24 @@ fn a_case_whose_file_is_gone_says_so() {
     let server = Running::start();
     let mut case = studio::case::Case::default();
     case.template = Some(studio::case::Source { at: no_file(), name: "gone".to_owned(), unit: studio::case::Unit::Mm });
+    // the rest is shown, and nothing stays of a scan that another one took the place of
+    let there = server.source("sheet.obj", &sheet());
+    let gone = server.source("gone.obj", &scaled_sheet(2.0));
+    std::fs::remove_dir_all(server.folder.path().join("assets").join(&gone.at.asset)).unwrap();
+    (case.scans, case.scan) = (vec![there, gone.clone()], Some(0));
     server.hub.vault.add_case(&case).unwrap();
     let mut page = server.page();
     page.wait("case");
+    let shown = |page: &mut Page, slot: &str| while page.numbers(slot)["numbers"] != "mesh" {};
+    shown(&mut page, "scan");
     assert!(page.wait("error")["text"].as_str().unwrap().contains("add it again"));
+    page.send(&edit(json!({ "edit": "use_scan", "index": 1 })));
+    assert_eq!(page.numbers("scan")["numbers"], "clear");
+    assert!(page.wait("error")["text"].as_str().unwrap().contains("no file \"gone.obj\" any more; add it again"));
+    // added again, it is there
+    page.send(&server.adding("scan", &[("gone.obj", scaled_sheet(2.0).as_bytes())], None));
+    assert_eq!(page.wait("case")["case"]["scans"][2]["at"]["asset"], gone.at.asset.as_str());
+    shown(&mut page, "scan");
 }
 
 #[test]

@@ -115,6 +115,23 @@ fn killed_at_any_moment_a_case_stays_whole() {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_vault_that_is_not_in_its_place_takes_nothing() {
+    let outer = tempfile::tempdir().unwrap();
+    let [folder, elsewhere] = ["vault", "moved"].map(|name| outer.path().join(name));
+    let vault = Vault::open(&folder).unwrap();
+    let id = vault.add_case(&Case::default()).unwrap();
+    let refused = || vault.edit(id, &pair("lost".to_owned())).unwrap_err().0.contains("moved, removed or replaced");
+    std::fs::rename(&folder, &elsewhere).unwrap();
+    assert!(refused());
+    drop(Vault::open(&folder).unwrap());
+    assert!(refused());
+    std::fs::remove_dir_all(&folder).unwrap();
+    std::fs::rename(&elsewhere, &folder).unwrap();
+    assert_eq!(vault.edit(id, &pair("kept".to_owned())).unwrap().case.wrap.pairs.len(), 1);
+}
+
+#[test]
 fn deleted_is_deleted_and_shared_files_stay() {
     let folder = tempfile::tempdir().unwrap();
     let vault = Vault::open(folder.path()).unwrap();
@@ -165,7 +182,8 @@ fn a_case_that_cannot_be_read_locks_no_other_out() {
         database.execute("UPDATE revisions SET document = ?1 WHERE case_id = ?2", (document, bad)).unwrap();
         drop(vault);
         let vault = Vault::open(folder.path()).unwrap();
-        assert!(vault.case(bad).unwrap_err().0.contains("from a backup"));
+        let error = vault.case(bad).unwrap_err().0;
+        assert!(error.contains("from a backup") && !error.contains("line"), "{error}");
         let cases = vault.cases("not in any").unwrap();
         assert!(cases.len() == 1 && cases[0].id == bad && cases[0].trouble.is_some(), "{cases:?}");
         assert_eq!(vault.edit(good, &pair("nose".to_owned())).unwrap().case.name, "good");
