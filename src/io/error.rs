@@ -72,6 +72,17 @@ impl ReadError {
         Self::Io { path: path.to_owned(), source }
     }
 
+    /// A JSON text that is none, or not the expected one; without the parser's own words for where and what it wanted.
+    pub(crate) fn json(path: &Path, place: Place, expected: &str, error: &serde_json::Error) -> Self {
+        use serde_json::error::Category;
+        let found = match error.classify() {
+            Category::Eof => "its end".to_owned(),
+            Category::Syntax => format!("other text in column {}", error.column()),
+            _ => error.to_string().split(" at line ").next().unwrap_or_default().to_owned(),
+        };
+        Self::malformed(path, place, expected, found)
+    }
+
     /// The same, with what names the file.
     pub(super) fn named_by(self, by: &str) -> Self {
         match self {

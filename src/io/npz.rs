@@ -45,7 +45,9 @@ impl<R: Read + Seek> Npz<R> {
         let length = reader.seek(SeekFrom::End(0)).map_err(|source| ReadError::io(path, source))?;
         match ZipArchive::new(reader) {
             Ok(archive) => Ok(Self { path: path.to_owned(), archive, left: most_unpacked(length) }),
-            Err(e) => Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", e.to_string())),
+            Err(_) => {
+                Err(ReadError::malformed(path, Place::File, "an NPZ (zip) archive", "another file, or a part of one"))
+            }
         }
     }
 

@@ -22,7 +22,7 @@ impl Json {
     pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, ReadError> {
         serde_json::from_slice(without_mark(bytes)).map_err(|error| {
             let place = if error.line() == 0 { Place::File } else { Place::Line(error.line()) };
-            ReadError::malformed(path, place, "JSON", error.to_string())
+            ReadError::json(path, place, "JSON", &error)
         })
     }
 

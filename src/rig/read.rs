@@ -196,7 +196,7 @@ fn check_count(path: &Path, found: usize, expected: usize) -> Result<(), RigErro
 pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path, expected: &str) -> Result<T, ReadError> {
     let bytes = read_file(path)?;
     serde_json::from_slice(without_mark(&bytes))
-        .map_err(|e| ReadError::malformed(path, Place::Line(e.line().max(1)), expected, e.to_string()))
+        .map_err(|e| ReadError::json(path, Place::Line(e.line().max(1)), expected, &e))
 }
 
 #[derive(serde::Deserialize)]

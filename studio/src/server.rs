@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::{Body, Bytes};
+use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, Query, Request, State};
 use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
@@ -177,6 +178,9 @@ impl Gate {
     }
 }
 
+/// What a query asks for. One that is not as the page writes it is answered in the program's own words.
+type Asked<T> = Result<Query<T>, QueryRejection>;
+
 #[derive(Deserialize)]
 struct Token {
     token: Option<String>,
@@ -187,13 +191,14 @@ fn refused(status: StatusCode, why: &'static str) -> Response {
 }
 
 /// What every request has to pass.
-async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, request: Request, next: Next) -> Response {
+async fn guard(State(gate): State<Arc<Gate>>, query: Asked<Token>, request: Request, next: Next) -> Response {
+    let given = query.ok().and_then(|Query(Token { token })| token);
     let headers = request.headers();
     let host = text(headers, header::HOST).filter(|host| gate.is_own(host)).map(str::to_owned);
     let mut response = if host.is_none() {
         let why = "This server answers only under its own address: the one that it has printed, or a number where it listens on all.";
         refused(StatusCode::MISDIRECTED_REQUEST, why)
-    } else if request.uri().path() == "/" && given.token.as_ref().is_some_and(|token| same(token, &gate.token)) {
+    } else if request.uri().path() == "/" && given.is_some_and(|token| same(&token, &gate.token)) {
         // the token leaves the address bar and the history
         let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", gate.cookie, gate.token);
         let mut response = (StatusCode::SEE_OTHER, [(header::LOCATION, "/")]).into_response();
@@ -228,12 +233,14 @@ async fn guard(State(gate): State<Arc<Gate>>, Query(given): Query<Token>, reques
     response
 }
 
+const NOTHING: &str = "There is nothing here.";
+
 /// The page and its parts.
 async fn page(request: Request) -> Response {
     let path = request.uri().path().trim_start_matches('/');
     let path = if path.is_empty() { "index.html" } else { path };
     let Some((_, bytes)) = PAGE.iter().find(|(known, _)| *known == path) else {
-        return refused(StatusCode::NOT_FOUND, "There is nothing here.");
+        return refused(StatusCode::NOT_FOUND, NOTHING);
     };
     let kind = match FilePath::new(path).extension().and_then(|e| e.to_str()) {
         Some("html") => "text/html; charset=utf-8",
@@ -250,7 +257,8 @@ fn failed(status: StatusCode, problem: Problem) -> Response {
 }
 
 /// A file of the vault; pictures are shown, everything else is saved.
-async fn download(State(gate): State<Arc<Gate>>, Path((asset, file)): Path<(String, String)>) -> Response {
+async fn download(State(gate): State<Arc<Gate>>, path: Result<Path<(String, String)>, PathRejection>) -> Response {
+    let Ok(Path((asset, file))) = path else { return refused(StatusCode::NOT_FOUND, NOTHING) };
     let path = match check_name(&file).and_then(|()| gate.hub.vault.path(&FileRef { asset, file: file.clone() })) {
         Ok(path) => path,
         Err(problem) => return failed(StatusCode::NOT_FOUND, problem),
@@ -299,7 +307,10 @@ struct Name {
 }
 
 /// Takes a file until a message says what it is.
-async fn upload(State(gate): State<Arc<Gate>>, Query(Name { name }): Query<Name>, body: Body) -> Response {
+async fn upload(State(gate): State<Arc<Gate>>, query: Asked<Name>, body: Body) -> Response {
+    let Ok(Query(Name { name })) = query else {
+        return refused(StatusCode::BAD_REQUEST, "A file comes with its name, once, in UTF-8.");
+    };
     match receive(&gate.hub, &name, body).await {
         Ok(id) => id.into_response(),
         Err(problem) => failed(StatusCode::BAD_REQUEST, problem),
@@ -329,11 +340,10 @@ struct Shown {
     client: Option<u32>,
 }
 
-async fn socket(
-    State(gate): State<Arc<Gate>>,
-    Query(Shown { client }): Query<Shown>,
-    upgrade: WebSocketUpgrade,
-) -> Response {
+async fn socket(State(gate): State<Arc<Gate>>, query: Asked<Shown>, upgrade: WebSocketUpgrade) -> Response {
+    let Ok(Query(Shown { client })) = query else {
+        return refused(StatusCode::BAD_REQUEST, "A client has one number.");
+    };
     upgrade
         .max_message_size(LARGEST_MESSAGE)
         .max_frame_size(LARGEST_MESSAGE)
@@ -357,19 +367,19 @@ async fn window(hub: Arc<Hub>, socket: WebSocket, client: Option<u32>) {
     });
     while let Some(Ok(message)) = stream.next().await {
         let message = match message {
-            Message::Text(text) => serde_json::from_str::<FromPage>(&text).map_err(|e| e.to_string()),
-            Message::Binary(_) => Err("binary frames are not understood".to_owned()),
+            Message::Text(text) => serde_json::from_str::<FromPage>(&text).ok(),
+            Message::Binary(_) => None,
             Message::Close(_) => break,
             Message::Ping(_) | Message::Pong(_) => continue,
         };
         match message {
-            Ok(message) => {
+            Some(message) => {
                 if to_window.send(Inbox::Page(Box::new(message))).is_err() {
                     break;
                 }
             }
-            Err(error) => {
-                let text = format!("the page sent what the server does not understand ({error}); reload the page");
+            None => {
+                let text = "the page sent what the server does not understand: reload the page".to_owned();
                 if page.send(Outgoing::Message(Box::new(ServerMessage::Error { text }))).await.is_err() {
                     break;
                 }

@@ -209,7 +209,8 @@ impl WrapJob {
         let mut state = None;
         if let Some(wrapped) = case.wrapped.as_ref().filter(|w| warm && w.model == model.name() && w.is_of(case)) {
             let text = io::read_text(&vault.path(&wrapped.state)?)?;
-            let read: WarmStart = serde_json::from_str(&text).map_err(problem)?;
+            let damaged = |_| problem("the state of the last result is damaged: start anew with Wrap");
+            let read: WarmStart = serde_json::from_str(&text).map_err(damaged)?;
             state = Some(read);
             add(&["--warm-start", &asset_path(&wrapped.state)]);
         }

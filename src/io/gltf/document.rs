@@ -101,7 +101,7 @@ impl<'a> Loaded<'a> {
         let expected = "a glTF 2.0 file: glTF and version 2, or JSON";
         let document: Document = serde_json::from_slice(without_mark(json)).map_err(|e| {
             let place = if binary.is_some() { Place::File } else { Place::Line(e.line().max(1)) };
-            ReadError::malformed(path, place, expected, e.to_string())
+            ReadError::json(path, place, expected, &e)
         })?;
         let malformed = |expected: &str, found: String| Err(ReadError::malformed(path, Place::File, expected, found));
         if !document.asset.version.starts_with("2.") {

@@ -48,6 +48,26 @@ fn a_look_at_the_head_is_no_change() {
 }
 
 #[test]
+fn what_cannot_be_parsed_is_answered_in_words() {
+    let server = Running::start();
+    let headers = format!("{}Origin: http://{}\r\n", server.cookie(), server.host);
+    let upgrade =
+        "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AA==\r\n";
+    for (method, path, status) in [
+        ("POST", "/upload", 400),
+        ("POST", "/upload?name=a&name=b", 400),
+        ("GET", "/socket?client=x", 400),
+        ("GET", "/files/%FF/a.png", 404),
+        ("GET", "/?token=a&token=b", 200),
+    ] {
+        let (given, _, body) = server.http(method, path, &format!("{headers}{upgrade}"), b"");
+        let body = String::from_utf8_lossy(&body);
+        let parser = ["deserialize", "duplicate", "digit", "UTF-8 in", "URL"].iter().find(|word| body.contains(**word));
+        assert_eq!((given, parser), (status, None), "{path}: {body}");
+    }
+}
+
+#[test]
 fn a_download_has_its_own_name_in_any_script() {
     let server = Running::start();
     let at = server.hub.vault.add_bytes("Мя.zip", b"x").unwrap();
