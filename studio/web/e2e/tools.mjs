@@ -198,7 +198,7 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await until("redo in the imported client", () => heard.plan.steps.length === steps + 1);
   check(true, "a client dropped as a zip file has its history");
   // half a screen, one at 200 %, a telephone: everything can be reached
-  for (const [width, height] of [[800, 600], [640, 360], [390, 844]]) {
+  for (const [width, height] of [[800, 600], [640, 360], [390, 844], [320, 568]]) {
     await page.setViewportSize({ width, height });
     await mode(page, "Clients");
     const field = await box(page.locator(".details input").first());
@@ -207,7 +207,7 @@ await journey("tools", studio, async ({ folder, visit }) => {
     await mode(page, "Wrap");
     await panel.getByRole("heading", { name: "Files" }).waitFor();
     await shot(page, `25-wrap-${width}`);
-    for (const part of ["header [aria-label]", "header [role=status]", ".panel .main", ".looks button"]) {
+    for (const part of ["nav button", "header [aria-label]", "header [role=status]", ".panel .main", ".looks button"]) {
       for (const element of await page.locator(part).all()) {
         const { x, width: own } = await box(element);
         check(x >= 0 && x + own <= width, `${part} lies on a screen of ${width} px`);
@@ -242,6 +242,22 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await until("no file of a blend", () => save.isDisabled());
   check((await report()) === plain, "a blend is not in the report");
   await until("no blend any more", async () => (await page.locator('[data-key="blend#"]').inputValue()) === "1" && !(await save.isDisabled()));
+
+  // a blend from a plan that is gone begins before all plans
+  await panel.getByRole("button", { name: "Copy", exact: true }).click();
+  await page.getByRole("dialog").getByRole("button", { name: "OK" }).click();
+  await until("the copy", () => heard.case.case.plans.length === 2);
+  await panel.getByLabel("blend from").selectOption({ label: "Plan A" });
+  await panel.getByLabel("plan in work").selectOption({ label: "Plan A" });
+  await panel.getByRole("button", { name: "remove plan" }).click();
+  await page.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
+  await until("the copy alone", () => heard.case.case.plans.length === 1 && heard.case.case.plans[0].name === "Plan A 2");
+  await slide("blend", 0.5);
+  await until("a blend", () => save.isDisabled());
+  check((await page.locator(".toast.error").count()) === 0 && (await panel.getByLabel("blend from").inputValue()) === "before", "a blend from a plan that is gone");
+  await slide("blend", 1);
+  await until("no blend", async () => !(await save.isDisabled()));
+
   await page.getByRole("tab", { name: "Fine sculpting" }).click();
   await panel.getByRole("button", { name: "Pin", exact: true }).click();
   await page.mouse.click(575, 300); // outside of the region that comes
@@ -277,6 +293,18 @@ await journey("tools", studio, async ({ folder, visit }) => {
   check(kept === "Protected: 0, pins: 0" && (await page.locator(".handle").count()) === 0, "another client has neither region nor pins of the one before");
   check((await save.isDisabled()) && (await panel.getByRole("button", { name: "Copy as command" }).isDisabled()), "nor its command or face");
   await shot(page, "26-second");
+
+  // what is refused of an article is there to be corrected
+  await mode(page, "Knowledge");
+  await page.getByRole("button", { name: "New article" }).click();
+  await page.locator("[data-key=article-body]").fill("Long thought about");
+  const keep = page.getByRole("button", { name: "Save", exact: true });
+  await keep.click();
+  await closed(page, "needs a title");
+  check((await page.locator("[data-key=article-body]").inputValue()) === "Long thought about", "a refused article is there to be corrected");
+  await page.locator("[data-key=article-title]").fill("Thought");
+  await keep.click();
+  await until("it is kept", () => heard.articles.articles.some((article) => article.title === "Thought"));
 
   const unexpected = page.failures.filter((text) => !text.includes("400"));
   check(unexpected.length === 0, `nothing went wrong in the page ${unexpected.join("; ")}`);

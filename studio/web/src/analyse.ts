@@ -1,7 +1,7 @@
 // Analyse: measurements of the face and its plans, drawn on it; outlines over each other; a report to print.
 
 import * as THREE from "three";
-import { app, belongs, faceShown, send } from "./app";
+import { app, belongs, counted, faceShown, send } from "./app";
 import { button, h, section, svg, toggle } from "./dom";
 import type { Analysis, MeasureRow } from "./protocol";
 import { stage, surfaceOf, views } from "./scene";
@@ -119,12 +119,13 @@ export function panel(redraw: () => void): HTMLElement[] {
   if (!c) return [];
   const a = app.analysis;
   const wanted = new Set(plans());
+  const names = counted(c.plans);
   const groups = ["all", ...new Set((a?.rows ?? []).map((r) => r.group))];
   return [
     section(
       "Plans",
       faceShown(),
-      h("div", { class: "row wrap" }, c.plans.map((p) => toggle(p.name, wanted.has(p.id), () => {
+      h("div", { class: "row wrap" }, c.plans.map((p, k) => toggle(names[k]!, wanted.has(p.id), () => {
         if (!wanted.delete(p.id)) wanted.add(p.id);
         state.plans = wanted;
         enter();

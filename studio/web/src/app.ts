@@ -100,12 +100,15 @@ export function connect() {
     changed("connection");
   };
   socket.onclose = () => {
+    const lost = app.connected;
     app.connected = false;
     if (app.progress) toast(`The server is gone, and with it what ran (${app.progress.what}): start it again.`, "error");
     app.progress = null;
-    changed("connection");
+    // not at each attempt: nothing is drawn anew under a hand
+    if (lost) changed("connection");
     void fetch("/").then((answer) => {
-      app.locked = answer.status === 401;
+      if (app.locked === (answer.status === 401)) return;
+      app.locked = !app.locked;
       changed("connection");
     }, () => {});
     setTimeout(connect, 1000);
@@ -126,6 +129,14 @@ export function send(message: ClientMessage, client = app.open?.id ?? null) {
 /** What a change is made on: the client, the plan and the revision that are shown. */
 export function shown() {
   return { client: app.open?.id ?? null, plan: app.open?.case.plan ?? 0, revision: app.open?.revision ?? 0 };
+}
+
+/** Names in a list; those that come again are counted, as two scans that are called `scan.ply`. */
+export function counted(things: { name: string }[]): string[] {
+  return things.map(({ name }, k) => {
+    const before = things.slice(0, k).filter((other) => other.name === name).length;
+    return before ? `${name} (${before + 1})` : name;
+  });
 }
 
 /** Of which scan the face is that plans change; what would mislead stands out. */
@@ -251,6 +262,8 @@ function numbers(data: ArrayBuffer) {
 export function toast(text: string, kind: "error" | "note") {
   const place = document.getElementById("toasts");
   if (!place) return;
+  // said again, as in each frame of a drag, it stands there once
+  for (const there of [...place.children]) if (there.textContent === text) there.remove();
   const element = document.createElement("div");
   element.className = `toast ${kind}`;
   element.textContent = text;
@@ -278,7 +291,9 @@ export async function addFiles(role: Role, files: File[], unit: Unit | null = nu
   changed("progress");
   try {
     for (const [k, file] of files.entries()) {
-      const answer = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+      const answer = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file }).catch(() => {
+        throw new Error(`${file.name} did not get to the server: may it be read, and does the program still run? Add it again.`);
+      });
       const text = await answer.text();
       if (!answer.ok) throw new Error(text);
       uploads.push({ id: text, name: file.name });

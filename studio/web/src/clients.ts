@@ -1,6 +1,6 @@
 // Clients: the vault's cases, and what belongs to the one that is open.
 
-import { app, edit, send } from "./app";
+import { app, counted, edit, send } from "./app";
 import { ask, button, h, section, sure } from "./dom";
 import type { CaseSummary } from "./protocol";
 import { MESHES, pickFiles } from "./wrap";
@@ -41,6 +41,7 @@ export function page(go: (mode: string) => void): HTMLElement {
 
 function details(go: (mode: string) => void): HTMLElement {
   const { case: c, id } = app.open!;
+  const [scans, plans] = [counted(c.scans), counted(c.plans)];
   // the page is not drawn anew while a text is written: the rest of them is what it is by now
   const describe = (part: object) => {
     const { name, date, notes } = app.open!.case;
@@ -60,13 +61,13 @@ function details(go: (mode: string) => void): HTMLElement {
     section("Client", field("Name", c.name, (name) => describe({ name })), field("Date", c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes)),
     section(
       "Scans",
-      c.scans.map((scan, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, scan.name, k === c.scan && h("small", {}, " in work")), button("Open", () => {
+      scans.map((name, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, name, k === c.scan && h("small", {}, " in work")), button("Open", () => {
         edit({ edit: "use_scan", index: k });
         go("wrap");
-      }), button("×", () => edit({ edit: "remove_scan", index: k }), { title: "Remove; undo brings it back", "aria-label": `remove ${scan.name}` }))),
+      }), button("×", () => edit({ edit: "remove_scan", index: k }), { title: "Remove; undo brings it back", "aria-label": `remove ${name}` }))),
       button("Add a scan", () => pickFiles("scan", MESHES)),
     ),
-    section("Plans", c.plans.map((plan) => h("div", { class: "row" }, h("span", { class: "grow clip" }, plan.name, plan.id === c.plan && h("small", {}, " in work")), button("Open", () => {
+    section("Plans", c.plans.map((plan, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, plans[k], plan.id === c.plan && h("small", {}, " in work")), button("Open", () => {
       edit({ edit: "use_plan", id: plan.id });
       go("plan");
     })))),

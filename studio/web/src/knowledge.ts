@@ -1,10 +1,18 @@
 // The knowledge base: articles in Markdown, some with a recipe that joins the plan in work.
 
-import { app, edit, send } from "./app";
+import { app, edit, onChange, send } from "./app";
 import { button, h, sure } from "./dom";
 import type { Article } from "./protocol";
 
 const state = { query: "", chosen: 0, writing: null as Article | null };
+
+/** An article that was sent, until the server has it: one that is refused, or not heard, is still there to be corrected. */
+let sent: Article | null = null;
+
+onChange((what) => {
+  if (what === "articles" && sent === state.writing) state.writing = null;
+  if (["articles", "error", "connection"].includes(what)) sent = null;
+});
 
 export function enter() {
   send({ type: "list_articles", query: state.query });
@@ -107,9 +115,8 @@ function write(article: Article, redraw: () => void): HTMLElement {
       "div",
       { class: "row" },
       button("Save", () => {
+        sent = article;
         send({ type: "save_article", article });
-        state.writing = null;
-        redraw();
       }, { class: "main" }),
       plan && button("Take the plan in work", () => {
         article.recipe = plan.recipe;

@@ -223,7 +223,7 @@ async function dropped(files: File[]) {
       ["template_landmarks", "landmarks on the template"],
     ];
     const choice = select(roles as [string, string][], "scan", () => {}, { "data-key": "ask" });
-    role = (await dialog(`What is ${files.length === 1 ? files[0]!.name : `this folder of ${files.length} files`}?`, [choice], "Add", () => choice.value)) as Role | null;
+    role = (await dialog(files.length === 1 ? `What is ${files[0]!.name}?` : `What are these ${files.length} files?`, [choice], "Add", () => choice.value)) as Role | null;
   }
   if (role) await addFiles(role, files);
 }

@@ -1,10 +1,10 @@
 // The panel of a plan: ready operations as sliders, fine sculpting, the steps in their order, several plans beside each other.
 
-import { app, belongs, copy, faceShown, onChange, preview, send, shown, toast } from "./app";
+import { app, belongs, copy, counted, faceShown, onChange, preview, send, shown, toast } from "./app";
 import { ask, button, dialog, flag, h, section, select, slider, sure, toggle } from "./dom";
 import type { Edit, Mask, Preset, Side, StepResult } from "./protocol";
 import { options } from "./scene";
-import { ahead, discard, draft, dropSketch, edit, keep, overlay, redraw, showDraft, state, unlike, type Action, type Draft } from "./sculpt";
+import { ahead, blend, discard, draft, dropSketch, edit, keep, origin, overlay, redraw, showDraft, state, unlike, type Action, type Draft } from "./sculpt";
 import { pickFiles } from "./wrap";
 
 export function panel(): HTMLElement[] {
@@ -39,8 +39,8 @@ function plansSection(): HTMLElement {
   const c = app.open!.case;
   const current = c.plans.find((p) => p.id === c.plan);
   const on = shown();
-  const plans: [string, string][] = c.plans.map((p) => [String(p.id), p.name]);
-  const blend = () => send({ type: "blend", from: state.from === "before" ? null : Number(state.from), to: c.plan, share: state.share, difference: state.difference });
+  const names = counted(c.plans);
+  const plans: [string, string][] = c.plans.map((p, k) => [String(p.id), names[k]!]);
   return section(
     "Plan",
     faceShown(),
@@ -66,7 +66,7 @@ function plansSection(): HTMLElement {
         redraw();
       }, { title: "How far this plan is from the other shape, in colours" }),
     ),
-    h("div", { class: "row" }, h("span", {}, "From"), select([["before", "before"], ...plans.filter(([id]) => id !== String(c.plan))], state.from, (from) => {
+    h("div", { class: "row" }, h("span", {}, "From"), select([["before", "before"], ...plans.filter(([id]) => id !== String(c.plan))], String(origin()?.id ?? "before"), (from) => {
       state.from = from;
       blend();
     }, { "aria-label": "blend from" }), h("span", {}, "to this plan")),

@@ -1,7 +1,7 @@
 // A plan on the face: what is shown of it, the region that is being drawn, and its handle.
 
 import * as THREE from "three";
-import { app, belongs, edit as kept, preview, shown, toast } from "./app";
+import { app, belongs, edit as kept, preview, send, shown, toast } from "./app";
 import { svg } from "./dom";
 import { Sketch, planeOf, type Shape } from "./draw";
 import type { Drawing, DrawnStep, Edit, Mask, Side } from "./protocol";
@@ -50,6 +50,26 @@ belongs("face", () => {
   Object.assign(state, ofFace());
 });
 
+/** The plan that a blend begins from, unless it is gone or is in work itself. */
+export function origin() {
+  const c = app.open?.case;
+  return c?.plans.find((p) => String(p.id) === state.from && p.id !== c.plan);
+}
+
+/** That plan as it was when its shape was asked for. */
+let blended = "";
+
+function originNow(): string {
+  const { case: c, id } = app.open!;
+  return JSON.stringify([id, c.template, c.rig, c.wrapped?.mesh, origin()]);
+}
+
+/** Asks for the shape between that plan and the one in work, and for that plan's own. */
+export function blend() {
+  blended = originNow();
+  send({ type: "blend", from: origin()?.id ?? null, to: app.open!.case.plan, share: state.share, difference: state.difference });
+}
+
 const afterPane = new Pane(views.face, "After");
 const beforePane = new Pane(views.face, "Before");
 
@@ -64,7 +84,9 @@ export function show() {
   const before = surfaceOf("face", SKIN, { values: false });
   const after = surfaceOf("plan", SKIN, { values: draft !== null || state.difference, toward: masked ? [0.1, 0.45, 0.85] : undefined });
   afterPane.pick = after;
-  const other = app.open?.case.plans.find((p) => String(p.id) === state.from);
+  const other = origin();
+  // another plan may have been changed, or the face, since its shape was asked for
+  if (state.split && other && !draft && blended !== originNow()) blend();
   beforePane.show([(other && surfaceOf("other", SKIN, { values: false })) ?? before]);
   beforePane.title = other?.name ?? "Before";
   afterPane.show([state.before ? before : after]);

@@ -1,7 +1,7 @@
 // Wrap: scan and template side by side, pairs of points, a run that is seen, and what it has come to.
 
 import * as THREE from "three";
-import { addFiles, app, copy, edit, send, toast } from "./app";
+import { addFiles, app, copy, counted, edit, send, toast } from "./app";
 import { ask, button, flag, h, section, select, slider, svg, toggle } from "./dom";
 import type { Pair, Source, Unit, WrapSettings } from "./protocol";
 import { options, stage, surfaceOf, views } from "./scene";
@@ -247,7 +247,7 @@ export function panel(): HTMLElement[] {
   const done = result();
   const change = (part: Partial<WrapSettings>) => edit({ edit: "set_wrap", settings: { ...wrap, ...part } });
   const whole = pairs().filter((p) => p.vertex !== null && p.target !== null).length;
-  const scans: [string, string][] = c.scans.map((s, k) => [String(k), s.name]);
+  const scans: [string, string][] = counted(c.scans).map((name, k) => [String(k), name]);
   const files = section(
     "Files",
     fileRow("Template", c.template, "template", () => pickFiles("template", MESHES)),
