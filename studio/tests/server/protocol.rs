@@ -400,8 +400,8 @@ fn what_is_no_json_or_zip_is_said_without_its_parser_s_words() {
         (
             "scan",
             "x.gltf",
-            "{}",
-            "x.gltf: line 1: expected a glTF 2.0 file: glTF and version 2, or JSON, found missing field `asset`",
+            "[",
+            "x.gltf: line 1: expected a glTF 2.0 file: glTF and version 2, or JSON, found its end",
         ),
         ("rig", "x.npz", "hello", "x.npz: expected an NPZ (zip) archive, found another file, or a part of one"),
     ] {

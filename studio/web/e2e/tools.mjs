@@ -197,6 +197,26 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await page.keyboard.press("Control+Shift+Z");
   await until("redo in the imported client", () => heard.plan.steps.length === steps + 1);
   check(true, "a client dropped as a zip file has its history");
+  // Tab leads from client to client, and on
+  await mode(page, "Clients");
+  await until("the clients", async () => (await page.locator(".card").count()) === 2);
+  await page.locator(".card").first().focus();
+  for (let k = 0; k < 2; k++) await page.keyboard.press("Tab");
+  check((await page.locator("[data-key=client-Name]:focus").count()) === 1, "keys lead from the list to the client's name");
+
+  // what is refused of a client's details is there to be corrected, and what was written after it is not lost
+  const [clientName, notes] = ["client-Name", "client-notes"].map((key) => page.locator(`[data-key=${key}]`));
+  const named = await clientName.inputValue();
+  await clientName.fill("n".repeat(201));
+  await notes.fill("Long thought about");
+  await notes.press("Tab");
+  await closed(page, "at most 200 bytes");
+  check((await notes.inputValue()) === "Long thought about", "notes of a refused name are there");
+  await clientName.fill(named);
+  await clientName.press("Tab");
+  await until("both are kept", () => heard.case.case.notes === "Long thought about" && heard.case.case.name === named);
+  await until("it says so", async () => (await page.getByText("Not kept yet").count()) === 0);
+
   // half a screen, one at 200 %, a telephone: everything can be reached
   for (const [width, height] of [[800, 600], [640, 360], [390, 844], [320, 568]]) {
     await page.setViewportSize({ width, height });
@@ -244,8 +264,8 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await until("no blend any more", async () => (await page.locator('[data-key="blend#"]').inputValue()) === "1" && !(await save.isDisabled()));
 
   // a blend from a plan that is gone begins before all plans
-  await panel.getByRole("button", { name: "Copy", exact: true }).click();
-  await page.getByRole("dialog").getByRole("button", { name: "OK" }).click();
+  await panel.getByRole("button", { name: "Copy", exact: true }).dblclick();
+  await page.keyboard.press("Enter");
   await until("the copy", () => heard.case.case.plans.length === 2);
   await panel.getByLabel("blend from").selectOption({ label: "Plan A" });
   await panel.getByLabel("plan in work").selectOption({ label: "Plan A" });

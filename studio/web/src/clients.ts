@@ -1,11 +1,20 @@
 // Clients: the vault's cases, and what belongs to the one that is open.
 
-import { app, counted, edit, send } from "./app";
+import { app, belongs, counted, edit, onChange, send } from "./app";
 import { ask, button, h, section, sure } from "./dom";
 import type { CaseSummary } from "./protocol";
 import { MESHES, pickFiles } from "./wrap";
 
 let query = "";
+
+/** What was written about the client, until the server has it: what is refused, or not heard, is still there to be sent again. */
+let written: { name?: string; date?: string; notes?: string } = {};
+belongs("client", () => (written = {}));
+
+onChange((what) => {
+  const kept = app.open?.case;
+  if (what === "case" && kept) for (const key of ["name", "date", "notes"] as const) if (written[key]?.trim() === kept[key].trim()) delete written[key];
+});
 
 export function page(go: (mode: string) => void): HTMLElement {
   const shown = app.open;
@@ -43,9 +52,10 @@ function details(go: (mode: string) => void): HTMLElement {
   const { case: c, id } = app.open!;
   const [scans, plans] = [counted(c.scans), counted(c.plans)];
   // the page is not drawn anew while a text is written: the rest of them is what it is by now
-  const describe = (part: object) => {
+  const describe = (part: typeof written) => {
     const { name, date, notes } = app.open!.case;
-    edit({ edit: "describe", name, date, notes, ...part });
+    Object.assign(written, part);
+    edit({ edit: "describe", name, date, notes, ...written });
   };
   const field = (label: string, value: string, change: (value: string) => void) => {
     const input = h("input", { value, "data-key": `client-${label}` });
@@ -53,12 +63,12 @@ function details(go: (mode: string) => void): HTMLElement {
     return h("label", { class: "field" }, h("span", {}, label), input);
   };
   const notes = h("textarea", { rows: 8, "data-key": "client-notes" });
-  notes.value = c.notes;
+  notes.value = written.notes ?? c.notes;
   notes.onchange = () => describe({ notes: notes.value });
   return h(
     "div",
     { class: "details" },
-    section("Client", field("Name", c.name, (name) => describe({ name })), field("Date", c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes)),
+    section("Client", field("Name", written.name ?? c.name, (name) => describe({ name })), field("Date", written.date ?? c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes), Object.keys(written).length > 0 && h("div", { class: "row" }, h("p", { class: "doubt" }, "Not kept yet."), button("Keep", () => describe({})))),
     section(
       "Scans",
       scans.map((name, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, name, k === c.scan && h("small", {}, " in work")), button("Open", () => {

@@ -24,7 +24,9 @@ export function svg(tag: string, attributes: Attributes = {}, ...children: Child
 function set(element: Element, attributes: Attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
-    if (typeof value === "function" || name === "value" || name === "checked") (element as unknown as Attributes)[name] = value;
+    // what a handler returns means nothing: a false would take Tab from the keyboard
+    if (typeof value === "function") (element as unknown as Attributes)[name] = (event: Event) => void value(event);
+    else if (name === "value" || name === "checked") (element as unknown as Attributes)[name] = value;
     else element.setAttribute(name, value === true ? "" : String(value));
   }
 }
@@ -183,6 +185,8 @@ export function dialog(title: string, body: Child[], ok: string, value: () => st
       close(value());
     };
     element.oncancel = () => close(null);
+    // beside it, as by the second click of two, it keeps the focus
+    element.onmousedown = (event) => event.target === element && event.preventDefault();
     document.body.append(element);
     element.showModal();
     shown?.();
