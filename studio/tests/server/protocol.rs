@@ -397,12 +397,7 @@ fn what_is_no_json_or_zip_is_said_without_its_parser_s_words() {
     for (role, name, text, said) in [
         ("scan_landmarks", "x.json", "hello", "x.json: line 1: expected JSON, found other text in column 1"),
         ("scan_landmarks", "x.json", "{\n", "x.json: line 2: expected JSON, found its end"),
-        (
-            "scan",
-            "x.gltf",
-            "[",
-            "x.gltf: line 1: expected a glTF 2.0 file: glTF and version 2, or JSON, found its end",
-        ),
+        ("scan", "x.gltf", "[", "x.gltf: line 1: expected a glTF 2.0 file: glTF and version 2, or JSON, found its end"),
         ("rig", "x.npz", "hello", "x.npz: expected an NPZ (zip) archive, found another file, or a part of one"),
     ] {
         assert_eq!(page.refused(&server.adding(role, &[(name, text.as_bytes())], None)), said);
