@@ -164,7 +164,7 @@ fn every_bad_file_is_refused_with_its_name_and_a_reason() {
         ("garbage.obj.gz", b"v 0 0 0\n".to_vec(), &["gzip"]),
         ("cut.stl.gz", packed(&stl)[..40].to_vec(), &["gzip"]),
         ("inside.ply.gz", packed(b"plx\n"), &["line 1", "ply"]),
-        ("kind.zip.gz", packed(b"x"), &["\"zip\"", ".stl", ".gz"]),
+        ("kind.zip.gz", packed(b"x"), &["\"zip.gz\"", ".stl", ".gz"]),
         ("bare.gz", packed(b"x"), &["extension", ".obj"]),
         ("mesh.xls", vec![], &["\"xls\"", ".obj, .ply, .stl, .off and .xyz"]),
         ("mesh", vec![], &["extension", ".obj, .ply"]),
