@@ -175,13 +175,13 @@ fn every_study_fills_its_section_and_verdicts_follow_the_tables() {
 
     // Each verdict turns when the rows behind it do, were they all there is.
     tables.iter().for_each(|table| forget_units(&folder.path().join(format!("{table}.csv"))));
+    // The few scans may take the same number of steps, and nothing is more or less than no variation.
+    let overs = claims_of_all().flat_map(|c| c.rules).filter_map(|rule| rule.over);
+    overs.filter(|over| over.take == claims::Take::Variation).for_each(|over| vary(&csv(folder.path(), &over), &over));
     let verdicts = claims::judge_all(measured).unwrap();
     for judged in verdicts.iter().filter(|j| j.verdict != Verdict::NotMeasured) {
-        // Two scans may take the same number of steps, and two variations of zero have no ratio.
-        let without_ratio = |number: &String| number.starts_with(' ');
-        let decided = judged.verdict != Verdict::Undecided || judged.numbers.iter().any(without_ratio);
-        assert!(decided, "{}: {:?}", judged.claim.quote, judged.numbers);
-        for (k, rule) in judged.claim.rules.iter().enumerate().filter(|(k, _)| !without_ratio(&judged.numbers[*k])) {
+        assert_ne!(judged.verdict, Verdict::Undecided, "{}: {:?}", judged.claim.quote, judged.numbers);
+        for (k, rule) in judged.claim.rules.iter().enumerate() {
             let (before, file) = (fs::read(csv(folder.path(), &rule.value)).unwrap(), csv(folder.path(), &rule.value));
             for holds in [true, false] {
                 let wanted = match (rule.is, holds) {
@@ -213,6 +213,16 @@ fn csv(folder: &Path, pick: &Pick) -> PathBuf {
 }
 
 /// Multiplies the numbers of a pick; where their variation counts, that.
+fn vary(file: &Path, pick: &Pick) {
+    let mut table = Table::read(file).unwrap();
+    let column = table.column(pick.column).unwrap();
+    let lines: Vec<usize> = table.find(pick.rows).unwrap().iter().map(|r| r.0 - 2).collect();
+    for (k, line) in lines.into_iter().enumerate() {
+        table.rows[line][column] = number([1.0, 1.1][k % 2]);
+    }
+    table.write(file.parent().unwrap(), file.file_stem().unwrap().to_str().unwrap()).unwrap();
+}
+
 fn scale(file: &Path, pick: &Pick, factor: f64) {
     let mut table = Table::read(file).unwrap();
     let column = table.column(pick.column).unwrap();
