@@ -212,7 +212,7 @@ fn csv(folder: &Path, pick: &Pick) -> PathBuf {
     folder.join(format!("{}.csv", pick.csv))
 }
 
-/// Multiplies the numbers of a pick; where their variation counts, that.
+/// Makes the numbers of a pick vary a little.
 fn vary(file: &Path, pick: &Pick) {
     let mut table = Table::read(file).unwrap();
     let column = table.column(pick.column).unwrap();
@@ -223,6 +223,7 @@ fn vary(file: &Path, pick: &Pick) {
     table.write(file.parent().unwrap(), file.file_stem().unwrap().to_str().unwrap()).unwrap();
 }
 
+/// Multiplies the numbers of a pick; where their variation counts, that.
 fn scale(file: &Path, pick: &Pick, factor: f64) {
     let mut table = Table::read(file).unwrap();
     let column = table.column(pick.column).unwrap();
