@@ -201,8 +201,9 @@ impl ShapeBasis {
         &self.sigmas
     }
 
-    /// How unlikely identities of these weights are: the sum of their squares over the mean and twice the standard deviation of the
-    /// chi-square distribution that it has where each weight is normal with its `sigma_k`. Zero without identities.
+    /// How unlikely identities of these weights are among the rig's own people: the sum of their squares over the mean and twice the standard
+    /// deviation of the chi-square distribution that it has where each weight is normal with deviation 1, as rigs scale their modes, whatever
+    /// `sigma_k` a fit gives them. Zero without identities.
     ///
     /// # Panics
     /// Unless there is a weight for each shape.
@@ -211,7 +212,7 @@ impl ShapeBasis {
         assert_eq!(weights.len(), self.len(), "one weight for each shape");
         let identities = (0..self.len()).filter(|&k| self.shapes[k].family == Family::Identity);
         let (sum, count) =
-            identities.fold((0.0, 0.0), |(sum, count), k| (sum + (weights[k] / self.sigmas[k]).powi(2), count + 1.0));
+            identities.fold((0.0, 0.0), |(sum, count), k| (sum + weights[k].powi(2), count + 1.0));
         if count > 0.0 { sum / (count + 2.0 * (2.0_f64 * count).sqrt()) } else { 0.0 }
     }
 
@@ -329,8 +330,8 @@ mod tests {
         let shape = |family| Shape { name: String::new(), family };
         let families = [Family::Expression, Family::Identity, Family::Identity];
         let basis = ShapeBasis::new(families.map(shape).into(), vec![0.0; 9]).with_sigmas(|_| 2.0);
-        assert_eq!(basis.unlikeliness(&[9.0, 2.0, -2.0]), 2.0 / 6.0);
-        assert_eq!(basis.unlikeliness(&[0.0, 2.0 * 6f64.sqrt(), 0.0]).round(), 1.0);
+        assert_eq!(basis.unlikeliness(&[9.0, 1.0, -1.0]), 2.0 / 6.0);
+        assert_eq!(basis.unlikeliness(&[0.0, 6f64.sqrt(), 0.0]).round(), 1.0);
         assert_eq!(ShapeBasis::new(vec![shape(Family::Expression)], vec![0.0; 3]).unlikeliness(&[5.0]), 0.0);
     }
 
