@@ -46,7 +46,7 @@ fn a_stage_has_every_frame_and_what_the_mesh_has() {
     let bench = Bench::new();
     let frames = frames(&bench);
     bench.done("animate --meshes frames --fps 25 --out face.usda");
-    let text = String::from_utf8(bench.read("face.usda")).unwrap();
+    let text = bench.text("face.usda");
     for part in [
         "endTimeCode = 2",
         "timeCodesPerSecond = 25",
@@ -174,7 +174,7 @@ fn frames_a_second_may_be_those_of_video_and_what_has_no_effect_is_said() {
         let said = bench.done(&format!("animate --meshes frames --fps {asked} --out face.usda --report face.json"));
         assert!(said.contains(&format!(" vertices, {plain} a second")), "{said}");
         assert_eq!(report()["frames_per_second"], found);
-        let stage = String::from_utf8(bench.read("face.usda")).unwrap();
+        let stage = bench.text("face.usda");
         assert!(stage.contains(&format!("timeCodesPerSecond = {plain}\n")), "{asked}");
     }
     for asked in ["0", "0.9", "1000.5", "NaN", "fast"] {
@@ -223,7 +223,7 @@ fn lost_frames_are_named_and_bridged() {
         let [before, after] = [0, 1].map(|k| report["second_difference_mm"][k].as_f64().unwrap());
         assert!(before > 20.0 && (after < 0.2) == smooth.contains("4"), "{report}");
     }
-    let text = String::from_utf8(bench.read("walk.usda")).unwrap();
+    let text = bench.text("walk.usda");
     assert!(text.contains("int[] lostFrames = [5, 8]"));
     let bytes = bench.read("walk.glb");
     let (document, _) = glb_parts(&bytes);

@@ -161,7 +161,7 @@ fn terminals_and_tables_show_names_and_do_not_run_them() {
     let run = bench.run("rig fit --rig odd.npz --meshes frames --out w.csv");
     assert_eq!(run.code, 0, "{}", run.stderr);
     shown(&run);
-    let table = String::from_utf8(bench.read("w.csv")).unwrap();
+    let table = bench.text("w.csv");
     let mut reader = csv::Reader::from_reader(table.as_bytes());
     let header: Vec<String> = reader.headers().unwrap().iter().map(str::to_owned).collect();
     let cells: Vec<String> =

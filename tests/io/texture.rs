@@ -586,7 +586,7 @@ fn the_command_writes_a_texture_that_its_result_shows() {
 #[test]
 fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() {
     let bench = Bench::of_size(1000, 8000);
-    let library = String::from_utf8(bench.read("rig/face.mtl")).unwrap();
+    let library = bench.text("rig/face.mtl");
     bench.write("rig/face.mtl", format!("{library}map_Kd my skin.png\nbump none.png\n"));
     let mut png = Vec::new();
     image::RgbImage::from_pixel(4, 4, image::Rgb([200, 150, 130]))
@@ -608,7 +608,7 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
     let of_corner = read_obj(&bench.path("a_face.obj")).unwrap().metadata.corner_normals;
     assert!(of_corner.iter().enumerate().all(|(c, n)| *n as usize == c), "each corner a normal of its own");
     assert_eq!(bench.read("a_face_my_skin.png"), png);
-    let copied = String::from_utf8(bench.read("a_face.mtl")).unwrap();
+    let copied = bench.text("a_face.mtl");
     assert!(copied.ends_with("map_Kd a_face_my_skin.png\nbump none.png\n"), "{copied}");
     let (_, paint) = read_painted_scan(&bench.path("a_face.obj")).unwrap();
     assert_eq!(paint.unwrap().images[0].bytes, png);
@@ -638,7 +638,7 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
         document["materials"].as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
     names.sort_unstable();
     assert_eq!(names, ["lips", "skin"]);
-    let text = String::from_utf8(bench.read("f.usda")).unwrap();
+    let text = bench.text("f.usda");
     for part in [
         "normal3f[] normals = [",
         "familyName = \"materialBind\"",
