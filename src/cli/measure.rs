@@ -94,7 +94,7 @@ impl ClientArguments {
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     match &a.mesh {
-        Some(mesh) if !a.list => on_threads(a.threads.map(usize::from), || measure(a, mesh))?,
+        Some(mesh) if !a.list => on_threads(a.threads, || measure(a, mesh))?,
         _ => say(glossary().trim_end()),
     }
 }

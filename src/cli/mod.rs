@@ -29,7 +29,7 @@ use clap::{CommandFactory as _, Parser, Subcommand};
 use crate::io::{MaterialFiles, files_of_mesh};
 use crate::mesh::{ObjStatement, PolygonMesh};
 
-use crate::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, say, tell, warn};
+use crate::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, on_threads, say, tell, warn};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
@@ -123,13 +123,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>, program: &Program) -> 
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
     }
-}
-
-/// Runs `work` on `threads` threads, or on all cores.
-fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
-    let threads = threads.map_or(0, |asked| bounded("--threads", asked));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
 }
 
 /// Refuses an output whose extension has no writer, whose folder is not there, or that is itself a folder.

@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(name) = &arguments.print {
         return say(preset_text(name).ok_or_else(|| unknown_preset(name))?.trim_end());
     }
-    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+    on_threads(arguments.threads, || run_here(arguments))?
 }
 
 fn list() -> Result<(), Failure> {

@@ -180,7 +180,7 @@ fn timing_path(report: &Path) -> PathBuf {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+    on_threads(arguments.threads, || run_here(arguments))?
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
