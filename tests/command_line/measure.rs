@@ -1,7 +1,7 @@
 //! `nonrigid measure` on generated data: what it prints and writes.
 
 use crate::support::{Bench, files_in};
-use nonrigid::io::{read_obj, write_npy, write_obj};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
 
 const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
@@ -121,7 +121,8 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
         bench.done(&format!("{measure} --rig {rig} --json found.json"));
         assert_eq!(measurements("found.json"), measurements("given.json"), "{rig}");
         bench.done(&format!("{morph} --rig {rig} --out found.obj"));
-        let [found, given] = ["found.obj", "given.obj"].map(|name| read_obj(&bench.path(name)).unwrap().positions);
+        let [found, given] =
+            ["found.obj", "given.obj"].map(|name| read_polygon_mesh(&bench.path(name)).unwrap().positions);
         assert!(found == given, "{rig}");
     }
     std::fs::remove_file(bench.path("rig/regions.json")).unwrap();

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, run_case, summarize};
-use nonrigid::io::{read_obj, write_npy, write_npy_points, write_polygon_mesh};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_npy_points, write_polygon_mesh};
 use nonrigid::registration::{ModelKind, TERMS};
 use serde_json::Value;
 
@@ -142,7 +142,7 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
     }
     // A result is what its row says.
     let (case, row) = (&data.cases()[0], json["rows"].as_array().unwrap()[2].clone());
-    let result = read_obj(&data.path("2/new/blendshape.obj")).unwrap();
+    let result = read_polygon_mesh(&data.path("2/new/blendshape.obj")).unwrap();
     assert!(result.metadata.material_libraries.is_empty(), "no file of materials is beside it");
     let (errors, _) = case.score(&result.positions).unwrap();
     assert_eq!((row["case"].as_str(), row["model"].as_str()), (Some("new"), Some("blendshape")));
