@@ -141,16 +141,8 @@ const MOST_SMOOTHING: usize = 1000;
 const MOST: usize = 1_000_000;
 
 impl Schedule {
-    /// The default schedule of a model.
-    ///
-    /// # Errors
-    /// When that is no schedule, which those of the crate are.
-    pub fn default_for(model: &(impl ModelFactory + ?Sized)) -> Result<Self, ScheduleError> {
-        Self::from_toml(model.default_schedule())
-    }
-
-    /// Reads and validates a schedule, all but what belongs to models and terms. The error quotes the line of an unknown key or a
-    /// malformed value.
+    /// Reads and validates a schedule, such as a model's [default](ModelFactory::default_schedule), all but what belongs to models and
+    /// terms. The error quotes the line of an unknown key or a malformed value.
     ///
     /// # Errors
     /// With the first thing that is wrong.
@@ -335,7 +327,7 @@ impl ModelKind {
     /// # Errors
     /// None: the schedules of the crate can be read.
     pub fn schedule(self) -> Result<Schedule, ScheduleError> {
-        Schedule::default_for(&self)
+        Schedule::from_toml(self.default_schedule())
     }
 }
 

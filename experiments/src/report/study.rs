@@ -119,7 +119,7 @@ impl<'a> Setting<'a> {
     /// When a default schedule cannot be read.
     pub fn entrants(&self, models: &'a [ModelKind]) -> Result<Vec<Entrant<'a>>> {
         let models = models.iter().map(|m| m as &dyn ModelFactory).chain(self.own.iter().copied());
-        models.map(|model| Ok(Entrant { model, schedule: Schedule::default_for(model)? })).collect()
+        models.map(|model| Ok(Entrant { model, schedule: Schedule::from_toml(model.default_schedule())? })).collect()
     }
 
     /// Saves a picture as `name`.png.
