@@ -184,18 +184,17 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
     files
 }
 
-/// Refuses to overwrite files beside an output that is not there, unless they are copies of these materials already; beside one that is,
-/// they are of the run that made it.
+/// Refuses to overwrite files beside an output that are [somebody else's](MaterialFiles::is_foreign).
 fn refuse_beside<'a>(
     out: &Path,
     files: impl IntoIterator<Item = (&'a str, PathBuf)>,
     materials: &MaterialFiles,
 ) -> Result<(), Failure> {
-    match files.into_iter().find(|(_, path)| path.exists() && !out.exists() && !materials.is_written(out, path)) {
+    match files.into_iter().find(|(_, path)| materials.is_foreign(out, path)) {
         None => Ok(()),
         Some((option, path)) => {
             let message = format!("{}: is there already, and would be overwritten ({option})", path.display());
-            Err(Failure::writing(format!("{message}; remove it, or give another name")))
+            Err(Failure::writing(format!("{message}; move it away, or give another name")))
         }
     }
 }

@@ -9,6 +9,7 @@ mod folder;
 mod gltf;
 mod gzip;
 mod inputs;
+mod made;
 mod material;
 mod material_files;
 mod npy;
@@ -26,7 +27,7 @@ mod xyz;
 use std::path::{Path, PathBuf};
 
 pub use atomic::{sync_files, write_atomically, write_durably, write_json};
-pub use error::{Place, ReadError, WriteError, read_text};
+pub use error::{Place, ReadError, WriteError, read_side_file, read_text};
 pub(crate) use error::{check_side_file, excerpt, extension, read_file, without_mark};
 #[cfg(feature = "cli")]
 pub(crate) use folder::replace;
@@ -34,6 +35,7 @@ pub use folder::{refuse_unfinished, write_folder};
 pub use gltf::{GltfMesh, Motion, parse_gltf, read_gltf, write_animated_glb, write_glb};
 pub(crate) use gzip::unpacked_name;
 pub use inputs::{Input, Inputs, Noting, absolute, sha256, sha256_of_file};
+pub use made::{is_made, marked_png};
 pub use material::{ImageFile, Material, Paint, Wrap, write_image_materials};
 pub use material_files::{Copied, MaterialFiles};
 pub use npy::{NpyArray, NpyItem, read_npy_mask, read_npy_points, read_npy_vector, write_npy, write_npy_points};

@@ -8,8 +8,8 @@ use crate::support::{Bench, Run, glb_parts};
 use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
 use nonrigid::io::{
-    Material, Paint, PlyOptions, Wrap, files_of_painted_mesh, read_painted_scan, read_polygon_mesh, write_obj,
-    write_ply, write_polygon_mesh,
+    Material, MaterialFiles, Paint, PlyOptions, Wrap, files_of_painted_mesh, read_painted_scan, read_polygon_mesh,
+    write_obj, write_ply, write_polygon_mesh,
 };
 use nonrigid::mesh::srgb::{from_light, to_light};
 use nonrigid::mesh::{ObjMetadata, ObjStatement, PolygonMesh, TriangleMesh, Vec3};
@@ -522,6 +522,22 @@ fn the_command_writes_a_texture_that_its_result_shows() {
     ));
     assert!(said.contains("texture: 256 x 256") && said.contains("r_seen.png"), "{said}");
     assert_eq!(bench.read("scan.mtl"), before);
+    // what a run of ours baked is known when its result was deleted, unless somebody has worked on it
+    let made = ["r.mtl", "r_color.png", "r_seen.png", "r_normal.png", "r_displacement.png"];
+    let foreign = |name: &str| MaterialFiles::default().is_foreign(&bench.path("r.obj"), &bench.path(name));
+    std::fs::rename(bench.path("r.obj"), bench.path("kept.obj")).unwrap();
+    assert_eq!(made.map(foreign), [false; 5]);
+    for name in made {
+        let bytes = bench.read(name);
+        let (mut painted, last) = (bytes.clone(), bytes.len() - 120);
+        painted[last] ^= 1;
+        for other in [&painted[..], &bytes[..last], b"mine"] {
+            bench.write(name, other);
+            assert!(foreign(name), "{name}");
+        }
+        bench.write(name, bytes);
+    }
+    std::fs::rename(bench.path("kept.obj"), bench.path("r.obj")).unwrap();
     let report = bench.json("r.json");
     assert!(report["texture_seen"].as_f64().unwrap() > 0.6);
     let targets = report["inputs"].as_array().unwrap().iter().filter(|i| i["role"] == "target");
@@ -575,7 +591,18 @@ fn the_command_writes_a_texture_that_its_result_shows() {
         PlyOptions { colors: Some(&colors), ..PlyOptions::default() },
     )
     .unwrap();
-    bench.done(&format!("{FIT} --target colored.ply --out c.glb --bake-texture 128"));
+    let baked = format!("{FIT} --target colored.ply --out c.glb --bake-texture 128");
+    bench.done(&baked);
+    std::fs::remove_file(bench.path("c.glb")).unwrap();
+    bench.done(&baked);
+    std::fs::rename(bench.path("c.glb"), bench.path("kept.glb")).unwrap();
+    let ours = bench.read("c_seen.png");
+    bench.write("c_seen.png", "mine");
+    let said = bench.run(&baked);
+    assert!(said.code == 3 && said.stderr.contains("c_seen.png: is there already"), "{}", said.stderr);
+    assert!(said.stderr.contains("move it away") && bench.read("c_seen.png") == b"mine");
+    bench.write("c_seen.png", ours);
+    std::fs::rename(bench.path("kept.glb"), bench.path("c.glb")).unwrap();
     let (scan, paint) = read_painted_scan(&bench.path("c.glb")).unwrap();
     assert_eq!(paint.unwrap().images[0].bytes, bench.read("c_color.png"));
     assert!(scan.colors.is_none() && !bench.path("c.mtl").exists() && !bench.path("c_normal.png").exists());
