@@ -102,7 +102,7 @@ fn check_weights(what: &'static str, report: &Report<'_>, weights: Option<&[f64]
         return Err(MeasurementError::VertexCount { what, found: mask.len(), expected });
     }
     match mask.iter().position(|g| !(0.0..=1.0).contains(g)) {
-        Some(vertex) => Err(MeasurementError::Mask { vertex, value: mask[vertex] }),
+        Some(vertex) => Err(MeasurementError::Weight { what, vertex, value: mask[vertex] }),
         None => Ok(()),
     }
 }

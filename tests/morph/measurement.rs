@@ -567,7 +567,13 @@ fn a_report_is_the_same_bytes_at_any_number_of_threads() {
         MeasurementError::VertexCount { .. }
     ));
     let odd = vec![1.5; mask.len()];
-    assert!(matches!(refused(&report::Report { mask: Some(&odd), ..full }), MeasurementError::Mask { vertex: 0, .. }));
+    for (report, what) in [
+        (report::Report { mask: Some(&odd), ..full.clone() }, "the mask"),
+        (report::Report { protected: Some(&odd), ..full.clone() }, "the weights of what is protected"),
+    ] {
+        let said = refused(&report).to_string();
+        assert_eq!(said, format!("{what}: 1.5 at vertex 0, expected a number from 0 to 1"));
+    }
     assert!(!folder.path().join("none").exists());
 }
 
