@@ -278,6 +278,21 @@ fn a_variant_that_fails_leaves_the_others() {
     assert_eq!(stopped.to_string(), "enough");
 }
 
+#[test]
+fn a_scan_without_landmarks_is_no_start_that_was_missed() {
+    let data = Data::new();
+    // a plate, on which no face is found
+    let plate = (0..1600).map(|i| format!("v {} {} 0\n", 3 * (i % 40), 3 * (i / 40))).collect::<String>();
+    let quads = (0..1600).filter(|i| i % 40 < 39 && i / 40 < 39);
+    let quads = quads.map(|i| format!("f {} {} {} {}\n", i + 1, i + 2, i + 42, i + 41)).collect::<String>();
+    fs::write(data.path("plate.obj"), plate + &quads).unwrap();
+    let mut command = Command::new(PROGRAM);
+    command.args(["dev", "start-bench", "plate.obj", "--rig", "rig", "--turns", "0"]).current_dir(data.path("."));
+    let run = command.output().unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success() && said.contains("no start found") && said.contains("0 of 0 within"), "{said}");
+}
+
 #[cfg(unix)]
 #[test]
 fn a_process_that_dies_fails_one_case() {
