@@ -284,7 +284,7 @@ const fn seconds(key: &'static str, name: &'static str) -> Quantity {
     Quantity { key, name, unit: "seconds", worth: 1.0 }
 }
 
-const PEAK: Quantity = Quantity { key: "peak_bytes", name: "peak memory", unit: "MiB", worth: 1048576.0 };
+const PEAK: Quantity = Quantity { key: "peak_bytes", name: "peak memory", unit: "MB", worth: 1e6 };
 
 const SOLVER: &[Quantity] = &[
     seconds("iteration_seconds", "one iteration"),
