@@ -118,7 +118,11 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
     let measurements = |name: &str| bench.json(name)["measurements"].take();
     for rig in ["rig.npz", "rig.glb"] {
         bench.done(&format!("rig convert --rig rig --out {rig}"));
-        bench.done(&format!("{measure} --rig {rig} --json found.json"));
+        let stderr = bench.ends(&format!("{measure} --rig {rig} --json found.json"), 0);
+        assert!(
+            stderr.contains(&format!("warning: {rig}: a rig in one file has the 68 numbered landmarks alone")),
+            "{stderr}"
+        );
         assert_eq!(measurements("found.json"), measurements("given.json"), "{rig}");
         bench.done(&format!("{morph} --rig {rig} --out found.obj"));
         let [found, given] =
