@@ -85,7 +85,7 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
         if unfinished { " yet" } else { "" },
     )?;
     for (study, state) in page.studies {
-        let [title, about] = [study.title, study.about].map(escaped);
+        let [title, about] = [study.title, study.about].map(text::html);
         writeln!(out, "<details class=\"study\" open><summary><h2 id=\"{}\">{title}</h2></summary>", study.name)?;
         if let State::Done(section) = state {
             writeln!(out, "<p class=\"finding\">{}</p>", text::html(&section.finding))?;
