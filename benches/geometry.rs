@@ -12,7 +12,7 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use data_gen::{FaceOptions, FaceRig, ScanCase, ScanOptions, simulate_scan};
 use nonrigid::evaluation::self_intersections;
-use nonrigid::io::{PlyOptions, read_obj, read_ply, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, read_mesh_file, read_polygon_mesh, write_obj, write_ply};
 use nonrigid::mesh::adjacency::EdgeGraph;
 use nonrigid::mesh::closest_point::{ClosestPoint, ClosestVertices};
 use nonrigid::mesh::geodesic::{WeightedGraph, farthest_point_sampling, nearest_sources, share_nodes};
@@ -133,10 +133,10 @@ fn files(c: &mut Criterion) {
     write_obj(&obj, &rig.mesh).unwrap();
     let mut group = c.benchmark_group("files");
     group.bench_function(format!("read PLY, {} triangles", case.scan.triangles.len()), |b| {
-        b.iter(|| read_ply(black_box(&ply)).unwrap());
+        b.iter(|| read_mesh_file(black_box(&ply)).unwrap());
     });
     group.bench_function(format!("read OBJ, {} polygons", rig.mesh.polygon_count()), |b| {
-        b.iter(|| read_obj(black_box(&obj)).unwrap());
+        b.iter(|| read_polygon_mesh(black_box(&obj)).unwrap());
     });
     group.finish();
 }
@@ -181,7 +181,7 @@ fn big_ply(c: &mut Criterion) {
     write_ply(&path, &mesh, PlyOptions::default()).unwrap();
     let mut group = c.benchmark_group(format!("binary PLY of {} triangles", mesh.triangles.len()));
     group.sample_size(10);
-    group.bench_function("read", |b| b.iter(|| read_ply(black_box(&path)).unwrap()));
+    group.bench_function("read", |b| b.iter(|| read_mesh_file(black_box(&path)).unwrap()));
     group.bench_function("read, ply-rs-bw", |b| {
         b.iter(|| {
             let ply = ply_rs_bw::parser::Parser::<Row>::new().read_ply(&mut File::open(&path).unwrap()).unwrap();

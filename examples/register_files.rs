@@ -1,4 +1,5 @@
-//! What a Rust program makes of the files that a test gives: `register_files TEMPLATE RIG MODES SCAN LANDMARKS OUT.obj`, the README's program.
+//! Registers files, as a program in Rust does: `register_files TEMPLATE RIG MODES SCAN LANDMARKS OUT.obj`. The tests of the Python package
+//! compare its results.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -15,7 +16,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let modes = modes.to_str().and_then(|m| m.parse().ok()).ok_or("identity modes: a number")?;
     let (rig, _) = Rig::read(rig, &RigReadOptions { identity_modes: modes, ..RigReadOptions::default() })?;
     let shapes = rig.select(ShapeSelection { identity_modes: modes, ..ShapeSelection::default() })?;
-    let template = io::read_polygon_mesh(template)?;
+    let mut template = io::read_polygon_mesh(template)?;
+    template.metadata.material_libraries.clear(); // they are not beside the result
     let scan = io::read_scan(scan)?.mesh;
     let landmarks = nonrigid::landmark::read_landmarks(landmarks, None, &template, Some(&scan))?;
     let result = Registration::new(&template, &scan).shapes(&shapes).landmarks(&landmarks).run()?;

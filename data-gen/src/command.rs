@@ -18,7 +18,7 @@ use crate::{
 use clap::builder::PossibleValuesParser;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, FromArgMatches as _, Parser};
-use nonrigid::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, say, told};
+use nonrigid::console::{Failure, Stage, answer, check_folder_path, check_plan, on_threads, say, told};
 use nonrigid::io::FilePlan;
 use nonrigid::render::save_png;
 
@@ -125,16 +125,9 @@ pub fn main() -> ExitCode {
         Ok(given) => given,
         Err(error) => return answer(&error),
     };
-    let threads = || -> Result<(), Failure> {
-        if let Some(threads) = given.arguments.threads {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(bounded("--threads", threads.into())).build_global();
-            pool.map_err(|e| Failure::computation(format!("threads: {e}")))?;
-        }
-        Ok(())
-    };
-    match threads().and_then(|()| run(&given, &|line| say(line))) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
+    match on_threads(given.arguments.threads, || run(&given, &|line| say(line))) {
+        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Err(failure)) | Err(failure) => failure.report(),
     }
 }
 

@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use nonrigid::console::Failure;
-use nonrigid::io::write_atomically;
+use nonrigid::io::{read_side_file, write_atomically};
 use serde_json::json;
 
 /// Its name.
@@ -67,16 +67,15 @@ pub(crate) fn claim(out: &Path, made: BTreeSet<String>, series: &[&Series]) -> R
 
 /// What earlier runs have made; nothing without a record.
 fn read(path: &Path) -> Result<BTreeSet<String>, Failure> {
-    let Ok(bytes) = fs::read(path) else { return Ok(BTreeSet::new()) };
+    if !path.exists() {
+        return Ok(BTreeSet::new());
+    }
+    let advice = "move it away, or give another --out";
+    let bytes = read_side_file(path).map_err(|e| Failure::writing(format!("{e}; {advice}")))?;
     let made = serde_json::from_slice::<serde_json::Value>(&bytes).ok();
     let made =
         made.filter(|record| record["version"] == 1).and_then(|mut r| serde_json::from_value(r["made"].take()).ok());
-    made.ok_or_else(|| {
-        Failure::writing(format!(
-            "{}: is no record of this program; move it away, or give another --out",
-            path.display()
-        ))
-    })
+    made.ok_or_else(|| Failure::writing(format!("{}: is no record of this program; {advice}", path.display())))
 }
 
 /// Whether there is anything that could be lost: a file, or a folder that is not empty.

@@ -472,10 +472,10 @@ def sequence(run):
 
 @table("mask-models")
 def mask_models(run):
-    "The same masks on every model, means over masks and faces: milliseconds and MiB at 20,000 vertices, distances in % of the displacement."
+    "The same masks on every model, means over masks and faces: milliseconds and MB at 20,000 vertices, distances in % of the displacement."
     run("experiments --only mask-models --out masks")
     percent = lambda row, key: 100.0 * float(row[key])
-    return {row["model"]: {"drag": float(row["drag_ms"]), "first": float(row["first_ms"]), "memory": float(row["memory_mib"]),
+    return {row["model"]: {"drag": float(row["drag_ms"]), "first": float(row["first_ms"]), "memory": float(row["memory_mb"]),
                            "asked": percent(row, "off_asked"), "tissue": percent(row, "off_tissue"), "volume": percent(row, "volume_over_direct"),
                            "stretch": float(row["stretch_max"]), "border": float(row["border_step"])}
             for row in run.csv("masks/mask-argument.timing.csv")}

@@ -25,7 +25,7 @@ use serde::Serialize;
 use crate::check_millimetres;
 use crate::output::{each_once, make_output_folder, write_result};
 use crate::scan_bench::{BenchRig, read_schedule};
-use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::tables::{csv_field, table, write_csv, write_json};
 use crate::{identity_modes, unread};
 
 /// What to run.
@@ -292,7 +292,7 @@ fn write_results(a: &Arguments, rig: &BenchRig, rows: &[ConsistencyRow]) -> Resu
             let failed: Vec<String> = r.failed.iter().map(|(face, why)| format!("{face}: {why}")).collect();
             let [rms, median, worst, distance] = [r.rms, r.median, r.worst, r.distance].map(number);
             let [registered, faces] = r.faces;
-            let failed = csv_text(&failed.join("; "));
+            let failed = csv_field(&failed.join("; "));
             format!("{},{registered},{faces},{rms},{median},{worst},{:.6},{distance},{failed}", r.model, r.counted)
         }),
     )?;

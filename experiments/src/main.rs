@@ -9,7 +9,7 @@ use experiments::{
     ceres, compare_rigs, consistency, flicker, more_garbow_hillstrom, nist, peers, real_scans, report, scaling,
     scan_bench, schedule_search, silence, solver_case, start_bench, this_program, unseen,
 };
-use nonrigid::console::{Failure, Stage, answer, bounded, tell, told};
+use nonrigid::console::{Failure, Stage, answer, on_threads, tell, told};
 use nonrigid::registration::RegistrationError;
 
 /// Without a subcommand, the report: makes faces and scans whose truth is known, reproduces the figures of Klimov 2020, checks its
@@ -80,30 +80,33 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(e) => return answer(&e),
     };
-    let outcome = match &cli.command {
+    let Err(e) = run(&cli) else { return ExitCode::SUCCESS };
+    tell(format_args!("error: {}", told(&e)));
+    exit_code(&e)
+}
+
+fn run(cli: &Cli) -> Result<()> {
+    match &cli.command {
         None => on_threads(cli.threads, || {
             let program = this_program()?;
             report::run(&cli.report, &cli.report.effort(), &program, &[], &mut io::stdout().lock()).map(drop)
-        }),
-        Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench::command::run(a)),
-        Some(Command::Dev(Dev::StartBench(a))) => on_threads(a.threads, || start_bench::run(a)),
-        Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a)),
-        Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop)),
-        Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a)),
-        Some(Command::Flicker(a)) => on_threads(a.threads, || flicker::run(a)),
-        Some(Command::Peers(a)) => on_threads(a.threads, || peers::run(a)),
+        })?,
+        Some(Command::ScanBench(a)) => on_threads(a.threads, || scan_bench::command::run(a))?,
+        Some(Command::Dev(Dev::StartBench(a))) => on_threads(a.threads, || start_bench::run(a))?,
+        Some(Command::Silence(a)) => on_threads(a.threads, || silence::run(a))?,
+        Some(Command::RealScans(a)) => on_threads(a.threads, || real_scans::run(a).map(drop))?,
+        Some(Command::Unseen(a)) => on_threads(a.threads, || unseen::run(a))?,
+        Some(Command::Flicker(a)) => on_threads(a.threads, || flicker::run(a))?,
+        Some(Command::Peers(a)) => on_threads(a.threads, || peers::run(a))?,
         Some(Command::Ceres(a)) => ceres::run(a),
-        Some(Command::Consistency(a)) => on_threads(a.threads, || consistency::run(a)),
-        Some(Command::Dev(Dev::SearchSchedules(a))) => on_threads(a.threads, || schedule_search::run(a)),
-        Some(Command::Dev(Dev::SolverCase(a))) => on_threads(a.threads, || solver_case::run(a)),
+        Some(Command::Consistency(a)) => on_threads(a.threads, || consistency::run(a))?,
+        Some(Command::Dev(Dev::SearchSchedules(a))) => on_threads(a.threads, || schedule_search::run(a))?,
+        Some(Command::Dev(Dev::SolverCase(a))) => on_threads(a.threads, || solver_case::run(a))?,
         Some(Command::Scaling(a)) => scaling::run(a),
         Some(Command::CompareRigs(a)) => compare_rigs::run(a),
         Some(Command::Dev(Dev::Nist(a))) => nist::run(a),
         Some(Command::Dev(Dev::MoreGarbowHillstrom(a))) => more_garbow_hillstrom::run(a),
-    };
-    let Err(e) = outcome else { return ExitCode::SUCCESS };
-    tell(format_args!("error: {}", told(&e)));
-    exit_code(&e)
+    }
 }
 
 fn exit_code(error: &anyhow::Error) -> ExitCode {
@@ -112,15 +115,6 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
     }
     let input = error.downcast_ref().is_some_and(RegistrationError::is_input);
     ExitCode::from(if input { Stage::Loading } else { Stage::Computation } as u8)
-}
-
-/// Does the work on so many threads, all cores without a number. On them, not beside them: a loop in parallel that is started
-/// from another thread wakes the pool and waits for it every time.
-fn on_threads(threads: Option<u16>, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.map_or(0, |asked| bounded("--threads", asked.into())))
-        .build();
-    pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work)
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use nonrigid::console::{Failure, Stage, check_folder_path, check_plan};
-use nonrigid::io::{FilePlan, write_atomically, write_json, write_obj};
+use nonrigid::io::{FilePlan, read_side_file, write_atomically, write_json, write_obj};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -68,7 +68,7 @@ pub fn make_output_folder<'a>(
     folders: &[String],
 ) -> Result<()> {
     check_output_folder(out, reads, folders)?;
-    let mut made = made_before(out).unwrap_or_default();
+    let mut made = made_before(out)?.unwrap_or_default();
     made.retain(|folder| out.join(folder).exists());
     made.extend(folders.iter().cloned());
     make_folder(out)?;
@@ -97,7 +97,7 @@ pub fn check_output_folder<'a>(
 ) -> Result<()> {
     check_plan(&FilePlan::new().reads_all(reads).writes_in("--out", out))?;
     check_folder_path(out)?;
-    let made = made_before(out);
+    let made = made_before(out)?;
     let written = |path: &Path| path.extension().is_some_and(|extension| WRITTEN.iter().any(|of| extension == *of));
     let is_made = |folder: &str| {
         let above = Path::new(folder).ancestors();
@@ -118,15 +118,21 @@ pub fn check_output_folder<'a>(
 
 /// The folders that earlier runs have made in a folder of results; `None` without a mark. The mark of a version that named none says
 /// that all may be replaced, so that its folders go on.
-fn made_before(out: &Path) -> Option<BTreeSet<String>> {
-    let mark: Mark = serde_json::from_slice(&fs::read(out.join(MARK)).ok()?).ok()?;
+fn made_before(out: &Path) -> Result<Option<BTreeSet<String>>, Failure> {
+    let path = out.join(MARK);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let bytes =
+        read_side_file(&path).map_err(|e| Failure::writing(format!("{e}; move it away, or give another --out")))?;
+    let Ok(mark) = serde_json::from_slice::<Mark>(&bytes) else { return Ok(None) };
     let name = |path: &PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
-    match mark.version {
+    Ok(match mark.version {
         _ if mark.made_by != "experiments" => None,
         1 => Some(entries(out).iter().filter(|path| path.is_dir()).filter_map(name).collect()),
         2 => Some(mark.folders),
         _ => None,
-    }
+    })
 }
 
 /// The first file that is anywhere in a folder, or stands in its place.

@@ -23,7 +23,7 @@ use nonrigid::rig::{Family, Rig, RigReadOptions, ShapeBasis, ShapeSelection};
 use serde::Serialize;
 
 use crate::output::{each_once, make_folder, make_output_folder, write_result};
-use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::tables::{csv_field, table, write_csv, write_json};
 use crate::{identity_modes, unread};
 
 /// What to run.
@@ -407,13 +407,13 @@ fn write(a: &Arguments, rows: &[RealScanRow], picture: &RgbImage) -> Result<()> 
     let header = format!("scan,model,{},error", COLUMNS.join(","));
     let lines = rows.iter().map(|r| {
         let numbers = r.fit.as_ref().map_or_else(|| ",".repeat(9), |fit| numbers(fit, 6).join(","));
-        let error = csv_text(r.error.as_deref().unwrap_or_default());
-        format!("{},{},{numbers},{error}", csv_text(&r.scan), r.model)
+        let error = csv_field(r.error.as_deref().unwrap_or_default());
+        format!("{},{},{numbers},{error}", csv_field(&r.scan), r.model)
     });
     write_csv(&a.out.join("real-scans.csv"), &header, lines)?;
     write_json(&a.out.join("real-scans.json"), &serde_json::json!({ "rows": rows }))?;
     let threads = rayon::current_num_threads();
-    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", csv_text(&r.scan), r.model, r.seconds));
+    let times = rows.iter().map(|r| format!("{},{},{:.4},{threads}", csv_field(&r.scan), r.model, r.seconds));
     write_csv(&a.out.join("real-scans.timing.csv"), "scan,model,seconds,threads", times)?;
     let path = a.out.join("real-scans.png");
     save_png(picture, &path).map_err(Failure::writing)?;

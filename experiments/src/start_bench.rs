@@ -148,6 +148,11 @@ struct StartRow {
     seconds: f64,
 }
 
+/// Whether landmarks tell the pose of the scan.
+fn has_reference(case: &BenchCase) -> bool {
+    case.landmarks.len() >= 3
+}
+
 /// Searches the start of the case moved by `moved`.
 fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<StartRow> {
     let case = case.clone().moved(moved);
@@ -156,13 +161,13 @@ fn start_case(case: &BenchCase, moved: &Pose, schedule: &Schedule) -> Result<Sta
     let (pose, search) = find_start(&without, schedule)?;
     let seconds = clock.elapsed().as_secs_f64();
     let search = search.expect("proven: no landmarks were given");
-    let (turn, distance) = if case.landmarks.len() < 3 {
-        (f64::NAN, f64::NAN)
-    } else {
+    let (turn, distance) = if has_reference(&case) {
         let (reference, _) = find_start(&case.input(), schedule)?;
         let cosine = 0.5 * ((reference.rotation.transpose() * pose.rotation).trace() - 1.0);
         let centre = case.rest().iter().sum::<Vec3>() / case.rest().len() as f64;
         (cosine.clamp(-1.0, 1.0).acos().to_degrees(), (reference.apply(centre) - pose.apply(centre)).norm())
+    } else {
+        (f64::NAN, f64::NAN)
     };
     Ok(StartRow { turn, distance, search, seconds })
 }
@@ -216,10 +221,10 @@ pub fn run(a: &Arguments) -> Result<()> {
             } else {
                 random_pose(turn, a.shift, a.seed, i as u64)
             };
+            of += usize::from(has_reference(case));
             let head = vec![case.name.clone(), format!("{turn}")];
             let cells: Vec<String> = match start_case(case, &moved, &schedule) {
                 Ok(row) => {
-                    of += usize::from(!row.turn.is_nan());
                     found += usize::from(row.turn < FOUND_DEGREES);
                     let (fit, next) = (row.search.fit, row.search.runner_up.map_or(1.0, |f| f.loss));
                     let numbers = [row.turn, row.distance, fit.loss, fit.share, fit.residual, next, row.seconds];
@@ -227,10 +232,7 @@ pub fn run(a: &Arguments) -> Result<()> {
                     let seen = seen.collect::<Vec<_>>().join(", ");
                     numbers.map(|x| format!("{x:.2}")).into_iter().chain([seen]).collect()
                 }
-                Err(e) => {
-                    of += 1;
-                    vec![told(&e)]
-                }
+                Err(e) => vec![told(&e)],
             };
             rows.push([head, cells].concat());
         }

@@ -8,7 +8,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use nonrigid::console::Failure;
 use nonrigid::io::write_atomically;
 use nonrigid::nlls::{Convergence, StopReason};
-pub use nonrigid::page::csv_text;
+pub use nonrigid::text::csv_field;
 use serde_json::Value;
 
 /// Writes a header and lines that are separated by commas already.

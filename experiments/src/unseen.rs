@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::output::{each_once, make_output_folder, write_result};
 use crate::scan_bench::{BenchCase, CaseSource, LandmarkUse, fit_case, read_schedule};
-use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::tables::{csv_field, table, write_csv, write_json};
 
 /// What to run.
 #[derive(Debug, clap::Args)]
@@ -156,10 +156,10 @@ pub fn run(a: &Arguments) -> Result<()> {
         rows.iter().map(|r| {
             format!(
                 "{},{},{},{},{},{},{},{},{},{},{}",
-                csv_text(&r.case),
-                csv_text(&r.view),
+                csv_field(&r.case),
+                csv_field(&r.view),
                 r.model,
-                csv_text(r.error.as_deref().unwrap_or("")),
+                csv_field(r.error.as_deref().unwrap_or("")),
                 r.seen,
                 shown(r.rmse, 6),
                 shown(r.unseen_rmse, 6),

@@ -138,13 +138,13 @@ pub fn files_in(files: Files) -> Vec<Input> {
     files.into_iter().map(input).collect()
 }
 
-/// Refuses to overwrite files beside an output that is not there; beside one that is, they are of the run that made it.
-pub fn refuse_beside(out: &Path, files: &[PathBuf]) -> PyResult<()> {
-    match files.iter().find(|file| file.exists() && !out.exists()) {
+/// Refuses to overwrite files beside an output that are [somebody else's](MaterialFiles::is_foreign).
+pub fn refuse_beside(out: &Path, materials: &MaterialFiles) -> PyResult<()> {
+    match materials.writes(out).iter().find(|file| materials.is_foreign(out, file)) {
         None => Ok(()),
         Some(file) => {
             let message = format!("{}: is there already, and would be overwritten", file.display());
-            Err(value(format!("{message}; remove it, or give another name")))
+            Err(value(format!("{message}; move it away, or give another name")))
         }
     }
 }
@@ -360,7 +360,7 @@ impl Mesh {
             let made_of = Some(&self.materials).filter(|_| of_file);
             let reads: Vec<PathBuf> = reads.iter().chain(made_of).chain(materials.reads()).cloned().collect();
             check_plan(&reads, &writes)?;
-            refuse_beside(&path, &writes[1..])?;
+            refuse_beside(&path, &materials)?;
             let mut notes: Vec<String> = materials.missing.iter().map(|(_, told)| told.clone()).collect();
             let copied = materials.write(&path, &mut mesh).map_err(input)?;
             let (colors, normals) = (self.file.colors.as_deref(), self.file.normals.as_deref());

@@ -268,8 +268,8 @@ impl Rig {
                     _ => RIG_FILES.into_iter().chain(COMPONENT_FILES).map(str::to_owned).collect::<Vec<_>>(),
                 };
                 let names = names.into_iter().chain(NAMED_LANDMARKS.map(str::to_owned)).map(|name| path.join(name));
-                check_plan(&reads, &names.chain(of_materials.clone()).collect::<Vec<_>>())?;
-                refuse_beside(&mesh, &of_materials)?;
+                check_plan(&reads, &names.chain(of_materials).collect::<Vec<_>>())?;
+                refuse_beside(&mesh, &materials)?;
             } else {
                 check_plan(&reads, std::slice::from_ref(&path))?;
             }

@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::io::{WriteError, check_side_file, sha256, sha256_of_file};
+use crate::io::{WriteError, read_side_file, sha256, sha256_of_file};
 
 /// What is to be run.
 #[derive(Debug, Clone)]
@@ -123,8 +123,7 @@ fn hash_of(path: &Path) -> Option<String> {
 
 /// What a batch has written as JSON; `None` if there is none that can be read. A pipe is not opened: that waits for who writes it.
 pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
-    check_side_file(path).ok()?;
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    serde_json::from_slice(&read_side_file(path).ok()?).ok()
 }
 
 /// Removes a file, if it is there.

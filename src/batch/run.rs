@@ -290,13 +290,7 @@ pub fn run_jobs(
     aside: &Path,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Outcome>, BatchError> {
-    for folder in [aside, &batch.folder].iter().flat_map(|at| batch.folders().map(|name| at.join(name))) {
-        fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
-    }
-    if batch.animation.is_none() {
-        let sequences = animation::names(jobs.iter().map(|job| job.sequence.as_deref()));
-        sequences.iter().try_for_each(|name| batch.forget_animation(name, &|_| {}))?;
-    }
+    batch.make_ready(aside, &animation::names(jobs.iter().map(|job| job.sequence.as_deref())), &|_| {})?;
     Run::new(batch, jobs, aside, &|| false).chains(chains, stop, &|_| {})
 }
 
@@ -318,13 +312,19 @@ impl Batch {
         // another batch may have been there until now
         self.refuse_strangers(shard, names())?;
         self.claim(shard)?;
-        for folder in [folder, lock.aside()].iter().flat_map(|at| self.folders().map(|name| at.join(name))) {
+        self.make_ready(lock.aside(), sequences, said)?;
+        Ok(lock)
+    }
+
+    /// Makes the folders, and takes away what is there of sequences that are no longer animated.
+    fn make_ready(&self, aside: &Path, sequences: &[String], said: &dyn Fn(&str)) -> Result<(), WriteError> {
+        for folder in [aside, &self.folder].iter().flat_map(|at| self.folders().map(|name| at.join(name))) {
             fs::create_dir_all(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
         }
         if self.animation.is_none() {
             sequences.iter().try_for_each(|name| self.forget_animation(name, said))?;
         }
-        Ok(lock)
+        Ok(())
     }
 
     /// Names of the folders that results and what is known of them are in.

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::animation::AllTold;
 use super::job::read_json;
 use super::{Batch, Job, Outcome, Record, Start, Status};
-use crate::page;
+use crate::{page, text};
 
 /// What is known of one scan.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -66,7 +66,7 @@ impl Summary {
     pub fn to_csv(&self) -> String {
         let mut text = HEADER.join(",") + "\n";
         for row in &self.rows {
-            let cells: Vec<String> = row.cells(|x| x.to_string()).iter().map(|cell| page::csv_text(cell)).collect();
+            let cells: Vec<String> = row.cells(|x| x.to_string()).iter().map(|cell| text::csv_field(cell)).collect();
             text += &(cells.join(",") + "\n");
         }
         text
@@ -79,12 +79,12 @@ impl Summary {
         let caption = "error_probability: that the error exceeds 3 mm; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
         body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
         for row in self.rows.iter().filter(|row| pictured(&row.name)) {
-            let name = page::escaped(&row.name);
+            let name = text::html(&row.name);
             let link = row.name.replace('%', "%25").replace('#', "%23").replace('?', "%3F");
             let _ = writeln!(
                 body,
                 "<figure><img alt=\"{name}\" src=\"{}.png\"><figcaption>{name}: {}</figcaption></figure>",
-                page::escaped(&link),
+                text::html(&link),
                 row.status
             );
         }

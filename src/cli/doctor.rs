@@ -37,7 +37,7 @@ const PROFILE: &str = if cfg!(debug_assertions) { "debug" } else { "release" };
 
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
-    on_threads(a.threads.map(usize::from), || examine(a.json, &CHECKS))?
+    on_threads(a.threads, || examine(a.json, &CHECKS))?
 }
 
 fn examine(json: bool, checks: &[Check]) -> Result<(), Failure> {

@@ -94,7 +94,7 @@ impl ClientArguments {
 /// Runs the command.
 pub fn run(a: &Arguments) -> Result<(), Failure> {
     match &a.mesh {
-        Some(mesh) if !a.list => on_threads(a.threads.map(usize::from), || measure(a, mesh))?,
+        Some(mesh) if !a.list => on_threads(a.threads, || measure(a, mesh))?,
         _ => say(glossary().trim_end()),
     }
 }
@@ -142,12 +142,9 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
     }
     let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
     let landmarks = match &rig {
-        Some((folder, rig)) if a.landmarks.is_empty() => {
-            Landmarks::of_rig(&Companions::of(folder).landmarks, rig.landmarks(), &mesh)
-        }
-        _ => Landmarks::read(&a.landmarks, &mesh, unit),
+        Some((folder, rig)) if a.landmarks.is_empty() => landmarks_of_rig(folder, rig.landmarks(), &mesh)?,
+        _ => Landmarks::read(&a.landmarks, &mesh, unit).map_err(Failure::loading)?,
     };
-    let landmarks = landmarks.map_err(Failure::loading)?;
     units.say();
     if landmarks.is_empty() {
         let message = match &rig {
@@ -201,6 +198,22 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         write_atomically(path, |file| file.write_all(measured.to_csv().as_bytes())).map_err(Failure::writing)?;
     }
     say(measured.to_string().trim_end())
+}
+
+/// The landmarks of a rig at `path`, and of its folder; `numbered` are its own.
+pub(super) fn landmarks_of_rig(
+    path: &Path,
+    numbered: Option<&[u32]>,
+    mesh: &PolygonMesh,
+) -> Result<Landmarks, Failure> {
+    if path.is_file() && numbered.is_some() {
+        warn(format_args!(
+            "{}: a rig in one file has the 68 numbered landmarks alone; those by name, which are more and stand before them, are in \
+             landmarks_anthropometric.json of a rig's folder: give that as --landmarks",
+            path.display()
+        ));
+    }
+    Landmarks::of_rig(&Companions::of(path).landmarks, numbered, mesh).map_err(Failure::loading)
 }
 
 /// What shapes after are called: after their files, where there are several; files of one name by their whole paths.

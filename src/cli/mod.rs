@@ -29,7 +29,7 @@ use clap::{CommandFactory as _, Parser, Subcommand};
 use crate::io::{MaterialFiles, files_of_mesh};
 use crate::mesh::{ObjStatement, PolygonMesh};
 
-use crate::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, say, tell, warn};
+use crate::console::{Failure, Stage, answer, bounded, check_folder_path, check_plan, on_threads, say, tell, warn};
 
 /// Deform meshes by nonlinear least squares: wrap a template onto a scan, judge the result, change it by masks.
 #[derive(Debug, Parser)]
@@ -125,13 +125,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>, program: &Program) -> 
     }
 }
 
-/// Runs `work` on `threads` threads, or on all cores.
-fn on_threads<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
-    let threads = threads.map_or(0, |asked| bounded("--threads", asked));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
-}
-
 /// Refuses an output whose extension has no writer, whose folder is not there, or that is itself a folder.
 fn check_output(path: &Path, extensions: &[&str]) -> Result<(), Failure> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
@@ -191,18 +184,17 @@ fn materials_for(out: &Path, path: &Path, mesh: &PolygonMesh) -> MaterialFiles {
     files
 }
 
-/// Refuses to overwrite files beside an output that is not there, unless they are copies of these materials already; beside one that is,
-/// they are of the run that made it.
+/// Refuses to overwrite files beside an output that are [somebody else's](MaterialFiles::is_foreign).
 fn refuse_beside<'a>(
     out: &Path,
     files: impl IntoIterator<Item = (&'a str, PathBuf)>,
     materials: &MaterialFiles,
 ) -> Result<(), Failure> {
-    match files.into_iter().find(|(_, path)| path.exists() && !out.exists() && !materials.is_written(out, path)) {
+    match files.into_iter().find(|(_, path)| materials.is_foreign(out, path)) {
         None => Ok(()),
         Some((option, path)) => {
             let message = format!("{}: is there already, and would be overwritten ({option})", path.display());
-            Err(Failure::writing(format!("{message}; remove it, or give another name")))
+            Err(Failure::writing(format!("{message}; move it away, or give another name")))
         }
     }
 }

@@ -20,7 +20,7 @@ use crate::morph::{
     MorphError, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, StepOutcome, Subject, preset,
     preset_names, preset_text, replay,
 };
-use crate::rig::{Companions, Regions};
+use crate::rig::Regions;
 
 /// Arguments of `nonrigid morph`.
 #[derive(Debug, Args)]
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(name) = &arguments.print {
         return say(preset_text(name).ok_or_else(|| unknown_preset(name))?.trim_end());
     }
-    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+    on_threads(arguments.threads, || run_here(arguments))?
 }
 
 fn list() -> Result<(), Failure> {
@@ -167,8 +167,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     if let Some(folder) = &a.report {
         let mut known = Landmarks::default();
         if let (None, Some(rig)) = (&a.landmarks, &a.rig.rig) {
-            known = Landmarks::of_rig(&Companions::of(rig).landmarks, of_rig.as_deref(), &before)
-                .map_err(Failure::loading)?;
+            known = measure::landmarks_of_rig(rig, of_rig.as_deref(), &before)?;
         }
         if known.is_empty() {
             known = Landmarks::among(&landmarks).map_err(measure::failure)?;

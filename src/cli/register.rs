@@ -180,7 +180,7 @@ fn timing_path(report: &Path) -> PathBuf {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+    on_threads(arguments.threads, || run_here(arguments))?
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {
@@ -226,6 +226,9 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
     units.say();
+    if let Some(path) = &a.config {
+        schedule.without_effect(&shapes).iter().for_each(|said| warn(format_args!("{}: {said}", path.display())));
+    }
     let chosen = [
         ("--shapes", a.rig.shapes.is_some()),
         ("--identity-modes", a.rig.identity_modes.is_some()),
@@ -401,9 +404,7 @@ fn read_schedule(a: &Arguments) -> Result<Schedule, Failure> {
             let failed = |e: &dyn std::fmt::Display| Failure::loading(format!("{}: {e}", path.display()));
             let text = io::read_text(path).map_err(Failure::loading)?;
             let schedule = Schedule::from_toml(&text).and_then(|s| s.resolved(&a.model(), &TERMS));
-            let schedule = schedule.map_err(|e| failed(&e))?;
-            schedule.without_effect().iter().for_each(|said| warn(format_args!("{}: {said}", path.display())));
-            schedule
+            schedule.map_err(|e| failed(&e))?
         }
     };
     schedule.bounds.expression = a.expression_bounds.or(schedule.bounds.expression);

@@ -10,8 +10,8 @@ use super::inputs::{Align, RigInput, bounds, frames, rig_files};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn};
 use crate::io::{FilePlan, write_atomically, write_json};
-use crate::page::csv_text;
 use crate::rig::{FittedFrame, RigError, ShapeSelection, WeightFitOptions, WeightFitter};
+use crate::text::csv_field;
 
 /// Arguments of `nonrigid rig fit`.
 #[derive(Debug, Args)]
@@ -125,11 +125,11 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
 
 fn csv(sequence: &Sequence) -> String {
     let mut text = "frame,rms_mm,max_mm".to_owned();
-    sequence.shapes.iter().for_each(|name| text.extend([",", &csv_text(name)]));
+    sequence.shapes.iter().for_each(|name| text.extend([",", &csv_field(name)]));
     text.push('\n');
     for Frame { name, fitted } in &sequence.frames {
         // writing to a string cannot fail
-        let _ = write!(text, "{},{},{}", csv_text(name), fitted.rms, fitted.max);
+        let _ = write!(text, "{},{},{}", csv_field(name), fitted.rms, fitted.max);
         for weight in &fitted.weights {
             let _ = write!(text, ",{weight}");
         }

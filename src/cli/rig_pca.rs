@@ -49,7 +49,7 @@ pub struct Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    on_threads(arguments.threads.map(usize::from), || run_here(arguments))?
+    on_threads(arguments.threads, || run_here(arguments))?
 }
 
 fn run_here(a: &Arguments) -> Result<(), Failure> {

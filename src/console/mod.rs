@@ -26,6 +26,17 @@ pub fn bounded(option: &str, asked: usize) -> usize {
     asked.min(most)
 }
 
+/// Runs `work` on so many threads, at most a [bounded] number; on all cores without one. On them, not beside them: a loop in parallel
+/// that is started from another thread wakes the pool and waits for it every time.
+///
+/// # Errors
+/// At [`Stage::Arguments`], when they cannot be started.
+pub fn on_threads<R: Send>(threads: Option<u16>, work: impl FnOnce() -> R + Send) -> Result<R, Failure> {
+    let threads = threads.map_or(0, |asked| bounded("--threads", asked.into()));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    Ok(pool.map_err(|e| Failure::new(Stage::Arguments, format!("--threads: {e}")))?.install(work))
+}
+
 /// Refuses a plan that would do harm, before anything is written.
 ///
 /// # Errors

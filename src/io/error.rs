@@ -192,6 +192,14 @@ pub(crate) fn check_side_file(path: &Path) -> Result<(), ReadError> {
     Err(ReadError::malformed(path, Place::File, "a regular file", found))
 }
 
+/// The bytes of a file that another file or a folder names, or that a program marks its folders with.
+///
+/// # Errors
+/// When it cannot be read, or is no regular file, such as a pipe: nobody may ever write to it.
+pub fn read_side_file(path: &Path) -> Result<Vec<u8>, ReadError> {
+    check_side_file(path).and_then(|()| read_file(path))
+}
+
 /// Reads a whole file, naming it in the error.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, ReadError> {
     super::inputs::read(path).map_err(|source| ReadError::io(path, source))

@@ -8,8 +8,8 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use super::error::{check_side_file, excerpt, without_mark};
-use super::{Place, ReadError, WriteError, ply, read_file, write_atomically};
+use super::error::{excerpt, read_side_file, without_mark};
+use super::{Place, ReadError, WriteError, ply, write_atomically};
 use crate::mesh::srgb::to_light;
 use crate::mesh::{ObjStatement, PolygonMesh, Vec3};
 use crate::text::obj_line;
@@ -212,7 +212,7 @@ pub(super) fn paint_of_obj(path: &Path, mesh: &PolygonMesh) -> Result<Option<Pai
     }
     let mut stated: Vec<(PathBuf, Stated)> = Vec::new();
     for library in libraries(path, &metadata.material_libraries) {
-        let bytes = check_side_file(&library).and_then(|()| read_file(&library));
+        let bytes = read_side_file(&library);
         let bytes = bytes.map_err(|e| e.named_by(&format!("mtllib of {}", path.display())))?;
         let materials = parse_mtl(&bytes, &library)?;
         stated.extend(materials.into_iter().map(|m| (library.clone(), m)));
@@ -309,7 +309,7 @@ fn image_of(paint: &mut Paint, library: &Path, map: &Map) -> Result<usize, ReadE
     if let Some(known) = paint.images.iter().position(|image| image.path == path) {
         return Ok(known);
     }
-    let bytes = check_side_file(&path).and_then(|()| read_file(&path)).map_err(|e| e.named_by(&by))?;
+    let bytes = read_side_file(&path).map_err(|e| e.named_by(&by))?;
     paint.images.push(ImageFile { path, named_by: by, bytes });
     Ok(paint.images.len() - 1)
 }
@@ -319,13 +319,16 @@ fn image_of(paint: &mut Paint, library: &Path, map: &Map) -> Result<usize, ReadE
 /// # Errors
 /// When the file cannot be written.
 pub fn write_image_materials(path: &Path, materials: &[&str], image: &str) -> Result<(), WriteError> {
-    write_atomically(path, |w| {
-        for name in materials {
-            writeln!(w, "newmtl {}", obj_line(name))?;
-            writeln!(w, "Ka 0 0 0\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {}\n", obj_line(image))?;
-        }
-        Ok(())
-    })
+    write_atomically(path, |w| w.write_all(image_materials(materials, image).as_bytes()))
+}
+
+/// What [`write_image_materials`] writes.
+pub(super) fn image_materials(materials: &[&str], image: &str) -> String {
+    let of = |name: &&str| {
+        let [name, image] = [*name, image].map(obj_line);
+        format!("newmtl {name}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {image}\n\n")
+    };
+    materials.iter().map(of).collect()
 }
 
 #[cfg(test)]

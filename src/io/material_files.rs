@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
-use super::error::check_side_file;
+use super::error::{check_side_file, read_side_file};
 use super::material::{libraries, named_beside, parse_map};
-use super::{WriteError, gzip, read_file, write_atomically};
+use super::{WriteError, gzip, is_made, read_file, write_atomically};
 use crate::mesh::PolygonMesh;
 
 /// What statements of a library name an image: these, and all that begin with `map_`.
@@ -61,7 +61,7 @@ impl MaterialFiles {
         let mut found = Self::default();
         let mut taken = BTreeSet::new();
         for library in libraries(path, statements) {
-            match check_side_file(&library).and_then(|()| read_file(&library)) {
+            match read_side_file(&library) {
                 Ok(bytes) => found.add(&library, &String::from_utf8_lossy(&bytes), &mut taken),
                 Err(error) => {
                     found.gone.push(file_name(&library));
@@ -185,15 +185,19 @@ impl MaterialFiles {
         self.lines.iter().map(line).collect()
     }
 
-    /// Whether a file beside a mesh is what would be written there, as one is whose mesh was deleted since.
+    /// Whether a file that would be written beside a mesh is somebody else's. Those beside a mesh that is there are of the run that
+    /// made it; without it, a copy of these materials and what is [as it was baked](is_made) are ours.
     #[must_use]
-    pub fn is_written(&self, mesh: &Path, file: &Path) -> bool {
-        let is = |bytes: &[u8]| file.is_file() && std::fs::read(file).is_ok_and(|found| found == bytes);
+    pub fn is_foreign(&self, mesh: &Path, file: &Path) -> bool {
+        if mesh.exists() || !file.exists() || is_made(mesh, file) {
+            return false;
+        }
+        let is = |bytes: &[u8]| read_side_file(file).is_ok_and(|found| found == bytes);
         let is_copy = |(image, name): (&PathBuf, &String)| {
-            file == mesh.with_file_name(beside(mesh, name)) && std::fs::read(image).is_ok_and(|bytes| is(&bytes))
+            file == mesh.with_file_name(beside(mesh, name)) && read_side_file(image).is_ok_and(|bytes| is(&bytes))
         };
         let is_library = file == mesh.with_extension("mtl") && !self.is_empty() && is(self.library(mesh).as_bytes());
-        is_library || self.images.iter().any(is_copy)
+        !is_library && !self.images.iter().any(is_copy)
     }
 
     /// Copies everything beside a mesh file, whose mesh is made to name it. New files go again unless they are [kept](Copied::keep): who

@@ -11,24 +11,16 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::error::{excerpt, read_file, without_mark};
+use super::error::{excerpt, without_mark};
 use super::{MeshFile, Place, ReadError, WriteError, color_bytes, write_atomically};
 use crate::mesh::{ObjMetadata, ObjStatement, PolygonMesh, Vec3};
 use crate::text::obj_line;
 
-/// Reads an OBJ file. Vertex indices are those of the file, counted from 0.
+/// Parses the bytes of an OBJ file; `path` is only named in errors. Vertex indices are those of the file, counted from 0.
 ///
 /// # Errors
-/// When the file cannot be read, a number is malformed or not finite, an index is out of range, a face has fewer than
-/// three corners, or there are no vertices; the message names the line.
-pub fn read_obj(path: &Path) -> Result<PolygonMesh, ReadError> {
-    parse_obj(&read_file(path)?, path)
-}
-
-/// Parses the bytes of an OBJ file; `path` is only named in errors.
-///
-/// # Errors
-/// As [`read_obj`].
+/// When a number is malformed or not finite, an index is out of range, a face has fewer than three corners, or there are no vertices;
+/// the message names the line.
 pub fn parse_obj(bytes: &[u8], path: &Path) -> Result<PolygonMesh, ReadError> {
     parse_obj_file(bytes, path).map(|file| file.mesh)
 }

@@ -13,18 +13,9 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use super::error::{excerpt, read_file, without_mark};
+use super::error::{excerpt, without_mark};
 use super::{MeshFile, Place, ReadError, WriteError, color_bytes, write_atomically};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
-
-/// Reads a PLY file. Colours stored as floats are taken as 0-1, or as 0-255 where most are above 1; as 16 bits as 0-65535.
-///
-/// # Errors
-/// When the file cannot be read or is malformed: the message names the line (header, ascii) or byte (binary), what was
-/// expected and what was found. Counts that the file is too short for are refused before anything is allocated.
-pub fn read_ply(path: &Path) -> Result<MeshFile, ReadError> {
-    parse_ply(&read_file(path)?, path)
-}
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Scalar {
@@ -116,10 +107,12 @@ struct Header {
     lines: usize,
 }
 
-/// Parses the bytes of a PLY file; `path` is only named in errors.
+/// Parses the bytes of a PLY file; `path` is only named in errors. Colours stored as floats are taken as 0-1, or as 0-255 where most are
+/// above 1; as 16 bits as 0-65535.
 ///
 /// # Errors
-/// As [`read_ply`].
+/// When the file is malformed: the message names the line (header, ascii) or byte (binary), what was expected and what was found. Counts
+/// that the file is too short for are refused before anything is allocated.
 pub fn parse_ply(bytes: &[u8], path: &Path) -> Result<MeshFile, ReadError> {
     let bytes = without_mark(bytes);
     let header = parse_header(bytes, path)?;

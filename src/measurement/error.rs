@@ -64,9 +64,11 @@ pub enum MeasurementError {
         /// Vertices of the mesh.
         expected: usize,
     },
-    /// A weight of the mask is not from 0 to 1.
-    #[error("the mask has {value} at vertex {vertex}, expected a number from 0 to 1")]
-    Mask {
+    /// A weight is not from 0 to 1.
+    #[error("{what}: {value} at vertex {vertex}, expected a number from 0 to 1")]
+    Weight {
+        /// What has it.
+        what: &'static str,
         /// Index of the vertex.
         vertex: usize,
         /// Its weight.

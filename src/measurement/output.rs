@@ -10,7 +10,7 @@ use super::{
     TypicalRange,
 };
 use crate::mesh::Vec3;
-use crate::page::csv_text;
+use crate::text::csv_field;
 
 impl Measurement {
     /// By how much the value changes.
@@ -214,10 +214,10 @@ impl Columns<'_> {
         let mut out = String::from("group,name,unit,before");
         match self.names {
             [] => out += ",after,difference",
-            [name] => out += &format!(",{},difference", csv_text(name)),
+            [name] => out += &format!(",{},difference", csv_field(name)),
             names => {
                 for name in names {
-                    out += &format!(",{},{}", csv_text(name), csv_text(&format!("{name} difference")));
+                    out += &format!(",{},{}", csv_field(name), csv_field(&format!("{name} difference")));
                 }
             }
         }
@@ -226,7 +226,7 @@ impl Columns<'_> {
         let mut line = |group: &str, name: &str, unit: &str, before, after: &[[Option<f64>; 2]], remark: &str| {
             let values = std::iter::once(before).chain(after.iter().copied().flatten());
             let values: Vec<String> = values.map(|v| v.map_or(String::new(), |v: f64| v.to_string())).collect();
-            let [group, name, remark] = [group, name, remark].map(csv_text);
+            let [group, name, remark] = [group, name, remark].map(csv_field);
             // Writing to text does not fail.
             let _ = writeln!(out, "{group},{name},{unit},{},{remark}", values.join(","));
         };

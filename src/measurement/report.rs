@@ -9,8 +9,8 @@ use super::output::Table;
 use super::{AFTER, Comparison, FaceState, FacialFrame, MeasurementError, Plan, Subject};
 use crate::io::{WriteError, write_atomically, write_folder, write_json};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use crate::page;
 use crate::render::{Camera, ColourMap, ColourScale, Frame, Rgb8, Scene, Sheet, Style, View, encode_png, render};
+use crate::{page, text};
 
 /// What a report is made of.
 #[derive(Debug, Clone)]
@@ -102,7 +102,7 @@ fn check_weights(what: &'static str, report: &Report<'_>, weights: Option<&[f64]
         return Err(MeasurementError::VertexCount { what, found: mask.len(), expected });
     }
     match mask.iter().position(|g| !(0.0..=1.0).contains(g)) {
-        Some(vertex) => Err(MeasurementError::Mask { vertex, value: mask[vertex] }),
+        Some(vertex) => Err(MeasurementError::Weight { what, vertex, value: mask[vertex] }),
         None => Ok(()),
     }
 }
@@ -249,21 +249,21 @@ fn symmetry_pictures(report: &Report<'_>, measured: &Comparison) -> RgbImage {
 const LEAST_ASYMMETRY: f64 = 0.01;
 
 fn html(report: &Report<'_>, measured: &Comparison, pictures: &[u8], symmetry: &[u8]) -> String {
-    let mut body = format!("<h1>{}</h1>\n", page::escaped(report.title));
+    let mut body = format!("<h1>{}</h1>\n", text::html(report.title));
     for (name, text) in report.about {
-        body += &format!("<p class=\"about\"><b>{}</b> {}</p>\n", page::escaped(name), page::escaped(text));
+        body += &format!("<p class=\"about\"><b>{}</b> {}</p>\n", text::html(name), text::html(text));
     }
     let kept = if report.protected.is_some_and(|p| p.iter().any(|p| *p >= 0.5)) { " Blue: protected." } else { "" };
     let caption = format!("Upright by the landmarks: the vertical runs from menton to nasion.{kept}");
     body += &page::picture(pictures, &caption);
     for Table { title, header, rows, note } in measured.tables() {
-        body += &format!("<h2>{}</h2>\n", page::escaped(&title));
+        body += &format!("<h2>{}</h2>\n", text::html(&title));
         if title == "symmetry" {
             let caption = "By how much the surface stands out over the mirror image of the other side in the best mirror plane; \
                            grey: it has no counterpart.";
             body += &page::picture(symmetry, &format!("{caption}{kept}"));
         }
-        body += &page::table(&page::escaped(&note), &header, rows);
+        body += &page::table(&text::html(&note), &header, rows);
     }
     let formulas = measured.before().values.iter().map(|m| {
         let definition = &m.definition;

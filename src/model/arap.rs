@@ -90,7 +90,7 @@ mod tests {
     use crate::energy::{DataTerm, Deformation, DeformationModel as _, Samples};
     use crate::mesh::Vec3;
     use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::model::vertex_assembly::testing::{bumpy, flat, pins, turn};
+    use crate::model::vertex_assembly::testing::{bumpy, flat, pins, solve_held, turn};
     use crate::nlls::{Minimizer, NormalEquations, Options, Problem};
 
     const SOLVERS: [ArapSolver; 2] = [ArapSolver::LocalGlobal, ArapSolver::Joint];
@@ -213,19 +213,12 @@ mod tests {
     #[test]
     fn held_vertices_are_no_parameters() {
         let mesh = bumpy();
-        let held: Vec<bool> = (0..72).map(|i| i % 9 == 0 || i == 40).collect();
         for solver in SOLVERS {
-            let model = Arap::new(&mesh, ArapOptions { solver, clamp: true }, 0.8).unwrap().with_held(&held);
-            assert_eq!(model.parameter_len(), 3 * (72 - 9));
-            let mut problem: Surface = Deformation::new(model, Samples::vertices(72));
-            problem.terms = pins(&[8, 71, 40], &[Vec3::new(3.0, -4.0, 6.0), Vec3::new(8.0, 9.0, 3.0), Vec3::z()]);
-            let mut x = problem.model.rest_parameters();
-            let summary = Minimizer::new(Options::gauss_newton()).unwrap().minimize(&mut problem, &mut x);
-            assert!(summary.final_energy < 0.9 * summary.initial_energy, "{summary}");
+            let pins = pins(&[8, 71, 40], &[Vec3::new(3.0, -4.0, 6.0), Vec3::new(8.0, 9.0, 3.0), Vec3::z()]);
+            let (problem, _) = solve_held(&mesh, pins, 100, |held| {
+                Arap::new(&mesh, ArapOptions { solver, clamp: true }, 0.8).unwrap().with_held(held)
+            });
             assert_eq!(problem.model.unobserved_shifts(), 0);
-            for (v, held) in held.iter().enumerate() {
-                assert_eq!(problem.vertices(&x)[v] == mesh.positions[v], *held, "vertex {v}");
-            }
         }
     }
 }

@@ -10,7 +10,7 @@ use super::{
 use crate::energy::{OptionTable, Options, OptionsError};
 use crate::mesh::Vec3;
 use crate::nlls::Kernel;
-use crate::rig::{Family, ShapeBasis};
+use crate::rig::{Family, Shape, ShapeBasis};
 
 /// `[model]` of the hybrid and the graph: how the deformation graph is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -211,12 +211,18 @@ impl OptionTable for GraphLevel {
 pub(crate) fn without_effect<'a>(
     graph: &Options,
     levels: impl Iterator<Item = &'a Options> + Clone,
+    shapes: &ShapeBasis,
 ) -> Vec<(&'static str, &'static str)> {
     let usual = Options::of(&GraphOptions::default());
     let other = |key: &str| graph.get(key).is_some_and(|value| Some(value) != usual.get(key));
     let rigid = graph.get("node").is_some_and(|node| Some(node) == usual.get("node"));
     let rotates = levels.clone().any(|level| level.number("lambda_rotation").is_some_and(|lambda| lambda > 0.0));
+    let sparse = || levels.clone().filter(|level| level.number("sparse").is_some_and(|scale| scale > 0.0));
+    let weighs = |level: &Options| level.number("lambda_blend").is_some_and(|lambda| lambda > 0.0);
+    let no_expression = !shapes.shapes().iter().any(Shape::from_zero_to_one);
     let said = [
+        ("sparse", no_expression && sparse().next().is_some(), "no shape is an expression with one of ARKit's names"),
+        ("sparse", !no_expression && sparse().any(|level| !weighs(level)), "lambda_blend is 0 beside it"),
         ("smooth", other("smooth") && !other("smooth_shapes"), "smooth_shapes is 0"),
         (
             "coarse_nodes",
@@ -334,7 +340,6 @@ mod tests {
     use crate::energy::DeformationModel as _;
     use crate::mesh::testing::{noise, sheet};
     use crate::model::{ModelFactory as _, ModelKind};
-    use crate::rig::Shape;
 
     #[test]
     fn further_shapes_join_a_rig_and_are_not_reported() {

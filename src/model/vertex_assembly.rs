@@ -265,10 +265,10 @@ pub(super) mod testing {
     use nalgebra::Rotation3;
 
     use super::*;
-    use crate::energy::{DataTerm, Pointwise, SampleResidual};
+    use crate::energy::{DataTerm, Deformation, DeformationModel, Pointwise, SampleResidual, Samples};
     use crate::mesh::TriangleMesh;
     use crate::mesh::testing::{noise, sheet, side_by_side};
-    use crate::nlls::{Kernel, Scalar};
+    use crate::nlls::{Kernel, Minimizer, Options, Scalar};
 
     struct Pins {
         samples: Vec<usize>,
@@ -297,6 +297,28 @@ pub(super) mod testing {
     pub fn pins(samples: &[usize], targets: &[Vec3]) -> Vec<Box<dyn DataTerm>> {
         let pins = Pins { samples: samples.to_vec(), targets: targets.to_vec() };
         vec![Box::new(Pointwise::new("pins", pins, Kernel::None))]
+    }
+
+    /// Solves a model of which some vertices are held, by so many steps: the others are its parameters, and move.
+    pub fn solve_held<M: DeformationModel>(
+        mesh: &TriangleMesh,
+        pins: Vec<Box<dyn DataTerm>>,
+        steps: usize,
+        model: impl FnOnce(&[bool]) -> M,
+    ) -> (Deformation<M, Box<dyn DataTerm>>, Vec<f64>) {
+        let held: Vec<bool> = (0..72).map(|i| i % 9 == 0 || i == 40).collect();
+        let model = model(&held);
+        assert_eq!(model.parameter_len(), 3 * (72 - 9));
+        let mut problem = Deformation::new(model, Samples::vertices(72));
+        problem.terms = pins;
+        let mut x = problem.model.rest_parameters();
+        let options = Options::gauss_newton().with_max_iterations(steps);
+        let summary = Minimizer::new(options).unwrap().minimize(&mut problem, &mut x);
+        assert!(summary.final_energy < 0.9 * summary.initial_energy, "{summary}");
+        for (v, held) in held.iter().enumerate() {
+            assert_eq!(problem.vertices(&x)[v] == mesh.positions[v], *held, "vertex {v}");
+        }
+        (problem, x)
     }
 
     /// A sheet of 72 vertices, each beside its place.

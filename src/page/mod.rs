@@ -1,11 +1,11 @@
-//! Pages that people read: one HTML file with everything in it, pictures included; and text in CSV files beside it.
+//! Pages that people read: one HTML file with everything in it, pictures included.
 //!
 //! Parts are text; [`document`] puts them together.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-pub use crate::text::{csv_field as csv_text, html as escaped};
+use crate::text::html;
 
 const STYLE: &str = "\
 body{font:16px/1.5 system-ui,sans-serif;color:#20242c;max-width:1180px;margin:0 auto;padding:24px}\
@@ -25,14 +25,14 @@ pub fn document(title: &str, style: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
          <title>{}</title><style>{STYLE}{style}</style></head><body>\n{body}</body></html>\n",
-        escaped(title)
+        html(title)
     )
 }
 
 /// A picture, the bytes of a PNG file, with its caption.
 #[must_use]
 pub fn picture(png: &[u8], caption: &str) -> String {
-    let (data, caption) = (STANDARD.encode(png), escaped(caption));
+    let (data, caption) = (STANDARD.encode(png), html(caption));
     format!(
         "<figure><img alt=\"{caption}\" src=\"data:image/png;base64,{data}\"><figcaption>{caption}</figcaption></figure>\n"
     )
@@ -42,7 +42,7 @@ pub fn picture(png: &[u8], caption: &str) -> String {
 #[must_use]
 pub fn table(caption: &str, header: &[impl AsRef<str>], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let line = |tag: &str, cells: &mut dyn Iterator<Item = &str>| -> String {
-        let cells: String = cells.map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell))).collect();
+        let cells: String = cells.map(|cell| format!("<{tag}>{}</{tag}>", html(cell))).collect();
         format!("<tr>{cells}</tr>\n")
     };
     let head = line("th", &mut header.iter().map(AsRef::as_ref));
@@ -56,7 +56,7 @@ mod tests {
 
     #[test]
     fn text_stays_text() {
-        assert_eq!(escaped("<b> & \"c\""), "&lt;b&gt; &amp; &quot;c&quot;");
+        assert_eq!(html("<b> & \"c\""), "&lt;b&gt; &amp; &quot;c&quot;");
         let table = table("<i>c</i>", &["x<y"], [vec!["1 & 2".to_owned()]]);
         assert!(
             table.contains("<i>c</i>") && table.contains("<th>x&lt;y</th>") && table.contains("<td>1 &amp; 2</td>")

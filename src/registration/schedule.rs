@@ -141,16 +141,8 @@ const MOST_SMOOTHING: usize = 1000;
 const MOST: usize = 1_000_000;
 
 impl Schedule {
-    /// The default schedule of a model.
-    ///
-    /// # Errors
-    /// When that is no schedule, which those of the crate are.
-    pub fn default_for(model: &(impl ModelFactory + ?Sized)) -> Result<Self, ScheduleError> {
-        Self::from_toml(model.default_schedule())
-    }
-
-    /// Reads and validates a schedule, all but what belongs to models and terms. The error quotes the line of an unknown key or a
-    /// malformed value.
+    /// Reads and validates a schedule, such as a model's [default](ModelFactory::default_schedule), all but what belongs to models and
+    /// terms. The error quotes the line of an unknown key or a malformed value.
     ///
     /// # Errors
     /// With the first thing that is wrong.
@@ -268,20 +260,25 @@ impl Schedule {
         Ok(resolved)
     }
 
-    /// What a [resolved](Self::resolved) schedule says and has no effect, and why.
+    /// What a [resolved](Self::resolved) schedule says and has no effect with these shapes, and why.
     #[must_use]
-    pub fn without_effect(&self) -> Vec<String> {
-        let said = |prefix: &str, model: &Options, levels: &[&Level]| -> Vec<String> {
-            let found = without_effect(model, levels.iter().map(|level| &level.model));
+    pub fn without_effect(&self, shapes: &ShapeBasis) -> Vec<String> {
+        let said = |prefix: &str, model: &Options, levels: &[&Level], shapes: &ShapeBasis| -> Vec<String> {
+            let found = without_effect(model, levels.iter().map(|level| &level.model), shapes);
             found.into_iter().map(|(key, why)| format!("{prefix}model: {key} has no effect: {why}")).collect()
         };
-        let mut all = said("", &self.model, &self.bend.iter().chain(&self.levels).collect::<Vec<_>>());
+        let mut all = said("", &self.model, &self.bend.iter().chain(&self.levels).collect::<Vec<_>>(), shapes);
         for (k, stage) in (1..).zip(self.later_stages()) {
-            all.extend(said(&"then.".repeat(k), &stage.model.options, &stage.levels.iter().collect::<Vec<_>>()));
+            all.extend(said(
+                &"then.".repeat(k),
+                &stage.model.options,
+                &stage.levels.iter().collect::<Vec<_>>(),
+                shapes,
+            ));
         }
         if let Some(closed) = &self.closed {
             let levels: Vec<&Level> = closed.bend.iter().chain(&closed.levels).collect();
-            all.extend(said("closed.", &closed.model, &levels));
+            all.extend(said("closed.", &closed.model, &levels, &ShapeBasis::none())); // it has no expressions
         }
         all
     }
@@ -335,7 +332,7 @@ impl ModelKind {
     /// # Errors
     /// None: the schedules of the crate can be read.
     pub fn schedule(self) -> Result<Schedule, ScheduleError> {
-        Schedule::default_for(&self)
+        Schedule::from_toml(self.default_schedule())
     }
 }
 
@@ -431,9 +428,12 @@ mod tests {
 
     #[test]
     fn what_has_no_effect_is_said_of_every_stage() {
-        let said = |model: ModelKind, text: &str| {
-            Schedule::from_toml(text).unwrap().resolved(&model, &TERMS).unwrap().without_effect()
+        let shape =
+            |name: &str| ShapeBasis::new(vec![Shape { name: name.to_owned(), family: Family::Expression }], vec![]);
+        let said_of = |model: ModelKind, text: &str, shapes: &ShapeBasis| {
+            Schedule::from_toml(text).unwrap().resolved(&model, &TERMS).unwrap().without_effect(shapes)
         };
+        let said = |model: ModelKind, text: &str| said_of(model, text, &shape("jawOpen"));
         for model in ModelKind::ALL {
             assert_eq!(said(model, model.default_schedule()), [""; 0], "{model}");
         }
@@ -442,6 +442,11 @@ mod tests {
         assert_eq!(found, ["closed.model: smooth has no effect: smooth_shapes is 0"]);
         let text = ModelKind::Sumner.default_schedule().replace("coarse = true, ", "");
         assert_eq!(said(ModelKind::Sumner, &text), ["model: coarse_nodes has no effect: no level is coarse"]);
+        let text = ModelKind::Hybrid.default_schedule();
+        let found = said_of(ModelKind::Hybrid, text, &shape("open the jaw"));
+        assert_eq!(found, ["model: sparse has no effect: no shape is an expression with one of ARKit's names"]);
+        let found = said(ModelKind::Hybrid, &text.replace("lambda_blend = 1.5, sparse", "lambda_blend = 0.0, sparse"));
+        assert_eq!(found, ["model: sparse has no effect: lambda_blend is 0 beside it"]);
     }
 
     #[test]

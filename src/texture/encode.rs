@@ -5,6 +5,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 
 use super::Baked;
+use crate::io::marked_png;
 use crate::mesh::Vec3;
 use crate::mesh::srgb::from_light;
 
@@ -85,9 +86,9 @@ pub fn encode_displacement(baked: &Baked) -> Option<Vec<u8>> {
     png(baked.side, &bytes, ExtendedColorType::L16)
 }
 
-/// Memory always takes what the encoder writes, and the numbers of bytes are those of the size.
+/// Marked as ours. Memory always takes what the encoder writes, and the numbers of bytes are those of the size.
 fn png(side: usize, bytes: &[u8], color: ExtendedColorType) -> Option<Vec<u8>> {
     let mut file = Vec::new();
     PngEncoder::new(&mut file).write_image(bytes, side as u32, side as u32, color).ok()?;
-    Some(file)
+    Some(marked_png(file))
 }

@@ -1,13 +1,13 @@
 //! `nonrigid animate`: one file of the frames of a sequence.
 
 use crate::support::{Bench, farthest, glb_parts};
-use nonrigid::io::{read_gltf, read_obj, write_obj, write_polygon_mesh};
+use nonrigid::io::{read_gltf, read_polygon_mesh, write_obj, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 use serde_json::Value;
 
 /// Three frames: the rig's template, with its first shape at a half and turned, and pulled where no shape goes.
 fn frames(bench: &Bench) -> Vec<Vec<Vec3>> {
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     bench.done("rig convert --rig rig --out rig.glb");
     let targets = read_gltf(&bench.path("rig.glb")).unwrap();
     let shape = &targets.target_deltas[..3 * template.positions.len()];
@@ -46,7 +46,7 @@ fn a_stage_has_every_frame_and_what_the_mesh_has() {
     let bench = Bench::new();
     let frames = frames(&bench);
     bench.done("animate --meshes frames --fps 25 --out face.usda");
-    let text = String::from_utf8(bench.read("face.usda")).unwrap();
+    let text = bench.text("face.usda");
     for part in [
         "endTimeCode = 2",
         "timeCodesPerSecond = 25",
@@ -132,7 +132,7 @@ fn frames_may_be_packed_or_glb() {
         std::fs::create_dir(bench.path(folder)).unwrap();
     }
     for k in 0..3 {
-        let mesh = read_obj(&bench.path(&format!("frames/f{k}.obj"))).unwrap();
+        let mesh = read_polygon_mesh(&bench.path(&format!("frames/f{k}.obj"))).unwrap();
         write_polygon_mesh(&bench.path(&format!("glb/f{k}.glb")), &mesh).unwrap();
         let text = bench.read(&format!("frames/f{k}.obj"));
         let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
@@ -154,7 +154,7 @@ fn a_result_that_would_be_a_frame_is_refused() {
     bench.done("animate --meshes frames --out frames/ann.glb");
     bench.done("animate --meshes frames --out frames/ann.glb");
     std::fs::create_dir(bench.path("glb")).unwrap();
-    let mesh = read_obj(&bench.path("frames/f0.obj")).unwrap();
+    let mesh = read_polygon_mesh(&bench.path("frames/f0.obj")).unwrap();
     write_polygon_mesh(&bench.path("glb/f0.glb"), &mesh).unwrap();
     let run = bench.run("animate --meshes glb --out ./glb/ann.glb");
     assert!(run.code == 1 && run.stderr.contains("would be one of the frames"), "{}", run.stderr);
@@ -174,7 +174,7 @@ fn frames_a_second_may_be_those_of_video_and_what_has_no_effect_is_said() {
         let said = bench.done(&format!("animate --meshes frames --fps {asked} --out face.usda --report face.json"));
         assert!(said.contains(&format!(" vertices, {plain} a second")), "{said}");
         assert_eq!(report()["frames_per_second"], found);
-        let stage = String::from_utf8(bench.read("face.usda")).unwrap();
+        let stage = bench.text("face.usda");
         assert!(stage.contains(&format!("timeCodesPerSecond = {plain}\n")), "{asked}");
     }
     for asked in ["0", "0.9", "1000.5", "NaN", "fast"] {
@@ -196,7 +196,7 @@ fn frames_a_second_may_be_those_of_video_and_what_has_no_effect_is_said() {
 #[test]
 fn lost_frames_are_named_and_bridged() {
     let bench = Bench::new();
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     let at = |k: usize| Vec3::new(0.5 * k as f64, (0.3 * k as f64).sin(), 0.0);
     std::fs::create_dir(bench.path("frames")).unwrap();
     let mut list = String::new();
@@ -223,7 +223,7 @@ fn lost_frames_are_named_and_bridged() {
         let [before, after] = [0, 1].map(|k| report["second_difference_mm"][k].as_f64().unwrap());
         assert!(before > 20.0 && (after < 0.2) == smooth.contains("4"), "{report}");
     }
-    let text = String::from_utf8(bench.read("walk.usda")).unwrap();
+    let text = bench.text("walk.usda");
     assert!(text.contains("int[] lostFrames = [5, 8]"));
     let bytes = bench.read("walk.glb");
     let (document, _) = glb_parts(&bytes);

@@ -40,7 +40,7 @@ const FRAMES: [&str; 4] = [
 
 /// Rows of summary.csv by name: status and start.
 fn summary(bench: &Bench, folder: &str) -> BTreeMap<String, (String, String)> {
-    let text = String::from_utf8(bench.read(&format!("{folder}/summary.csv"))).unwrap();
+    let text = bench.text(&format!("{folder}/summary.csv"));
     let cells = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
     text.lines().skip(1).map(cells).map(|c| (c[0].clone(), (c[1].clone(), c[2].clone()))).collect()
 }
@@ -93,14 +93,14 @@ fn one_failing_scan_never_stops_the_rest() {
     ] {
         assert_eq!(summary[name], (status.to_owned(), start.to_owned()), "{name}");
     }
-    let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+    let text = bench.text("out/summary.csv");
     let note = |name: &str| text.lines().find(|l| l.starts_with(&format!("{name},"))).unwrap().to_owned();
     assert!(note("missing").contains("missing.ply: cannot be read") && note("clay").contains("unknown model 'clay'"));
     assert!(note("empty").contains("empty.ply"));
     for name in ["missing", "empty", "clay"] {
         assert!(!bench.path(&format!("out/{name}.obj")).exists() && !bench.path(&format!("out/{name}.json")).exists());
     }
-    let page = String::from_utf8(bench.read("out/index.html")).unwrap();
+    let page = bench.text("out/index.html");
     assert!(page.contains("<td>person</td>") && page.contains("src=\"f2_scan.png\"") && !page.contains("clay.png"));
 
     // each is what `register` makes of it
@@ -216,9 +216,7 @@ fn what_a_power_cut_leaves_is_done_again_and_concerns_its_scan_alone() {
     let run = bench.run(&command);
     assert!(run.stderr.contains("other: done before; other.json was changed since, and stays"), "{}", run.stderr);
     assert_eq!(summary(&bench, "out")["other"].0, "doubtful");
-    assert!(
-        String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("other.json, its report, cannot be read")
-    );
+    assert!(bench.text("out/summary.csv").contains("other.json, its report, cannot be read"));
     fs::remove_file(bench.path("out/other.json")).unwrap();
     // a record that broke
     for broken in ["", "{ \"key\": "] {
@@ -320,7 +318,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     list(&bench, &rows);
     let command = format!("batch scans.csv --out out {OPTIONS}");
     bench.ends(&format!("{command} --animation glb --fps 15"), 2);
-    let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+    let text = bench.text("out/summary.csv");
     let empty = text.lines().find(|line| line.starts_with("empty,failed")).unwrap();
     assert!(empty.contains("lost in \"\"walk\"\": there is none; the motion of those round it"), "{text}");
     let report = bench.json("out/sequences/walk.json");
@@ -337,7 +335,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     list(&bench, &FRAMES);
     bench.done(&command);
     assert!(bench.path("out/sequences/walk.usda").exists() && !bench.path("out/sequences/walk.glb").exists());
-    assert!(!String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("lost"));
+    assert!(!bench.text("out/summary.csv").contains("lost"));
     // and without one, all that was made of the sequence; what somebody has changed stays
     let there = |name: &str| bench.path(&format!("out/{name}")).exists();
     bench.done(&format!("{command} --animation none"));
@@ -345,7 +343,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
         assert!(!there(gone), "{gone}");
     }
     bench.done(&format!("{command} --fps 23.976"));
-    assert!(String::from_utf8(bench.read("out/sequences/walk.usda")).unwrap().contains("PerSecond = 23.976\n"));
+    assert!(bench.text("out/sequences/walk.usda").contains("PerSecond = 23.976\n"));
     bench.write("out/sequences/walk.usda", "retouched");
     for _ in 0..2 {
         let run = bench.run(&format!("{command} --animation none --fps 30"));
@@ -376,7 +374,7 @@ fn a_sequence_becomes_one_file_that_names_the_frames_it_has_lost() {
     list(&bench, &["empty.ply,f2/landmarks.json,gone,,"]);
     let run = bench.run(&format!("batch scans.csv --out gone {OPTIONS} --fps 8"));
     assert!(run.code == 2 && run.stderr.contains("--smooth 4: nothing is smoothed"), "{}", run.stderr);
-    let text = String::from_utf8(bench.read("gone/summary.csv")).unwrap();
+    let text = bench.text("gone/summary.csv");
     assert!(text.contains("no animated file of \"\"gone\"\": none of its frames is there"), "{text}");
     let mut rows = FRAMES.map(str::to_owned);
     let template = fs::read_to_string(bench.path("rig/template.obj")).unwrap();
@@ -500,7 +498,7 @@ fn what_is_finished_stays_whatever_goes_wrong_the_next_time() {
         fs::rename(bench.path(from), bench.path(&hidden)).unwrap();
         let stderr = bench.ends(&format!("{command} --pictures"), 2);
         assert!(stderr.contains("cannot be read"), "{stderr}");
-        let text = String::from_utf8(bench.read("out/summary.csv")).unwrap();
+        let text = bench.text("out/summary.csv");
         assert!(text.contains("is still there"), "{text}");
         assert!(results("out") == finished, "{from} cannot be reached");
         fs::rename(bench.path(&hidden), bench.path(from)).unwrap();
@@ -644,7 +642,7 @@ fn the_end_of_one_process_alone_is_a_failure_of_its_scan() {
     assert_eq!(child.wait().unwrap().code(), Some(2));
     let summary = summary(&bench, "out");
     assert_eq!((&summary["f0_scan"].0[..], &summary["f1_scan"].0[..]), ("failed", "done"));
-    assert!(String::from_utf8(bench.read("out/summary.csv")).unwrap().contains("told to end from outside"));
+    assert!(bench.text("out/summary.csv").contains("told to end from outside"));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use crate::closed_stdout::closed_pipe;
 use crate::skip::skipped;
 use crate::support::{Bench, endless_schedule, files_in};
-use nonrigid::io::{read_obj, sha256, write_atomically};
+use nonrigid::io::{read_polygon_mesh, sha256, write_atomically};
 use serde_json::Value;
 
 const FIT: &str = "register --template rig/template.obj --neutral case/neutral.npy --rig rig --target case/scan.ply \
@@ -66,8 +66,8 @@ fn ctrl_c_ends_a_registration_at_the_next_step_with_what_it_has() {
     assert_eq!(output.status.code(), Some(130), "{said}");
     let warnings: Vec<&str> = said.lines().filter(|l| l.starts_with("warning: interrupted: r.obj holds")).collect();
     assert!(warnings.len() == 1 && !said.contains("error"), "{said}");
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
-    let result = read_obj(&bench.path("r.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
+    let result = read_polygon_mesh(&bench.path("r.obj")).unwrap();
     let mut template = template.with_positions(result.positions.clone());
     template.metadata.material_libraries = vec!["r.mtl".into()];
     assert!(template == result);
@@ -150,7 +150,7 @@ fn what_becomes_of_inputs_during_a_run_changes_nothing() {
     signal(&child, "-INT");
     let output = ended(child);
     assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
-    assert!(read_obj(&bench.path("r.obj")).is_ok());
+    assert!(read_polygon_mesh(&bench.path("r.obj")).is_ok());
     let [scan, landmarks, neutral] = hashes;
     assert_eq!(read_as(&bench, "r.json", "target"), [("scan.ply".to_owned(), scan)]);
     assert_eq!(read_as(&bench, "r.json", "landmarks"), [("landmarks.json".to_owned(), landmarks)]);
@@ -278,7 +278,7 @@ fn a_second_ctrl_c_ends_it_there_and_then() {
     assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
     // Whole, whichever it is.
     let old = bench.read("r.obj") == b"from last week";
-    assert!(old || read_obj(&bench.path("r.obj")).unwrap().positions.len() == bench.rig.neutral.len());
+    assert!(old || read_polygon_mesh(&bench.path("r.obj")).unwrap().positions.len() == bench.rig.neutral.len());
 }
 
 #[test]
@@ -438,5 +438,5 @@ fn nobody_reads_what_is_said() {
         command.args(line.split_whitespace()).current_dir(bench.path("")).stdout(closed_pipe()).stderr(closed_pipe());
         assert_eq!(command.status().unwrap().code(), Some(code), "{line}");
     }
-    assert!(read_obj(&bench.path("r.obj")).is_ok());
+    assert!(read_polygon_mesh(&bench.path("r.obj")).is_ok());
 }

@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 use crate::awkward::quads;
 use crate::refusal::{COMPUTATION, LOADING, all_hold, refuses};
 use crate::support::Bench;
-use nonrigid::io::{PlyOptions, parse_gltf, read_obj, write_colored_mesh, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, parse_gltf, read_polygon_mesh, write_colored_mesh, write_obj, write_ply};
 use nonrigid::landmark::{LandmarkFormat, parse_landmark_set, write_landmark_set};
 use nonrigid::mesh::{ObjStatement, PolygonMesh, Vec3};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
@@ -63,7 +63,7 @@ fn a_name_in_an_obj_file_is_never_a_line_of_it() {
         ];
         for colors in [None, Some(&vec![[1u8, 2, 3]; 16][..])] {
             write_colored_mesh(&path, &named, colors).unwrap();
-            let read = read_obj(&path).unwrap();
+            let read = read_polygon_mesh(&path).unwrap();
             assert_eq!((&read.positions, &read.corners), (&mesh.positions, &mesh.corners), "{name:?}");
             assert_eq!(read.metadata.statements.len(), 4, "{name:?}");
             let text = fs::read_to_string(&path).unwrap();
@@ -75,7 +75,7 @@ fn a_name_in_an_obj_file_is_never_a_line_of_it() {
         let mut named = mesh.clone();
         named.metadata.statements = vec![(0, ObjStatement::Material(name.into()))];
         write_obj(&path, &named).unwrap();
-        assert_eq!(read_obj(&path).unwrap(), named);
+        assert_eq!(read_polygon_mesh(&path).unwrap(), named);
     }
 }
 
@@ -96,7 +96,7 @@ fn a_material_of_a_gltf_file_puts_no_vertices_into_the_result() {
         assert!(!mesh.metadata.statements.is_empty(), "{name:?}");
         let path = folder.path().join("a.obj");
         write_obj(&path, &mesh).unwrap();
-        let read = read_obj(&path).unwrap();
+        let read = read_polygon_mesh(&path).unwrap();
         assert_eq!((read.positions, read.corners), (mesh.positions, mesh.corners), "{name:?}");
     }
 }
@@ -161,7 +161,7 @@ fn terminals_and_tables_show_names_and_do_not_run_them() {
     let run = bench.run("rig fit --rig odd.npz --meshes frames --out w.csv");
     assert_eq!(run.code, 0, "{}", run.stderr);
     shown(&run);
-    let table = String::from_utf8(bench.read("w.csv")).unwrap();
+    let table = bench.text("w.csv");
     let mut reader = csv::Reader::from_reader(table.as_bytes());
     let header: Vec<String> = reader.headers().unwrap().iter().map(str::to_owned).collect();
     let cells: Vec<String> =
@@ -389,9 +389,9 @@ fn vertices_of_no_polygon_change_nothing() {
     assert!(result("scan.ply") == result("loose.ply"));
     write_obj(&bench.path("loose.obj"), &with(&template, &loose[..500], &[])).unwrap();
     bench.done("register --template loose.obj --target scan.ply --model rigid --out l.obj --report l.json");
-    let of_loose = read_obj(&bench.path("l.obj")).unwrap().positions;
+    let of_loose = read_polygon_mesh(&bench.path("l.obj")).unwrap().positions;
     bench.done("register --template template.obj --target scan.ply --model rigid --out t.obj");
-    let far = crate::support::farthest(&of_loose[..576], &read_obj(&bench.path("t.obj")).unwrap().positions);
+    let far = crate::support::farthest(&of_loose[..576], &read_polygon_mesh(&bench.path("t.obj")).unwrap().positions);
     assert!(far < 1e-3, "{far} mm");
 }
 

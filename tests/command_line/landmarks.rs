@@ -32,7 +32,7 @@ fn the_68_go_through_every_format() {
     assert_eq!(again, read_template_landmarks(&bench.path(NUMBERED), mesh).unwrap());
 
     bench.done("landmarks convert a.mrk.json ras.fcsv --space ras");
-    let ras = String::from_utf8(bench.read("ras.fcsv")).unwrap();
+    let ras = bench.text("ras.fcsv");
     assert!(ras.contains("CoordinateSystem = RAS") && farthest(&positions(&bench, "ras.fcsv", mesh), &truth) < 1e-12);
     let said = bench.done("landmarks convert ras.fcsv plain.csv --space ras");
     assert!(said.contains("unit mm, RAS brought to LPS -> csv"), "{said}");
@@ -73,7 +73,7 @@ fn a_check_finds_what_is_wrong() {
     vertices[28] = vertices[27];
     bench.write("wrong.json", format!("{vertices:?}"));
     bench.done("landmarks convert wrong.json wrong.csv --mesh rig/template.obj");
-    let csv = String::from_utf8(bench.read("wrong.csv")).unwrap();
+    let csv = bench.text("wrong.csv");
     let moved = |l: &str| if l.starts_with("30,") { "30,0,0,500\n".to_owned() } else { format!("{l}\n") };
     bench.write("wrong.csv", csv.lines().map(moved).collect::<String>());
     let (code, json) = check("wrong.csv", "rig/template.obj");

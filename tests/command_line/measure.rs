@@ -1,7 +1,7 @@
 //! `nonrigid measure` on generated data: what it prints and writes.
 
 use crate::support::{Bench, files_in};
-use nonrigid::io::{read_obj, write_npy, write_obj};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_obj};
 use nonrigid::mesh::{Pose, Vec3};
 
 const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
@@ -11,7 +11,7 @@ fn numbers_are_the_same_in_the_table_the_json_and_the_csv() {
     let bench = Bench::new();
     let printed = bench.done(&format!("{MEASURE} --after case/truth.npy --rig rig --json m.json --csv m.csv"));
     let json = bench.json("m.json");
-    let csv = String::from_utf8(bench.read("m.csv")).unwrap();
+    let csv = bench.text("m.csv");
     assert_eq!(json["units"]["volume"], "mm^3");
     let measurements = json["measurements"].as_array().unwrap();
     assert!(measurements.len() > 50);
@@ -52,7 +52,7 @@ fn a_report_holds_everything_and_threads_change_nothing() {
         assert!(bench.read(&format!("page1/{name}")) == bench.read(&format!("page2/{name}")), "{name}");
     }
     assert!(bench.read("1.json") == bench.read("page2/measurements.json"));
-    let page = String::from_utf8(bench.read("page1/index.html")).unwrap();
+    let page = bench.text("page1/index.html");
     for part in
         ["template.obj", "mask.npy", "<h2>angles</h2>", "<h2>symmetry</h2>", "<h2>change</h2>", "canthal tilt left"]
     {
@@ -93,7 +93,7 @@ fn a_rig_gives_its_landmarks_and_the_client_heads_the_page() {
     bench.done(&format!("{measure} --csv found.csv --report page --client O'Neil<b> --date 2026-11-22"));
     bench.done(&format!("{measure} {both} --csv given.csv"));
     assert!(bench.read("found.csv") == bench.read("given.csv"));
-    let page = String::from_utf8(bench.read("page/index.html")).unwrap();
+    let page = bench.text("page/index.html");
     assert!(page.contains("O&#39;Neil&lt;b&gt;") || page.contains("O'Neil&lt;b&gt;"), "{page:.2000}");
     assert!(page.contains("2026-11-22") && page.contains("@media print"));
 
@@ -118,10 +118,15 @@ fn a_rig_in_a_file_gives_its_landmarks_and_one_without_regions_the_groups() {
     let measurements = |name: &str| bench.json(name)["measurements"].take();
     for rig in ["rig.npz", "rig.glb"] {
         bench.done(&format!("rig convert --rig rig --out {rig}"));
-        bench.done(&format!("{measure} --rig {rig} --json found.json"));
+        let stderr = bench.ends(&format!("{measure} --rig {rig} --json found.json"), 0);
+        assert!(
+            stderr.contains(&format!("warning: {rig}: a rig in one file has the 68 numbered landmarks alone")),
+            "{stderr}"
+        );
         assert_eq!(measurements("found.json"), measurements("given.json"), "{rig}");
         bench.done(&format!("{morph} --rig {rig} --out found.obj"));
-        let [found, given] = ["found.obj", "given.obj"].map(|name| read_obj(&bench.path(name)).unwrap().positions);
+        let [found, given] =
+            ["found.obj", "given.obj"].map(|name| read_polygon_mesh(&bench.path(name)).unwrap().positions);
         assert!(found == given, "{rig}");
     }
     std::fs::remove_file(bench.path("rig/regions.json")).unwrap();
@@ -190,7 +195,7 @@ fn several_plans_stand_beside_each_other() {
     bench.done(&format!("{MEASURE} --after larger.obj --rig rig --json alone.json"));
     let alone = bench.json("alone.json");
     assert_eq!(json[1]["measurements"], alone["measurements"]);
-    let page = String::from_utf8(bench.read("page/index.html")).unwrap();
+    let page = bench.text("page/index.html");
     assert!(page.contains("<th>truth</th>") && page.contains("change: larger"));
     let doubled = bench.done(&format!("{MEASURE} --after larger.obj --after ./larger.obj --rig rig"));
     assert!(doubled.lines().any(|l| l.contains("./larger.obj")), "files of one name are told apart:\n{doubled}");

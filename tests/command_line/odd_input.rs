@@ -2,14 +2,14 @@
 
 use crate::broken::{broken, command_line};
 use crate::support::Bench;
-use nonrigid::io::{PlyOptions, read_obj, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, read_polygon_mesh, write_obj, write_ply};
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 
 /// Runs a registration that must work and returns the positions, finite all of them.
 fn works(bench: &Bench, changes: &str) -> PolygonMesh {
     let line = command_line("register", changes).replace("OUT", "new");
     bench.done(&line);
-    let result = read_obj(&bench.path("new/r.obj")).unwrap();
+    let result = read_polygon_mesh(&bench.path("new/r.obj")).unwrap();
     assert!(result.positions.iter().all(|p| p.iter().all(|c| c.is_finite())), "{line}");
     result
 }
@@ -103,7 +103,9 @@ fn a_template_of_one_triangle_works_or_says_why_not() {
             .replace("OUT", "new"),
     );
     match run.code {
-        0 => assert!(read_obj(&bench.path("new/r.obj")).unwrap().positions.iter().all(|p| p.norm().is_finite())),
+        0 => {
+            assert!(read_polygon_mesh(&bench.path("new/r.obj")).unwrap().positions.iter().all(|p| p.norm().is_finite()))
+        }
         2 | 4 => assert!(run.stderr.starts_with("error: ") && run.stdout.is_empty(), "{}", run.stderr),
         code => panic!("exit code {code}: {}", run.stderr),
     }

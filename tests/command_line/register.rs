@@ -9,8 +9,8 @@ use data_gen::{FaceRig, write_rig};
 use nalgebra::{Rotation3, Unit};
 use nonrigid::evaluation::{LandmarkErrors, MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::io::{
-    NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan,
-    write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh,
+    NpyArray, PlyOptions, PlyPrecision, read_npy_mask, read_npy_points, read_polygon_mesh, read_scan, write_npy,
+    write_npy_points, write_obj, write_ply, write_polygon_mesh,
 };
 use nonrigid::landmark::read_landmarks;
 use nonrigid::mesh::closest_point::ClosestPoint;
@@ -40,7 +40,7 @@ fn write_scan(path: &Path, scan: &TriangleMesh) {
 #[test]
 fn every_model_keeps_the_templates_topology() {
     let bench = Bench::new();
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     assert!(template.metadata.uvs.len() >= template.positions.len() && template.metadata.statements.len() > 4);
     for model in ModelKind::ALL {
         let printed = bench.done(&format!("{FIT} {INPUTS} --model {model} --out {model}.obj"));
@@ -48,7 +48,7 @@ fn every_model_keeps_the_templates_topology() {
             printed.starts_with(&format!("{model}: ")) && printed.contains(&format!("wrote {model}.obj")),
             "{printed}"
         );
-        let mut result = read_obj(&bench.path(&format!("{model}.obj"))).unwrap();
+        let mut result = read_polygon_mesh(&bench.path(&format!("{model}.obj"))).unwrap();
         assert_eq!(result.metadata.material_libraries, [format!("{model}.mtl")]);
         result.metadata.material_libraries.clone_from(&template.metadata.material_libraries);
         assert!(farthest(&result.positions, &template.positions) > 1.0, "{model} moves nothing");
@@ -56,7 +56,7 @@ fn every_model_keeps_the_templates_topology() {
     }
     bench.done(&format!("{FIT} {INPUTS} --out hybrid.ply"));
     let (ply, obj) =
-        (read_polygon_mesh(&bench.path("hybrid.ply")).unwrap(), read_obj(&bench.path("hybrid.obj")).unwrap());
+        (read_polygon_mesh(&bench.path("hybrid.ply")).unwrap(), read_polygon_mesh(&bench.path("hybrid.obj")).unwrap());
     assert_eq!((ply.positions, ply.starts, ply.corners), (obj.positions, obj.starts, obj.corners));
 }
 
@@ -83,7 +83,7 @@ fn materials_that_stay_behind_are_said() {
     bench.write("c.mtl", [bench.read("c.mtl"), b"# mine\n".to_vec()].concat());
     assert!(bench.ends(&again, 3).contains("c.mtl: is there already"));
     // what a glTF notes of an OBJ's libraries is not beside the result
-    assert!(read_obj(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
+    assert!(read_polygon_mesh(&bench.path("b.obj")).unwrap().metadata.material_libraries.is_empty());
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn options_of_shapes_are_said_where_the_model_has_none() {
 #[test]
 fn a_template_whose_corners_are_all_its_own_stays_together() {
     let bench = Bench::new();
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     let corners: Vec<u32> = template.corners.clone();
     let soup = PolygonMesh {
         positions: corners.iter().map(|&v| template.positions[v as usize]).collect(),
@@ -116,7 +116,7 @@ fn a_template_whose_corners_are_all_its_own_stays_together() {
     let twice = corners.len() - template.positions.len();
     assert!(stderr.contains(&format!("{twice} vertices of the template stand where another does")), "{stderr}");
     assert_eq!(bench.json("s.json")["template_repair"]["sewn"], twice);
-    let result = read_obj(&bench.path("s.obj")).unwrap().positions;
+    let result = read_polygon_mesh(&bench.path("s.obj")).unwrap().positions;
     let mut at = vec![None; template.positions.len()];
     for (&v, p) in corners.iter().zip(&result) {
         assert_eq!(*at[v as usize].get_or_insert(p), p, "vertex {v}");
@@ -148,9 +148,11 @@ fn a_result_is_divided_and_its_finer_vertices_go_to_the_scan() {
         serde_json::from_str::<Vec<String>>(&names).unwrap()
     };
     assert!(!modes("rig").is_empty() && modes("finer") == modes("rig"));
-    let (fine, rest) =
-        (read_obj(&bench.path("fine.obj")).unwrap(), read_obj(&bench.path("finer/template.obj")).unwrap());
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let (fine, rest) = (
+        read_polygon_mesh(&bench.path("fine.obj")).unwrap(),
+        read_polygon_mesh(&bench.path("finer/template.obj")).unwrap(),
+    );
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     assert_eq!(fine.polygon_count(), 4 * template.corners.len());
     assert_eq!((&fine.starts, &fine.corners), (&rest.starts, &rest.corners));
     let libraries = |mesh: &PolygonMesh| mesh.metadata.material_libraries.clone();
@@ -227,7 +229,7 @@ fn the_report_says_what_was_read_done_and_reached() {
         assert!(!report["quality"][key].is_null(), "the quality has no {key}");
     }
     let neutral = read_npy_points(&bench.path("case/neutral.npy")).unwrap();
-    let result = read_obj(&bench.path("r.obj")).unwrap();
+    let result = read_polygon_mesh(&bench.path("r.obj")).unwrap();
     let quality = MeshQuality::new(&result.with_positions(neutral), &result.positions).unwrap();
     assert_eq!(report["quality"]["self_intersections"], quality.self_intersections);
     assert_eq!(report["quality"]["self_intersections_at_rest"], quality.self_intersections_at_rest);
@@ -317,12 +319,12 @@ fn a_schedule_file_steers_the_run_and_is_reported() {
 fn eval_prints_what_the_library_computes_from_truth() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --model blendshape --out r.obj"));
-    let result = read_obj(&bench.path("r.obj")).unwrap();
+    let result = read_polygon_mesh(&bench.path("r.obj")).unwrap();
     let truth = read_npy_points(&bench.path("case/truth.npy")).unwrap();
     let seen = read_npy_mask(&bench.path("case/observed.npy"), None).unwrap();
     let triangles = result.triangulate().triangles;
     let all = vec![true; seen.len()];
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     let quality = MeshQuality::new(&template, &result.positions).unwrap();
     for (option, mask) in [("--observed case/observed.npy", &seen), ("", &all)] {
         let (expected, _) = TruthErrors::new(&result.positions, &truth, mask, &triangles).unwrap();
@@ -357,8 +359,8 @@ fn eval_prints_what_the_library_computes_from_truth() {
 fn eval_without_truth_measures_both_ways_to_the_scan() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --out r.obj"));
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
-    let result = read_obj(&bench.path("r.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
+    let result = read_polygon_mesh(&bench.path("r.obj")).unwrap();
     let scan = read_scan(&bench.path("case/scan.ply")).unwrap().mesh;
     let between = |from: &[Vec3], to: &TriangleMesh| -> Vec<f64> {
         let surface = ClosestPoint::new(to).unwrap();
@@ -382,7 +384,7 @@ fn eval_measures_landmarks_by_name() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --out r.obj"));
     let (template, result) =
-        (read_obj(&bench.path("rig/template.obj")).unwrap(), read_obj(&bench.path("r.obj")).unwrap());
+        (read_polygon_mesh(&bench.path("rig/template.obj")).unwrap(), read_polygon_mesh(&bench.path("r.obj")).unwrap());
     let landmarks = read_landmarks(&bench.path("case/landmarks.json"), None, &template, None).unwrap();
     let errors = LandmarkErrors::new(&landmarks, &result.positions, WITHIN_MM);
     let command = format!("eval --result r.obj {TEMPLATE} --landmarks case/landmarks.json");
@@ -408,7 +410,7 @@ fn merged(a: &impl serde::Serialize, b: &impl serde::Serialize) -> serde_json::V
 #[test]
 fn heat_maps_are_pictures_that_show_the_error() {
     let bench = Bench::new();
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     let mut bent = template.clone();
     bent.positions.iter_mut().filter(|p| p.x > 20.0).for_each(|p| p.z += 4.0);
     write_obj(&bench.path("bent.obj"), &bent).unwrap();
@@ -475,7 +477,8 @@ fn rig_info_lists_what_each_layout_holds() {
     let arguments = format!("{INPUTS} --model blendshape --neutral case/neutral.npy {TEMPLATE}");
     bench.done(&format!("register {arguments} --rig rig --out arrays.obj"));
     bench.done(&format!("register {arguments} --rig delta --out meshes.obj"));
-    let [arrays, meshes] = ["arrays", "meshes"].map(|n| read_obj(&bench.path(&format!("{n}.obj"))).unwrap().positions);
+    let [arrays, meshes] =
+        ["arrays", "meshes"].map(|n| read_polygon_mesh(&bench.path(&format!("{n}.obj"))).unwrap().positions);
     assert!(farthest(&arrays, &meshes) < 1e-6, "{}", farthest(&arrays, &meshes));
 }
 
@@ -529,8 +532,8 @@ fn rig_pca_makes_a_rig_that_register_reads() {
     ];
     assert_eq!(files, expected);
     // The mean has everything of the first mesh but its positions; modes are components by standard deviations.
-    let template = read_obj(&bench.path("pca/template.obj")).unwrap();
-    let first = read_obj(&bench.path("meshes/00.obj")).unwrap();
+    let template = read_polygon_mesh(&bench.path("pca/template.obj")).unwrap();
+    let first = read_polygon_mesh(&bench.path("meshes/00.obj")).unwrap();
     assert_eq!(first.with_positions(template.positions.clone()), template);
     assert_eq!(read_npy_points(&bench.path("pca/neutral.npy")).unwrap(), template.positions);
     let numbers = |name: &str| NpyArray::open(&bench.path(name)).unwrap().read_f64().unwrap();
@@ -551,7 +554,7 @@ fn rig_pca_makes_a_rig_that_register_reads() {
     let fit = "register --template pca/template.obj --target scan.ply --landmarks marks.json --model";
     bench.done(&format!("{fit} blendshape --rig pca --identity-modes 3 --out wrapped.obj"));
     bench.done(&format!("{fit} rigid --out rigid.obj"));
-    let off = |name: &str| farthest(&read_obj(&bench.path(name)).unwrap().positions, &person.positions);
+    let off = |name: &str| farthest(&read_polygon_mesh(&bench.path(name)).unwrap().positions, &person.positions);
     assert!(off("wrapped.obj") < 0.3 && off("rigid.obj") > 2.0, "{} {}", off("wrapped.obj"), off("rigid.obj"));
 
     // In the same folder again; and not aligned, where pose is most of what differs.
@@ -613,7 +616,7 @@ fn all_forms_of_landmarks_mean_the_same() {
 
     let fit = |landmarks: &str| -> Vec<Vec3> {
         bench.done(&format!("{FIT} --target case/scan.ply --landmarks {landmarks} --out r.obj"));
-        read_obj(&bench.path("r.obj")).unwrap().positions
+        read_polygon_mesh(&bench.path("r.obj")).unwrap().positions
     };
     let expected = fit("vertices.json");
     for form in [
@@ -659,7 +662,7 @@ fn a_landmark_inside_a_face_pulls_the_face() {
         "register --template rig/template.obj --target case/scan.ply --landmarks targets.json --template-landmarks faces.json \
          --model graph --config pull.toml --out r.obj",
     );
-    let result = read_obj(&bench.path("r.obj")).unwrap().positions;
+    let result = read_polygon_mesh(&bench.path("r.obj")).unwrap().positions;
     for &t in &chosen {
         let distance = (middle(t, &result) - middle(t, &bench.case.truth)).norm();
         assert!(distance < 0.01, "triangle {t}: {distance}");
@@ -683,7 +686,7 @@ fn a_moved_scan_gives_the_moved_result() {
         let landmarks: Vec<(u32, Vec3)> = bench.case.landmarks.iter().map(|(v, p)| (*v, place(p))).collect();
         bench.write("landmarks.json", landmarks_json(&landmarks));
         bench.done(&format!("{FIT} --target scan.ply --landmarks landmarks.json --out r.obj"));
-        read_obj(&bench.path("r.obj")).unwrap().positions
+        read_polygon_mesh(&bench.path("r.obj")).unwrap().positions
     };
     let expected: Vec<Vec3> = fit(&still).iter().map(moved).collect();
     let distance = farthest(&fit(&moved), &expected);
@@ -718,7 +721,7 @@ fn lengths_scale_with_the_model() {
             "register --template {name}/template.obj --rig {name} --identity-modes 5 --target {name}/scan.ply \
              --landmarks {name}/marks.json --model {model} --unit mm --out r.obj"
         ));
-        read_obj(&bench.path("r.obj")).unwrap().positions.iter().map(|p| p / unit).collect()
+        read_polygon_mesh(&bench.path("r.obj")).unwrap().positions.iter().map(|p| p / unit).collect()
     };
     // As if metres were millimetres; the graph, because 32 bits of a shape's differences are other bits in metres.
     let distance = farthest(&fit("metres", 1e-3, "graph"), &fit("millimetres", 1.0, "graph"));
@@ -795,7 +798,7 @@ fn masks_and_regions_say_where_the_scan_counts() {
     write_npy(&bench.path("ones.npy"), &[vertices], &vec![true; vertices]).unwrap();
     let fit = |options: &str| {
         bench.done(&format!("{FIT} {INPUTS} {options} --out r.obj --report r.json"));
-        (read_obj(&bench.path("r.obj")).unwrap().positions, bench.json("r.json"))
+        (read_polygon_mesh(&bench.path("r.obj")).unwrap().positions, bench.json("r.json"))
     };
     let (plain, plain_report) = fit("");
     assert_eq!(plain_report["regions"], Value::Array(Vec::new()));
@@ -845,7 +848,7 @@ fn without_a_rigs_regions_the_templates_groups_are_regions() {
     let fit = |options: &str| {
         let line = format!("register --template grouped.obj {INPUTS} --model graph {options} --out r.obj");
         bench.done(&line);
-        read_obj(&bench.path("r.obj")).unwrap().positions
+        read_polygon_mesh(&bench.path("r.obj")).unwrap().positions
     };
     let plain = fit("");
     assert_eq!(fit("--regions all"), plain);

@@ -250,7 +250,7 @@ fn bounds_of_weights_hold_and_chosen_shapes_are_fitted_alone() {
 fn colours_that_stay_in_a_gltf_are_said() {
     let bench = Bench::new();
     bench.done("rig convert --rig rig --out ours.glb");
-    let template = String::from_utf8(bench.read("rig/template.obj")).unwrap();
+    let template = bench.text("rig/template.obj");
     bench.write("rig/template.obj", template.replacen("mtllib", "#", 1));
     bench.done("rig convert --rig rig --out theirs.glb"); // as of other programs, no library is noted
     for (out, rig, said) in [
@@ -274,7 +274,7 @@ fn components_keep_the_materials_of_the_first_mesh() {
     }
     for _ in 0..2 {
         bench.done("rig pca --meshes people --components 2 --out modes");
-        let template = String::from_utf8(bench.read("modes/template.obj")).unwrap();
+        let template = bench.text("modes/template.obj");
         assert!(
             template.starts_with("mtllib template.mtl\n") && template.contains("usemtl lips"),
             "{}",

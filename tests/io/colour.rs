@@ -6,7 +6,7 @@ use crate::sheets::sheet;
 use crate::support::Bench;
 use nonrigid::correspondence::{ScanOptions, ScanSurface};
 use nonrigid::io::{
-    PlyOptions, parse_gltf, read_mesh_file, read_obj, read_scan, write_colored_mesh, write_obj, write_ply,
+    PlyOptions, parse_gltf, read_mesh_file, read_polygon_mesh, read_scan, write_colored_mesh, write_obj, write_ply,
 };
 use nonrigid::mesh::normals::{NormalWeighting, vertex_normals};
 use nonrigid::mesh::srgb::{from_light, to_light};
@@ -149,7 +149,7 @@ fn files_give_every_colour_back() {
     let text =
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvt 0.5 0\nf 1/1 2/2 3/3\nf 1/5 3/4 4/1\n";
     std::fs::write(folder.path().join("a.obj"), text).unwrap();
-    let mesh = read_obj(&folder.path().join("a.obj")).unwrap();
+    let mesh = read_polygon_mesh(&folder.path().join("a.obj")).unwrap();
     for start in 0..64u8 {
         let colors: Vec<[u8; 3]> = (0..4).map(|v| [4 * start + v, 255 - 4 * start - v, 7]).collect();
         for name in ["r.ply", "r.obj", "r.glb"] {

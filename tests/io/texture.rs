@@ -8,7 +8,7 @@ use crate::support::{Bench, Run, glb_parts};
 use crate::threads::on_threads;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Rgb};
 use nonrigid::io::{
-    Material, Paint, PlyOptions, Wrap, files_of_painted_mesh, read_obj, read_painted_scan, read_polygon_mesh,
+    Material, MaterialFiles, Paint, PlyOptions, Wrap, files_of_painted_mesh, read_painted_scan, read_polygon_mesh,
     write_obj, write_ply, write_polygon_mesh,
 };
 use nonrigid::mesh::srgb::{from_light, to_light};
@@ -109,7 +109,7 @@ fn on_the_true_surface_colours_stay_where_they_are() {
     write_textured_scan(&bench, 2048);
     let (scan, paint) = read_painted_scan(&bench.path("scan.obj")).unwrap();
     let painter = Painter::new(&scan.mesh, paint.as_ref(), None).unwrap().unwrap();
-    let template = read_obj(&bench.path("rig/template.obj")).unwrap().with_positions(bench.case.truth.clone());
+    let template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap().with_positions(bench.case.truth.clone());
     let input = BakeInput { painter: Some(&painter), ..BakeInput::new(&template, &scan.mesh) };
     let options = BakeOptions { side: 1024, shape: true, ..BakeOptions::default() };
     let baked = bake(&input, &options).unwrap();
@@ -522,6 +522,22 @@ fn the_command_writes_a_texture_that_its_result_shows() {
     ));
     assert!(said.contains("texture: 256 x 256") && said.contains("r_seen.png"), "{said}");
     assert_eq!(bench.read("scan.mtl"), before);
+    // what a run of ours baked is known when its result was deleted, unless somebody has worked on it
+    let made = ["r.mtl", "r_color.png", "r_seen.png", "r_normal.png", "r_displacement.png"];
+    let foreign = |name: &str| MaterialFiles::default().is_foreign(&bench.path("r.obj"), &bench.path(name));
+    std::fs::rename(bench.path("r.obj"), bench.path("kept.obj")).unwrap();
+    assert_eq!(made.map(foreign), [false; 5]);
+    for name in made {
+        let bytes = bench.read(name);
+        let (mut painted, last) = (bytes.clone(), bytes.len() - 120);
+        painted[last] ^= 1;
+        for other in [&painted[..], &bytes[..last], b"mine"] {
+            bench.write(name, other);
+            assert!(foreign(name), "{name}");
+        }
+        bench.write(name, bytes);
+    }
+    std::fs::rename(bench.path("kept.obj"), bench.path("r.obj")).unwrap();
     let report = bench.json("r.json");
     assert!(report["texture_seen"].as_f64().unwrap() > 0.6);
     let targets = report["inputs"].as_array().unwrap().iter().filter(|i| i["role"] == "target");
@@ -549,7 +565,7 @@ fn the_command_writes_a_texture_that_its_result_shows() {
             })
         })
         .collect();
-    let mesh = read_obj(&bench.path("r.obj")).unwrap();
+    let mesh = read_polygon_mesh(&bench.path("r.obj")).unwrap();
     assert_eq!(mesh.metadata.material_libraries, ["r.mtl"]);
     let back = |p: &Vec3| bench.case.pose.apply_inverse(*p);
     let subject: Vec<Vec3> = bench.case.truth.iter().map(back).collect();
@@ -575,18 +591,29 @@ fn the_command_writes_a_texture_that_its_result_shows() {
         PlyOptions { colors: Some(&colors), ..PlyOptions::default() },
     )
     .unwrap();
-    bench.done(&format!("{FIT} --target colored.ply --out c.glb --bake-texture 128"));
+    let baked = format!("{FIT} --target colored.ply --out c.glb --bake-texture 128");
+    bench.done(&baked);
+    std::fs::remove_file(bench.path("c.glb")).unwrap();
+    bench.done(&baked);
+    std::fs::rename(bench.path("c.glb"), bench.path("kept.glb")).unwrap();
+    let ours = bench.read("c_seen.png");
+    bench.write("c_seen.png", "mine");
+    let said = bench.run(&baked);
+    assert!(said.code == 3 && said.stderr.contains("c_seen.png: is there already"), "{}", said.stderr);
+    assert!(said.stderr.contains("move it away") && bench.read("c_seen.png") == b"mine");
+    bench.write("c_seen.png", ours);
+    std::fs::rename(bench.path("kept.glb"), bench.path("c.glb")).unwrap();
     let (scan, paint) = read_painted_scan(&bench.path("c.glb")).unwrap();
     assert_eq!(paint.unwrap().images[0].bytes, bench.read("c_color.png"));
     assert!(scan.colors.is_none() && !bench.path("c.mtl").exists() && !bench.path("c_normal.png").exists());
     let kept = read_polygon_mesh(&bench.path("c.glb")).unwrap().metadata;
-    assert_eq!(kept.statements, read_obj(&bench.path("rig/template.obj")).unwrap().metadata.statements);
+    assert_eq!(kept.statements, read_polygon_mesh(&bench.path("rig/template.obj")).unwrap().metadata.statements);
 }
 
 #[test]
 fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() {
     let bench = Bench::of_size(1000, 8000);
-    let library = String::from_utf8(bench.read("rig/face.mtl")).unwrap();
+    let library = bench.text("rig/face.mtl");
     bench.write("rig/face.mtl", format!("{library}map_Kd my skin.png\nbump none.png\n"));
     let mut png = Vec::new();
     image::RgbImage::from_pixel(4, 4, image::Rgb([200, 150, 130]))
@@ -594,7 +621,7 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
         .unwrap();
     bench.write("rig/my skin.png", &png);
     // tiles beyond the first
-    let mut template = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let mut template = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     template.metadata.uvs.iter_mut().for_each(|uv| uv[0] += 2.0);
     // every quad is flat by itself
     template.metadata.corner_normals = (0..template.corners.len() as u32).map(|c| c / 4).collect();
@@ -603,12 +630,12 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
         "register --template rig/template.obj --target case/scan.ply --landmarks case/landmarks.json --model rigid";
     let stderr = bench.ends(&format!("{fit} --out a face.obj").replace("a face", "a_face"), 0);
     assert!(stderr.contains("none.png"), "{stderr}");
-    let names_of = |path: &str| read_obj(&bench.path(path)).unwrap().metadata.material_libraries;
+    let names_of = |path: &str| read_polygon_mesh(&bench.path(path)).unwrap().metadata.material_libraries;
     assert_eq!(names_of("a_face.obj"), ["a_face.mtl"]);
-    let of_corner = read_obj(&bench.path("a_face.obj")).unwrap().metadata.corner_normals;
+    let of_corner = read_polygon_mesh(&bench.path("a_face.obj")).unwrap().metadata.corner_normals;
     assert!(of_corner.iter().enumerate().all(|(c, n)| *n as usize == c), "each corner a normal of its own");
     assert_eq!(bench.read("a_face_my_skin.png"), png);
-    let copied = String::from_utf8(bench.read("a_face.mtl")).unwrap();
+    let copied = bench.text("a_face.mtl");
     assert!(copied.ends_with("map_Kd a_face_my_skin.png\nbump none.png\n"), "{copied}");
     let (_, paint) = read_painted_scan(&bench.path("a_face.obj")).unwrap();
     assert_eq!(paint.unwrap().images[0].bytes, png);
@@ -638,7 +665,7 @@ fn materials_of_the_template_go_along_and_what_a_format_does_not_hold_is_said() 
         document["materials"].as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
     names.sort_unstable();
     assert_eq!(names, ["lips", "skin"]);
-    let text = String::from_utf8(bench.read("f.usda")).unwrap();
+    let text = bench.text("f.usda");
     for part in [
         "normal3f[] normals = [",
         "familyName = \"materialBind\"",
@@ -703,7 +730,7 @@ fn bad_arguments_and_inputs_are_refused_before_the_work() {
     refused(&format!("{FIT} --target scan.obj --out scan.obj --bake-texture 64"), 1, &["scan.obj", "read"]);
     std::fs::copy(bench.path("scan.obj"), bench.path("other.obj")).unwrap();
     refused(&format!("{FIT} --target other.obj --out scan.obj --bake-texture 64"), 1, &["scan.mtl", "would overwrite"]);
-    let mut bare = read_obj(&bench.path("rig/template.obj")).unwrap();
+    let mut bare = read_polygon_mesh(&bench.path("rig/template.obj")).unwrap();
     bare.metadata = ObjMetadata::default();
     write_obj(&bench.path("bare.obj"), &bare).unwrap();
     refused(

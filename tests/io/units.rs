@@ -154,7 +154,7 @@ fn every_other_command_does_as_well() {
     let deltas = |rig: &Rig| (0..rig.shapes().len()).flat_map(|k| rig.deltas(k).to_vec()).collect::<Vec<f32>>();
     let off = deltas(&mm).iter().zip(deltas(&cm)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(off < 1e-4, "transfer: {off}");
-    let fitted = |unit: &str| String::from_utf8(bench.read(&format!("fit_{unit}.csv"))).unwrap();
+    let fitted = |unit: &str| bench.text(&format!("fit_{unit}.csv"));
     let numbers = |text: &str| -> Vec<f64> { text.split([',', '\n']).filter_map(|cell| cell.parse().ok()).collect() };
     let off = numbers(&fitted("mm")).iter().zip(numbers(&fitted("cm"))).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(off < 1e-9, "fit: {off}");

@@ -1,7 +1,7 @@
 //! Real files, when they lie beside the checkout or where `NONRIGID_DATA` points; skipped otherwise.
 
 use nonrigid::evaluation::TruthErrors;
-use nonrigid::io::{read_npy_mask, read_npy_points, read_obj, read_polygon_mesh, read_scan, write_obj};
+use nonrigid::io::{read_npy_mask, read_npy_points, read_polygon_mesh, read_scan, write_obj};
 use nonrigid::landmark::{TemplatePoint, read_landmarks};
 use nonrigid::mesh::Vec3;
 use nonrigid::mesh::adjacency::EdgeGraph;
@@ -35,7 +35,7 @@ fn the_face_rig() {
     let temporary = tempfile::tempdir().unwrap();
     let path = temporary.path().join("template.obj");
     write_obj(&path, template).unwrap();
-    assert_eq!(&read_obj(&path).unwrap(), template);
+    assert_eq!(&read_polygon_mesh(&path).unwrap(), template);
 }
 
 #[test]

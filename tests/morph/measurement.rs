@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::threads::on_threads;
 use data_gen::{Eyeball, FaceOptions, FaceRig};
 use nalgebra::Rotation3;
-use nonrigid::io::{LengthUnit, read_obj};
+use nonrigid::io::{LengthUnit, read_polygon_mesh};
 use nonrigid::landmark::TemplatePoint;
 use nonrigid::measurement::{
     DEFINITIONS, Formula, LANDMARKS, Landmarks, MeasurementError, Measurements, Missing, NamedRegion, Plan, Subject,
@@ -567,7 +567,13 @@ fn a_report_is_the_same_bytes_at_any_number_of_threads() {
         MeasurementError::VertexCount { .. }
     ));
     let odd = vec![1.5; mask.len()];
-    assert!(matches!(refused(&report::Report { mask: Some(&odd), ..full }), MeasurementError::Mask { vertex: 0, .. }));
+    for (report, what) in [
+        (report::Report { mask: Some(&odd), ..full.clone() }, "the mask"),
+        (report::Report { protected: Some(&odd), ..full.clone() }, "the weights of what is protected"),
+    ] {
+        let said = refused(&report).to_string();
+        assert_eq!(said, format!("{what}: 1.5 at vertex 0, expected a number from 0 to 1"));
+    }
     assert!(!folder.path().join("none").exists());
 }
 
@@ -604,7 +610,7 @@ fn bad_meshes_are_refused() {
 #[test]
 fn the_landmarks_of_ict_facekit_lie_in_mirrored_pairs() {
     let Some(path) = crate::real_data::real_data("ict-facekit/head/template.obj") else { return };
-    let mesh = read_obj(&path).unwrap();
+    let mesh = read_polygon_mesh(&path).unwrap();
     let files = ["ict-facekit.json", "ict-facekit-head.json"]
         .map(|f| Path::new(env!("CARGO_MANIFEST_DIR")).join("landmarks").join(f));
     let landmarks = Landmarks::read(&files, &mesh, LengthUnit::Millimetre).unwrap();

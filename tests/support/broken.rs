@@ -372,7 +372,7 @@ fn broken_rigs_and_frames(bench: &Bench) {
         write_obj(&bench.path(&format!("{folder}/000.obj")), &bench.rig.mesh.with_positions(positions.clone()))
             .unwrap();
     }
-    let frame = String::from_utf8(bench.read("frames/000.obj")).unwrap();
+    let frame = bench.text("frames/000.obj");
     bench.write("frames_twice/000.obj", &frame);
     bench.write("frames_twice/000.ply", "ply\n");
     bench.write("frames_short/000.obj", &frame);

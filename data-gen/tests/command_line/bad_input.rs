@@ -1,5 +1,7 @@
 //! What people get wrong with `data-gen`.
 
+use std::process::Command;
+
 use nonrigid::io::write_npy;
 
 use crate::refusal::{ARGUMENTS, COMPUTATION, LOADING, WRITING, all_hold, refuses};
@@ -116,6 +118,7 @@ const ROWS: &[Row] = &[
     ("--vertices 1000 --cases 0 --contact-sheet --out yours/5", WRITING, &["yours/5/contact_sheet.png", "move it away"]),
     ("--vertices 1000 --triangles 5000 --frames 1 --out yours/6", WRITING, &["yours/6/sequence/weights.csv", "move it away"]),
     ("--vertices 1000 --cases 0 --out yours/7", WRITING, &["yours/7/data-gen.json", "no record"]),
+    ("--vertices 1000 --cases 0 --out yours/8", WRITING, &["yours/8/data-gen.json", "a regular file", "a pipe", "move it away"]),
     ("--vertices 1000 --triangles 5000 --frames 2 --out left", WRITING, &["left/sequence/frame_0002", "of another run"]),
     ("--vertices 1000 --cases 0 --population 2 --out left", WRITING, &["left/population/person_0002.obj", "of another run"]),
     ("--vertices 1000 --triangles 5000 --cases 1 --out left", WRITING, &["left/cases/new_0001", "of another run"]),
@@ -143,6 +146,8 @@ fn every_row_is_one_clear_error_and_leaves_no_trace() {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, "mine").unwrap();
     }
+    std::fs::create_dir(folder.path().join("yours/8")).unwrap();
+    assert!(Command::new("mkfifo").arg(folder.path().join("yours/8/data-gen.json")).status().unwrap().success());
     // A rig of one quad without shapes, and one that is points alone.
     for rig in ["rig", "points"] {
         std::fs::create_dir(folder.path().join(rig)).unwrap();

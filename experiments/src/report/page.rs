@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use nonrigid::page::{self, escaped};
+use nonrigid::{page, text};
 
 use super::claims::{Judged, PAPERS, Verdict};
 use super::study::{Block, Section, Study};
@@ -69,7 +69,7 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
     let unfinished = page.studies.iter().any(|s| matches!(s.1, State::Waiting | State::Running));
     write!(out, "<nav id=\"contents\"><details open><summary>Contents</summary><ol>")?;
     for (study, _) in page.studies {
-        write!(out, "<li><a href=\"#{}\">{}</a></li>", study.name, escaped(study.title))?;
+        write!(out, "<li><a href=\"#{}\">{}</a></li>", study.name, text::html(study.title))?;
     }
     out.push_str("<li><a href=\"#claims\">What the papers claim</a></li></ol></details></nav>\n<main>\n");
     write!(
@@ -80,21 +80,21 @@ fn html(folder: &Path, page: &Page<'_>) -> Result<String> {
          whose truth is known. {}</p>\n\
          <p>Of {} claims: <span class=\"holds\">{holds} hold</span>, <span class=\"fails\">{fails} do not</span>, <span \
          class=\"waiting\">{undecided} undecided</span>: a bound lies within what another choice of scans would do; {open} not measured{}.</p>\n",
-        escaped(page.about),
+        text::html(page.about),
         page.verdicts.len(),
         if unfinished { " yet" } else { "" },
     )?;
     for (study, state) in page.studies {
-        let [title, about] = [study.title, study.about].map(escaped);
+        let [title, about] = [study.title, study.about].map(text::html);
         writeln!(out, "<details class=\"study\" open><summary><h2 id=\"{}\">{title}</h2></summary>", study.name)?;
         if let State::Done(section) = state {
-            writeln!(out, "<p class=\"finding\">{}</p>", escaped(&section.finding))?;
+            writeln!(out, "<p class=\"finding\">{}</p>", text::html(&section.finding))?;
         }
         writeln!(out, "<p class=\"about\">{about}</p>")?;
         match state {
             State::Waiting => out.push_str("<p class=\"waiting\">Not yet run.</p>\n"),
             State::Running => out.push_str("<p class=\"waiting\">Running; reload this page.</p>\n"),
-            State::Failed(message) => writeln!(out, "<p class=\"failed\">failed: {}</p>", escaped(message))?,
+            State::Failed(message) => writeln!(out, "<p class=\"failed\">failed: {}</p>", text::html(message))?,
             State::Done(section) => {
                 let mut tables = tables_of(study.name, section).into_iter().map(|t| t.0);
                 for block in &section.blocks {
@@ -141,7 +141,7 @@ fn write_block(
                 writeln!(
                     out,
                     "<figure><div class=\"drawing\">{drawing}</div><figcaption>{}</figcaption></figure>",
-                    escaped(caption)
+                    text::html(caption)
                 )?;
             } else {
                 out.push_str(&page::picture(&bytes, caption));
@@ -151,8 +151,8 @@ fn write_block(
             let latex = tables.next().unwrap_or_default();
             let caption = format!(
                 "{} All digits: <code>{}</code>; for LaTeX: <code>{latex}</code>.",
-                escaped(caption),
-                escaped(file)
+                text::html(caption),
+                text::html(file)
             );
             let header: Vec<String> = table.header.iter().map(|name| name.replace('_', " ")).collect();
             let rows = table.rows.iter().map(|row| row.iter().map(|cell| shown_cell(cell)).collect());
@@ -176,12 +176,12 @@ fn write_claims(out: &mut String, verdicts: &[&Judged]) -> Result<()> {
             Verdict::Fails => "fails",
             Verdict::Undecided | Verdict::NotMeasured => "waiting",
         };
-        write!(out, "<tr><td>{}</td><td>{}</td>", escaped(j.claim.quote), escaped(j.claim.section))?;
-        write!(out, "<td class=\"{class}\">{}</td><td>{}</td>", j.verdict.name(), escaped(j.claim.rule))?;
+        write!(out, "<tr><td>{}</td><td>{}</td>", text::html(j.claim.quote), text::html(j.claim.section))?;
+        write!(out, "<td class=\"{class}\">{}</td><td>{}</td>", j.verdict.name(), text::html(j.claim.rule))?;
         for texts in [&j.numbers, &j.places] {
-            write!(out, "<td>{}</td>", texts.iter().map(|t| escaped(t)).collect::<Vec<_>>().join("<br>"))?;
+            write!(out, "<td>{}</td>", texts.iter().map(|t| text::html(t)).collect::<Vec<_>>().join("<br>"))?;
         }
-        writeln!(out, "<td>{}</td></tr>", escaped(j.claim.remark))?;
+        writeln!(out, "<td>{}</td></tr>", text::html(j.claim.remark))?;
     }
     out.push_str("</table></div>\n");
     Ok(())

@@ -18,7 +18,7 @@ use super::view3d::View3d;
 use crate::output::write_file;
 use crate::plots::{Point, Series};
 pub use crate::processor_time::cpu_seconds;
-use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, run_case};
+use crate::scan_bench::{BenchCase, BenchRow, LandmarkUse, Score, Variant, megabytes, run_case};
 use crate::tables::grouped;
 
 /// One figure, table or group of them on the page.
@@ -119,7 +119,7 @@ impl<'a> Setting<'a> {
     /// When a default schedule cannot be read.
     pub fn entrants(&self, models: &'a [ModelKind]) -> Result<Vec<Entrant<'a>>> {
         let models = models.iter().map(|m| m as &dyn ModelFactory).chain(self.own.iter().copied());
-        models.map(|model| Ok(Entrant { model, schedule: Schedule::default_for(model)? })).collect()
+        models.map(|model| Ok(Entrant { model, schedule: Schedule::from_toml(model.default_schedule())? })).collect()
     }
 
     /// Saves a picture as `name`.png.
@@ -216,13 +216,13 @@ pub const ERROR_COLUMNS: [&str; 9] =
 /// When they cannot be written.
 pub fn write_runs(out: &Path, name: &str, rows: &[BenchRow], threads: usize) -> Result<()> {
     let mut table = Table::new(&[&["group", "name", "case"][..], &ERROR_COLUMNS, &["error"]].concat());
-    let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mib", "threads"]);
+    let mut times = Table::new(&["group", "name", "case", "seconds", "peak_mb", "threads"]);
     for row in rows {
         let of = [row.group.clone(), row.model.clone(), row.case.clone()];
         let error = row.error.clone().unwrap_or_default();
         table.push([of.to_vec(), error_cells(row.score.as_ref()), vec![error]].concat());
-        let mib = row.peak_bytes.map_or(f64::NAN, |b| b as f64 / 1048576.0);
-        let numbers = [row.seconds.unwrap_or(f64::NAN), mib, threads as f64].map(number);
+        let peak = row.peak_bytes.map_or(f64::NAN, megabytes);
+        let numbers = [row.seconds.unwrap_or(f64::NAN), peak, threads as f64].map(number);
         times.push([&of[..], &numbers].concat());
     }
     table.write(out, name)?;

@@ -7,7 +7,7 @@ use nonrigid::text::from_csv_field;
 use serde_json::{Map, Value};
 
 use crate::output::write_file;
-use crate::tables::{csv_text, write_json};
+use crate::tables::{csv_field, write_json};
 
 /// Rows of text under named columns.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -104,7 +104,7 @@ impl Table {
     /// # Errors
     /// When one cannot be written.
     pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
-        let line = |cells: &[String]| cells.iter().map(|c| csv_text(c)).collect::<Vec<_>>().join(",") + "\n";
+        let line = |cells: &[String]| cells.iter().map(|c| csv_field(c)).collect::<Vec<_>>().join(",") + "\n";
         let text: String = std::iter::once(&self.header).chain(&self.rows).map(|r| line(r)).collect();
         write_file(&folder.join(format!("{name}.csv")), text)?;
         let value = |cell: &String| match cell.parse::<f64>() {

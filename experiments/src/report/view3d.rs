@@ -4,8 +4,8 @@ use anyhow::{Result, bail};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
-use nonrigid::page::escaped;
 use nonrigid::render::{ColourMap, ColourScale};
+use nonrigid::text::html;
 use serde_json::{Value, json};
 
 /// A mesh among those of a [`View3d`].
@@ -87,7 +87,7 @@ impl View3d {
         let data = data.to_string().replace("</", "<\\/");
         let stops = (0..=8).map(|k| self.scale.map.at(f64::from(k) / 8.0));
         let gradient = stops.map(|[r, g, b]| format!("rgb({r},{g},{b})")).collect::<Vec<_>>().join(",");
-        let label = escaped(&self.scale.label);
+        let label = html(&self.scale.label);
         Ok(format!(
             "<figure class=\"view3d\"><canvas tabindex=\"0\" aria-label=\"3D view: drag or arrow keys turn, + and - zoom\"></canvas>\
              <div class=\"controls\"><label>mesh <input type=\"range\" name=\"mesh\" min=\"0\" value=\"0\"></label>\
@@ -98,7 +98,7 @@ impl View3d {
              <label data-values>range <input type=\"range\" name=\"top\" min=\"5\" max=\"100\" value=\"100\"></label></div>\
              <figcaption>{} Drag or arrow keys turn; + and −, or the wheel after a click, zoom.</figcaption>\
              <script type=\"application/json\">{data}</script></figure>\n",
-            escaped(&self.caption)
+            html(&self.caption)
         ))
     }
 

@@ -19,7 +19,7 @@ use serde_json::Value;
 use crate::generated::shapes_at_most;
 use crate::output::{each_once, make_output_folder, write_file};
 use crate::plots::{Axis, Plot, Point, PowerLaw, Series};
-use crate::tables::{csv_text, grouped, table, write_csv};
+use crate::tables::{csv_field, grouped, table, write_csv};
 use crate::this_program;
 
 mod measure;
@@ -284,7 +284,7 @@ const fn seconds(key: &'static str, name: &'static str) -> Quantity {
     Quantity { key, name, unit: "seconds", worth: 1.0 }
 }
 
-const PEAK: Quantity = Quantity { key: "peak_bytes", name: "peak memory", unit: "MiB", worth: 1048576.0 };
+const PEAK: Quantity = Quantity { key: "peak_bytes", name: "peak memory", unit: "MB", worth: 1e6 };
 
 const SOLVER: &[Quantity] = &[
     seconds("iteration_seconds", "one iteration"),
@@ -340,7 +340,7 @@ fn write_results(a: &Arguments, rows: &[Value]) -> Result<()> {
         let [from, to] = range;
         [(*study).to_owned(), quantity.key.to_owned(), name.clone(), exponent, from, to].to_vec()
     };
-    let csv = exponents.iter().map(|e| fields(e).iter().map(|f| csv_text(f)).collect::<Vec<_>>().join(","));
+    let csv = exponents.iter().map(|e| fields(e).iter().map(|f| csv_field(f)).collect::<Vec<_>>().join(","));
     write_csv(&a.out.join("exponents.csv"), "study,quantity,series,exponent,from,to", csv)?;
     if !exponents.is_empty() {
         let header = ["study", "quantity", "series", "exponent", "from", "to"];
@@ -372,7 +372,7 @@ fn lines(rows: &[&Value], x: &str, quantity: &Quantity) -> Vec<(String, Vec<[f64
 /// All that rows hold, a column for each number.
 fn write_rows(path: &Path, rows: &[&Value]) -> Result<()> {
     let flat = |row: &Value| -> Vec<(String, String)> {
-        let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), csv_text);
+        let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), csv_field);
         let object = row.as_object().into_iter().flatten();
         let cells = object.flat_map(|(key, value)| match value.as_object() {
             Some(parts) => parts.iter().map(|(part, v)| (format!("{key}_{part}"), text(v))).collect(),

@@ -333,7 +333,8 @@ pub fn scan_bench(
     let mut rows = Vec::new();
     for case in cases {
         for &model in models {
-            let (score, _, seconds) = run_case(model, terms, &Schedule::default_for(model)?, case, landmarks)?;
+            let (score, _, seconds) =
+                run_case(model, terms, &Schedule::from_toml(model.default_schedule())?, case, landmarks)?;
             let row = BenchRow::new("model", model.name(), &case.name, Ok(score));
             rows.push(BenchRow { seconds: Some(seconds), ..row });
         }

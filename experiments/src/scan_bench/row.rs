@@ -8,7 +8,7 @@ use nonrigid::evaluation::{ApertureErrors, MeshQuality, TruthErrors};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::tables::{csv_text, grouped, table, write_csv, write_json};
+use crate::tables::{csv_field, grouped, table, write_csv, write_json};
 
 /// One variant, or another program's result, on one case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -245,9 +245,9 @@ pub fn table_of(rows: &[BenchRow]) -> Table {
 /// # Errors
 /// When a file cannot be written.
 pub fn write_rows(out: &Path, name: &str, rows: &[BenchRow], threads: usize) -> Result<()> {
-    let key = |r: &BenchRow| [&r.case, &r.model, &r.group].map(|text| csv_text(text)).join(",");
+    let key = |r: &BenchRow| [&r.case, &r.model, &r.group].map(|text| csv_field(text)).join(",");
     let lines = rows.iter().map(|r| {
-        let error = r.error.as_deref().map_or(String::new(), csv_text);
+        let error = r.error.as_deref().map_or(String::new(), csv_field);
         format!("{},{},{error}", key(r), cells(r.score.as_ref(), 6).join(","))
     });
     write_csv(&out.join(format!("{name}.csv")), &format!("case,model,group,{},error", COLUMNS.join(",")), lines)?;

@@ -26,7 +26,7 @@ use serde::Serialize;
 use crate::generated::{ScanOptions, Shot, Studio};
 use crate::output::{each_once, make_output_folder};
 use crate::scan_bench::{BenchCase, BenchRig, case_folders, read_schedule};
-use crate::tables::{csv_text, table, write_csv, write_json};
+use crate::tables::{csv_field, table, write_csv, write_json};
 use crate::unread;
 pub use degradation::{KINDS, Kind, Trial};
 
@@ -385,18 +385,18 @@ fn write(a: &Arguments, rows: &[SilenceRow]) -> Result<()> {
     let lines = rows.iter().map(|r| {
         let doubts: Vec<&str> = r.reliability.iter().flat_map(|r| r.doubts.iter().map(|d| d.name())).collect();
         let cells = [
-            csv_text(r.kind),
+            csv_field(r.kind),
             r.design_kind.to_string(),
             r.solvable.to_string(),
-            csv_text(&r.case),
+            csv_field(&r.case),
             r.seed.to_string(),
             r.model.clone(),
             r.landmarks.to_string(),
-            csv_text(r.verdict().name()),
+            csv_field(r.verdict().name()),
             number(r.rmse),
             number(r.reliability.as_ref().map(|r| r.probability)),
             doubts.join(" "),
-            csv_text(r.error.as_deref().unwrap_or_default()),
+            csv_field(r.error.as_deref().unwrap_or_default()),
         ];
         cells.join(",")
     });

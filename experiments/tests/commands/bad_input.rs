@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use crate::refusal::{ARGUMENTS, LOADING, WRITING, all_hold, refuses};
 use experiments::generated::write_standard_cases;
@@ -25,6 +26,7 @@ const ROWS: &[Row] = &[
     ("--only inputs --rig nowhere --scans nowhere", LOADING, &["nowhere"]),
     ("--only inputs --rig rig --scans empty --out old", WRITING, &["old/claims.json", "move it away"]),
     ("--only inputs --out old", WRITING, &["old/claims.json", "no experiments.json", "move it away"]),
+    ("--only inputs --out piped", WRITING, &["piped/experiments.json", "a regular file", "a pipe", "move it away"]),
     ("--only inputs --rig rig --scans plain", ARGUMENTS, &["--scans", "case.json", "real"]),
     ("--only inputs --peers cargo", ARGUMENTS, &["--peers", "--only"]),
     ("--only peers --peers nowhere/python", ARGUMENTS, &["--peers nowhere/python", "cannot be started"]),
@@ -248,6 +250,8 @@ fn data(folder: &Path) {
         fs::write(folder.join(name), text).unwrap();
     };
     write("file", b"");
+    fs::create_dir(folder.join("piped")).unwrap();
+    assert!(Command::new("mkfifo").arg(folder.join("piped/experiments.json")).status().unwrap().success());
     write("empty/readme.txt", b"nothing here");
     write("garbage.ply", &[0, 159, 146, 150, 10, 255]);
     write("garbage.npz", b"PK\x03\x04 and no more");

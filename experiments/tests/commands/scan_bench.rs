@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, run_case, summarize};
-use nonrigid::io::{read_obj, write_npy, write_npy_points, write_polygon_mesh};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_npy_points, write_polygon_mesh};
 use nonrigid::registration::{ModelKind, TERMS};
 use serde_json::Value;
 
@@ -142,7 +142,7 @@ fn the_command_leaves_the_same_tables_at_any_number_of_threads() {
     }
     // A result is what its row says.
     let (case, row) = (&data.cases()[0], json["rows"].as_array().unwrap()[2].clone());
-    let result = read_obj(&data.path("2/new/blendshape.obj")).unwrap();
+    let result = read_polygon_mesh(&data.path("2/new/blendshape.obj")).unwrap();
     assert!(result.metadata.material_libraries.is_empty(), "no file of materials is beside it");
     let (errors, _) = case.score(&result.positions).unwrap();
     assert_eq!((row["case"].as_str(), row["model"].as_str()), (Some("new"), Some("blendshape")));
@@ -276,6 +276,21 @@ fn a_variant_that_fails_leaves_the_others() {
     let mut stop = |_: &BenchRow| anyhow::bail!("enough");
     let stopped = measure(Path::new(PROGRAM), &data.source(), &[rigid], 1, None, &mut stop).unwrap_err();
     assert_eq!(stopped.to_string(), "enough");
+}
+
+#[test]
+fn a_scan_without_landmarks_is_no_start_that_was_missed() {
+    let data = Data::new();
+    // a plate, on which no face is found
+    let plate = (0..1600).map(|i| format!("v {} {} 0\n", 3 * (i % 40), 3 * (i / 40))).collect::<String>();
+    let quads = (0..1600).filter(|i| i % 40 < 39 && i / 40 < 39);
+    let quads = quads.map(|i| format!("f {} {} {} {}\n", i + 1, i + 2, i + 42, i + 41)).collect::<String>();
+    fs::write(data.path("plate.obj"), plate + &quads).unwrap();
+    let mut command = Command::new(PROGRAM);
+    command.args(["dev", "start-bench", "plate.obj", "--rig", "rig", "--turns", "0"]).current_dir(data.path("."));
+    let run = command.output().unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success() && said.contains("no start found") && said.contains("0 of 0 within"), "{said}");
 }
 
 #[cfg(unix)]

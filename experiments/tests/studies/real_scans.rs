@@ -7,7 +7,7 @@ use crate::threads::on_threads;
 use data_gen::{FaceOptions, FaceRig, ScanOptions, Subject, simulate_scan, write_case, write_rig};
 use experiments::real_scans::{Arguments, RealScanRow, run};
 use nonrigid::evaluation::MeshQuality;
-use nonrigid::io::{read_obj, read_scan, write_polygon_mesh};
+use nonrigid::io::{read_polygon_mesh, read_scan, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::ModelKind;
 
@@ -54,11 +54,11 @@ fn one_failure_stops_nothing_else_and_is_named() {
     let rows = run(&arguments(folder, &[ModelKind::Hybrid, ModelKind::Rigid], "two")).unwrap();
     let of = |scan: &str| rows.iter().filter(|r| r.scan == scan).collect::<Vec<&RealScanRow>>();
     assert_eq!(rows.len(), 6);
-    let template = read_obj(&folder.join("rig/template.obj")).unwrap();
+    let template = read_polygon_mesh(&folder.join("rig/template.obj")).unwrap();
     for row in of("anna") {
         let fit = row.fit.as_ref().unwrap_or_else(|| panic!("{row:?}"));
         assert!(fit.accepted > 0.5 && fit.iterations > 0 && row.error.is_none(), "{row:?}");
-        let mesh = read_obj(&folder.join(format!("two/anna/{}.obj", row.model))).unwrap();
+        let mesh = read_polygon_mesh(&folder.join(format!("two/anna/{}.obj", row.model))).unwrap();
         assert_eq!(fit.quality.mesh, MeshQuality::new(&template, &mesh.positions).unwrap());
     }
     let [hybrid, rigid] = of("anna")[..] else { panic!("{rows:?}") };

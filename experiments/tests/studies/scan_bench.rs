@@ -197,7 +197,7 @@ fn a_users_model_and_term_land_in_the_same_table() {
 
     // With the user's term alone the shift is known: the landmarks' best pose has centred them, what is left is the offset.
     let offset = Vec3::new(1.0, -2.0, 0.5);
-    let mut pulled = Schedule::default_for(&Shifts).unwrap();
+    let mut pulled = Schedule::from_toml(Shifts.default_schedule()).unwrap();
     for level in &mut pulled.levels {
         level.terms.clear();
         level.set_term("pull", 1.0);

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::document::{Loaded, MaterialRuns, Sampler, beside_file, from_base64};
-use crate::io::error::{check_side_file, excerpt, read_file};
+use crate::io::error::{excerpt, read_side_file};
 use crate::io::{ImageFile, Material, Paint, ReadError, Wrap};
 use crate::mesh::{PolygonMesh, Vec3};
 
@@ -150,7 +150,7 @@ fn read_image(file: &Loaded<'_>, number: usize) -> Result<ImageFile, ReadError> 
 }
 
 fn read_beside(path: &Path, named_by: String) -> Result<ImageFile, ReadError> {
-    let read = check_side_file(path).and_then(|()| read_file(path));
+    let read = read_side_file(path);
     let bytes = read.map_err(|e| e.named_by(&named_by))?;
     Ok(ImageFile { path: path.to_owned(), named_by, bytes })
 }

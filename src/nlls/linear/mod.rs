@@ -215,7 +215,8 @@ impl std::str::FromStr for LinearSolverKind {
     fn from_str(name: &str) -> Result<Self, UnknownLinearSolver> {
         // What the one without a border used to be called.
         let known = if name == "sparse" { "bordered" } else { name };
-        Self::ALL.into_iter().find(|kind| kind.name() == known).ok_or_else(|| UnknownLinearSolver(name.to_owned()))
+        let is = |kind: &Self| kind.name() == known.replace('_', "-");
+        Self::ALL.into_iter().find(is).ok_or_else(|| UnknownLinearSolver(name.to_owned()))
     }
 }
 
@@ -229,7 +230,7 @@ impl LinearSolverKind {
     /// All kinds.
     pub const ALL: [Self; 4] = [Self::Auto, Self::Dense, Self::Bordered, Self::BlockJacobi];
 
-    /// Its name on command lines, such as `"block-jacobi"`.
+    /// Its name on command lines, such as `"block-jacobi"`; they also take that of schedules, `"block_jacobi"`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

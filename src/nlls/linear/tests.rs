@@ -203,6 +203,7 @@ fn threads_do_not_change_bits() {
 fn names_of_solvers_are_read_as_they_are_written() {
     for kind in LinearSolverKind::ALL {
         assert_eq!(kind.to_string().parse(), Ok(kind));
+        assert_eq!(serde_json::to_value(kind).unwrap().as_str().unwrap().parse(), Ok(kind), "as schedules say it");
     }
     let error = "blockjacobi".parse::<LinearSolverKind>().unwrap_err().to_string();
     assert!(error.contains("\"blockjacobi\"") && error.contains("dense, bordered, block-jacobi"), "{error}");

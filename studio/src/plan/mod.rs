@@ -161,7 +161,7 @@ pub fn check(text: &str) -> Result<(), Problem> {
 pub fn text_of(path: &Path) -> Result<String, Problem> {
     if std::fs::metadata(path)?.len() > LARGEST as u64 {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        return Err(problem(format!("{name}: larger than {} MB; is it another file?", LARGEST >> 20)));
+        return Err(problem(format!("{name}: larger than {LARGEST} bytes; is it another file?")));
     }
     Ok(nonrigid::io::read_text(path)?)
 }

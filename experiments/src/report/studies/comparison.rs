@@ -7,7 +7,7 @@ use nonrigid::registration::ModelKind;
 use crate::plots::{Bar, GroupedBars};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, spread, write_runs};
 use crate::report::table::{Table, counted, number};
-use crate::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, summarize};
+use crate::scan_bench::{BenchCase, BenchRow, CaseSource, LandmarkUse, Variant, measure, megabytes, summarize};
 
 pub const STUDY: Study = Study {
     name: "comparison",
@@ -64,7 +64,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         "self-intersections",
         "steps",
         "seconds",
-        "MiB",
+        "MB",
         "failed",
     ];
     let mut shown = Table::new(&columns);
@@ -72,7 +72,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
     for s in summarize(&rows) {
         let (_, range) = spread(&s.errors(&rows));
         bars.push((s.group.clone(), Bar { name: s.model.clone(), value: s.mean_rmse, spread: Some(range) }));
-        let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
+        let memory = s.peak_bytes.map_or(f64::NAN, |bytes| megabytes(bytes).round());
         let mut cells = vec![s.group, s.model];
         cells.extend([s.mean_rmse, s.worst_rmse, s.mean_normal, s.mean_tangential, s.mean_p95].map(number));
         cells.extend([s.worst_flips, s.worst_self_intersections].map(|n| n.to_string()));

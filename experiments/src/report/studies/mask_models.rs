@@ -19,6 +19,7 @@ use crate::report::study::{
 };
 use crate::report::table::{Table, number};
 use crate::scaling::{Configuration, MorphRun, run_apart};
+use crate::scan_bench::megabytes;
 use crate::surgery::{Masked, Patient};
 use crate::tables::grouped;
 
@@ -306,13 +307,13 @@ fn write_costs(setting: &Setting<'_>, jobs: &[(&Case, MorphModel)], outcomes: &[
         Configuration::Morph(MorphRun { vertices, modes: IDENTITY_MODES, masks, models: models.clone() })
     });
     let grown = setting.run_all(&runs, |run| run_apart(setting.program, run));
-    let mut memory = Table::new(&["mask", "size", "model", "mib"]);
+    let mut memory = Table::new(&["mask", "size", "model", "mb"]);
     for (vertices, grown) in FACES.iter().zip(grown) {
         let grown = grown?;
         for (m, (mask, _)) in MASKS.iter().enumerate() {
             for (k, model) in models.iter().enumerate() {
-                let mib = grown["grown_bytes"][m][k].as_f64().unwrap_or(f64::NAN) / 1048576.0;
-                memory.push([mask, &*vertices.to_string(), model.name(), &number(mib)].map(str::to_owned).to_vec());
+                let grown = grown["grown_bytes"][m][k].as_u64().map_or(f64::NAN, megabytes);
+                memory.push([mask, &*vertices.to_string(), model.name(), &number(grown)].map(str::to_owned).to_vec());
             }
         }
     }
@@ -334,7 +335,7 @@ fn argument(setting: &Setting<'_>, models: &[MorphModel]) -> Result<Table> {
         "border_step",
         "held_moved",
     ];
-    let mut table = Table::new(&[&["model", "drag_ms", "first_ms", "memory_mib"][..], &columns].concat());
+    let mut table = Table::new(&[&["model", "drag_ms", "first_ms", "memory_mb"][..], &columns].concat());
     let large = FACES[1].to_string();
     for model in models.iter().map(MorphModel::name) {
         let mut cells = vec![model.to_owned()];
@@ -346,7 +347,7 @@ fn argument(setting: &Setting<'_>, models: &[MorphModel]) -> Result<Table> {
             }
             cells.push(number(spread(&of_masks).0));
         }
-        cells.push(number(spread(&memory.numbers(&[("size", large.as_str()), ("model", model)], "mib")?).0));
+        cells.push(number(spread(&memory.numbers(&[("size", large.as_str()), ("model", model)], "mb")?).0));
         for column in columns {
             cells.push(number(spread(&results.numbers(&[("model", model)], column)?).0));
         }

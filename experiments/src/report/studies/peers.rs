@@ -6,7 +6,7 @@ use crate::output::make_folder;
 use crate::peers::{METHODS, OURS, plot, run_others};
 use crate::report::study::{Block, Section, Setting, Study, least_and_most, ranked, write_runs};
 use crate::report::table::{Table, counted, number};
-use crate::scan_bench::{CaseSource, Variant, measure, summarize};
+use crate::scan_bench::{CaseSource, Variant, measure, megabytes, summarize};
 
 pub const STUDY: Study = Study {
     name: "peers",
@@ -39,10 +39,10 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
 
     write_runs(setting.out, "peers", &rows, threads)?;
 
-    let mut shown = Table::new(&["program", "rmse", "worst", "normal", "tangential", "seconds", "MiB", "failed"]);
+    let mut shown = Table::new(&["program", "rmse", "worst", "normal", "tangential", "seconds", "MB", "failed"]);
     for s in summarize(&rows) {
         let errors = [s.mean_rmse, s.worst_rmse, s.mean_normal, s.mean_tangential].map(number);
-        let memory = s.peak_bytes.map_or(f64::NAN, |b| (b as f64 / 1048576.0).round());
+        let memory = s.peak_bytes.map_or(f64::NAN, |bytes| megabytes(bytes).round());
         let rest = [number(s.mean_seconds.unwrap_or(f64::NAN)), number(memory), s.failed.to_string()];
         let name = if s.group == "peer" { s.model } else { format!("nonrigid {}", s.model) };
         shown.push([&[name][..], &errors, &rest].concat());

@@ -8,6 +8,7 @@ use crate::plots::{Axis, Grid, Plot, Point, Series, StackedBars};
 use crate::report::study::{Section, Setting, Study};
 use crate::report::table::{Table, counted, number, shown};
 use crate::scaling::{Configuration, SolverRun, run_apart};
+use crate::scan_bench::megabytes;
 use crate::tables::grouped;
 
 pub const STUDY: Study = Study {
@@ -100,7 +101,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
         "linearise",
         "solve",
         "energy",
-        "peak_mib",
+        "peak_mb",
     ];
     let mut table = Table::new(&columns);
     let (mut plots, mut bars) = (Vec::new(), Vec::new());
@@ -115,7 +116,7 @@ fn run(setting: &Setting<'_>) -> Result<Section> {
             cells.extend([run.shapes.to_string(), run.threads.to_string(), differentiation.to_owned()]);
             cells.extend(["median", "min", "max"].map(|of| number(stage("iteration_seconds", of))));
             cells.extend(STAGES.map(|(key, _)| number(stage(key, "median"))));
-            cells.push(number(row["peak_bytes"].as_f64().unwrap_or(f64::NAN) / 1048576.0));
+            cells.push(number(row["peak_bytes"].as_u64().map_or(f64::NAN, megabytes)));
             table.push(cells);
             measured.push((run, row));
             setting.progress.inc(1);
