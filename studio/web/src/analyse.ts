@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { app, belongs, counted, faceShown, send } from "./app";
-import { button, h, section, svg, toggle } from "./dom";
+import { button, h, row as rowToChoose, section, svg, toggle } from "./dom";
 import type { Analysis, MeasureRow } from "./protocol";
 import { stage, surfaceOf, views } from "./scene";
 import { Pane, lookFrom } from "./stage";
@@ -108,7 +108,7 @@ export function table(a: Analysis, rows: MeasureRow[], onclick?: (row: MeasureRo
       {},
       rows.map((row, k) => [
         rows[k - 1]?.group !== row.group && h("tr", { class: "group" }, h("td", { colspan: a.columns.length + 2 }, row.group)),
-        h("tr", { class: row.name === state.chosen ? "selected" : "", title: row.formula, onclick: onclick && (() => onclick(row)) }, h("td", {}, row.name), a.columns.map((_, i) => cell(row, i)), h("td", { title: row.source }, row.typical ? `${row.typical[0]}–${row.typical[1]}` : "", h("small", {}, ` ${row.unit}`))),
+        h("tr", { class: row.name === state.chosen ? "selected" : "", title: row.formula, ...(onclick && rowToChoose(row.name === state.chosen, () => onclick(row))) }, h("td", {}, row.name), a.columns.map((_, i) => cell(row, i)), h("td", { title: row.source }, row.typical ? `${row.typical[0]}–${row.typical[1]}` : "", h("small", {}, ` ${row.unit}`))),
       ]),
     ),
   );

@@ -1,7 +1,7 @@
 // Clients: the vault's cases, and what belongs to the one that is open.
 
 import { app, belongs, counted, edit, onChange, send } from "./app";
-import { ask, button, h, section, sure } from "./dom";
+import { ask, button, h, row, section, sure } from "./dom";
 import type { CaseSummary } from "./protocol";
 import { MESHES, pickFiles } from "./wrap";
 
@@ -30,7 +30,7 @@ export function page(go: (mode: string) => void): HTMLElement {
     app.cases.map((c) =>
       h(
         "div",
-        { class: `card ${c.id === shown?.id ? "selected" : ""}`, onclick: () => open(c), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && open(c) },
+        { class: `card ${c.id === shown?.id ? "selected" : ""}`, ...row(c.id === shown?.id, () => open(c)) },
         h("b", {}, c.name),
         h("small", {}, [c.date, `${c.scans} scan${c.scans === 1 ? "" : "s"}`, c.wrapped ? "wrapped" : "", `${c.plans} plan${c.plans === 1 ? "" : "s"}`].filter(Boolean).join(" · ")),
         h("p", { class: "clip" }, c.notes),

@@ -43,6 +43,23 @@ export function button(text: string, onclick: () => void, attributes: Attributes
   return h("button", { type: "button", onclick, ...attributes }, text);
 }
 
+/** What makes a row or card of a list a thing to choose, by click or by keys; the arrows lead to its neighbours. */
+export function row(chosen: boolean, choose: () => void): Attributes {
+  const keys = (event: KeyboardEvent) => {
+    const here = event.currentTarget as HTMLElement;
+    if (event.target !== here) return;
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (step) {
+      const rows = [...here.parentElement!.children].filter((other): other is HTMLElement => other instanceof HTMLElement && other.tabIndex === 0);
+      rows[rows.indexOf(here) + step]?.focus();
+    } else if (event.key === "Enter" || event.key === " ") choose();
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  };
+  return { tabindex: 0, "aria-current": chosen ? "true" : undefined, onclick: choose, onkeydown: keys };
+}
+
 export function toggle(text: string, on: boolean, onclick: () => void, attributes: Attributes = {}): HTMLButtonElement {
   return button(text, onclick, { class: on ? "on" : "", "aria-pressed": String(on), ...attributes });
 }

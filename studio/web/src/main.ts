@@ -57,7 +57,7 @@ let waiting = false;
 let late = false;
 
 hand.free = () => late && render();
-const CONTROLS = "button, input, select, textarea, label, summary";
+const CONTROLS = "button, input, select, textarea, label, summary, [tabindex='0']";
 /** The part of the page where something is pressed: drawn anew before it is let go, it would not be clicked. */
 let pressed: Element | null = null;
 document.addEventListener("pointerdown", (event) => {
