@@ -1,6 +1,6 @@
 // Elements by hand: `h("button", { onclick }, "Run")`. Text is always text, so no name from a file can be markup.
 
-import { toast } from "./app";
+import { app, toast } from "./app";
 
 type Child = Node | string | number | null | undefined | false | Child[];
 type Attributes = Record<string, unknown>;
@@ -109,7 +109,12 @@ export const hand = { busy: false, free: () => {} };
 const PAUSE = 400;
 
 /** A slider with its number; `live` while it moves, `done` when it is let go. Double click brings 0 back. */
-export function slider(o: SliderOptions): HTMLElement {
+export function slider(given: SliderOptions): HTMLElement {
+  const done = (value: number) => {
+    if (!app.connected) app.typed.set(given.key, value);
+    given.done(value);
+  };
+  const o = { ...given, value: app.typed.get(given.key) ?? given.value, done };
   const shown = (v: number) => String(Number(v.toFixed(2)));
   const number = h("input", { type: "number", min: o.min, max: o.max, step: o.step, value: shown(o.value), "data-key": `${o.key}#`, "aria-label": o.label });
   const range = h("input", { type: "range", min: o.min, max: o.max, step: o.step, value: String(o.value), "data-key": o.key, "aria-label": o.label });
