@@ -16,6 +16,9 @@ onChange((what) => {
   if (what === "case" && kept) for (const key of ["name", "date", "notes"] as const) if (written[key]?.trim() === kept[key].trim()) delete written[key];
 });
 
+/** Whether something that was written of the client is not kept. */
+export const isUnkept = () => Object.keys(written).length > 0;
+
 export function page(go: (mode: string) => void): HTMLElement {
   const shown = app.open;
   const open = (c: CaseSummary) => !c.trouble && send({ type: "open_case", id: c.id });
@@ -68,7 +71,7 @@ function details(go: (mode: string) => void): HTMLElement {
   return h(
     "div",
     { class: "details" },
-    section("Client", field("Name", written.name ?? c.name, (name) => describe({ name })), field("Date", written.date ?? c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes), Object.keys(written).length > 0 && h("div", { class: "row" }, h("p", { class: "doubt" }, "Not kept yet."), button("Keep", () => describe({})))),
+    section("Client", field("Name", written.name ?? c.name, (name) => describe({ name })), field("Date", written.date ?? c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes), isUnkept() && h("div", { class: "row" }, h("p", { class: "doubt" }, "Not kept yet."), button("Keep", () => describe({})))),
     section(
       "Scans",
       scans.map((name, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, name, k === c.scan && h("small", {}, " in work")), button("Open", () => {

@@ -150,7 +150,7 @@ function drawBarContent() {
     h("span", { class: "grow clip client", title: "The client that is open" }, open ? open.case.name : ""),
     progress
       ? h("span", { class: "progress", role: "status" }, h("span", {}, progress.what), h("progress", progress.share === null ? {} : { max: 1, value: progress.share }), button("Cancel", () => send({ type: "cancel" }), { title: "Esc" }))
-      : h("small", { class: app.connected ? "saved" : "doubt", role: "status" }, app.connected ? (open ? "all changes saved" : "") : `${app.locked ? "the server was started again: open the address that it has printed" : "no server: start nonrigid-studio again"}${unheard.length ? `; changes that wait for it: ${unheard.length}` : ""}`),
+      : h("small", { class: app.connected && !clients.isUnkept() ? "saved" : "doubt", role: "status" }, app.connected ? (open ? (clients.isUnkept() ? "what was written of the client is not kept yet" : "all changes saved") : "") : `${app.locked ? "the server was started again: open the address that it has printed" : "no server: start nonrigid-studio again"}${unheard.length ? `; changes that wait for it: ${unheard.length}` : ""}`),
     button("↶", () => send({ type: "undo" }), { disabled: !open?.undo, title: open?.undo ? `Undo: ${open.undo} (Ctrl Z)` : "Nothing to undo", "aria-label": "undo" }),
     button("↷", () => send({ type: "redo" }), { disabled: !open?.redo, title: open?.redo ? `Redo: ${open.redo} (Ctrl Shift Z)` : "Nothing to redo", "aria-label": "redo" }),
     button("?", toggleHelp, { title: "Keys and mouse (?)", "aria-label": "help" }),
