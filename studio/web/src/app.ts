@@ -335,7 +335,9 @@ export async function addFiles(role: Role, files: File[], unit: Unit | null = nu
       app.progress = { type: "progress", what: "sending files", share: (k + 1) / files.length };
       changed("progress");
     }
-    send({ type: "add", role, files: uploads, unit }, client);
+    // files of a mesh or rig belong together; each photo, recipe, client or file of landmarks is one of its own
+    const together = ["template", "scan", "rig", "schedule"].includes(role);
+    for (const files of together ? [uploads] : uploads.map((one) => [one])) send({ type: "add", role, files, unit }, client);
   } catch (error) {
     toast(error instanceof Error ? error.message : String(error), "error");
   }
