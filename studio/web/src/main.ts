@@ -202,7 +202,9 @@ onChange((what) => {
 function roleOf(files: File[]): Role | null {
   const endings = files.map((f) => f.name.toLowerCase().replace(/\.gz$/, "").split(".").pop() ?? "");
   const all = (list: string[]) => endings.every((e) => list.includes(e));
-  if (files.length > 1 && endings.some((e) => e === "npy" || e === "json")) return "rig";
+  const meshes = endings.filter((e) => ["obj", "ply", "stl", "off", "xyz", "glb", "gltf"].includes(e)).length;
+  // one mesh with a JSON file may as well be a scan and its landmarks
+  if (files.length > 1 && endings.some((e) => e === "npy" || (e === "json" && meshes > 1))) return "rig";
   if (all(["zip"])) return "case";
   if (all(["png", "jpg", "jpeg", "webp"])) return "photo";
   if (all(["npz"])) return "rig";
@@ -218,8 +220,8 @@ async function dropped(files: File[]) {
   }
   if (!role) {
     const roles: [Role, string][] = [
-      ["scan", "a scan"],
-      ["template", "the template"],
+      ["scan", files.length > 1 ? "a scan and what belongs to it" : "a scan"],
+      ["template", files.length > 1 ? "the template and what belongs to it" : "the template"],
       ["rig", "a rig"],
       ["scan_landmarks", "landmarks on the scan"],
       ["template_landmarks", "landmarks on the template"],
