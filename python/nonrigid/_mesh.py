@@ -37,6 +37,12 @@ def is_path(thing: object) -> bool:
     return isinstance(thing, (str, os.PathLike))
 
 
+def is_array(thing: object) -> bool:
+    """Numbers: an array or list, or what numpy makes one of, such as a table of pandas or a tensor of PyTorch; no mesh."""
+    known = hasattr(thing, "__array__") and not hasattr(thing, "vertices") and not hasattr(thing, "points")
+    return isinstance(thing, (np.ndarray, list)) or known
+
+
 def is_npy(path: PathLike) -> bool:
     return os.fspath(path).lower().endswith(".npy")
 
@@ -397,7 +403,7 @@ def _parts(thing: Any) -> tuple[Any, Any, Any, Any]:
     """Vertices, faces, normals and colours of another package's mesh, known by its attributes."""
     if isinstance(thing, (tuple, list)) and len(thing) == 2 and np.ndim(thing[0]) == 2:
         return thing[0], thing[1], None, None
-    if isinstance(thing, np.ndarray):
+    if is_array(thing) and not isinstance(thing, list):
         return thing, None, None, None
     if hasattr(thing, "geometry") and hasattr(thing, "to_geometry"):  # trimesh.Scene
         raise TypeError("a trimesh scene may hold many meshes; give one of them, such as scene.to_geometry()")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_npy, is_path, load, names_of, warn, whole
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, indices, is_array, is_npy, is_path, load, names_of, warn, whole
 from ._registration import _landmarks
 from ._rig import Rig, _vertices, parts_of
 
@@ -98,7 +98,7 @@ def _marks(landmarks: Any, unit: str | None) -> list[_nonrigid.Landmarks]:
         return []
     unit = None if unit == "auto" else unit
     numbers = isinstance(landmarks, list) and landmarks and all(isinstance(one, (int, np.integer)) for one in landmarks)
-    if numbers or isinstance(landmarks, np.ndarray):
+    if numbers or (is_array(landmarks) and not isinstance(landmarks, list)):
         landmarks = {str(k): int(v) for k, v in enumerate(indices("landmarks", landmarks).reshape(-1))}
     if isinstance(landmarks, list):
         return [_landmarks("landmarks", one, False, unit) for one in landmarks]

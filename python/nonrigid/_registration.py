@@ -320,6 +320,8 @@ def register(
     steering = Schedule.of(schedule, model)._native.with_options(
         bounds_of("expression_bounds", expression_bounds), bounds_of("identity_bounds", identity_bounds), flip
     )
+    for idle in steering.without_effect(model):
+        warn(f"schedule: {idle}")
     warm = None
     if isinstance(warm_start, Registration):
         warm = _nonrigid.WarmStart.parse(warm_start.state_json)

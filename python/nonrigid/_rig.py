@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _nonrigid
-from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, is_npy, is_path, mapping, names_of, points, vertices_of, warn
+from ._mesh import Floats, Mesh, PathLike, bounds_of, count, count_or_none, is_array, is_npy, is_path, mapping, names_of, points, vertices_of, warn
 
 Align = Literal["rigid", "similarity", "none"]
 
@@ -92,7 +92,7 @@ class Rig:
         Raises ValueError where numbers of vertices differ, or a name comes twice; shapes that move nothing are left out with a warning.
         """
         factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
-        of_arrays = isinstance(neutral, (np.ndarray, list)) or (isinstance(neutral, tuple) and np.ndim(neutral[:1]) == 2)
+        of_arrays = is_array(neutral) or (isinstance(neutral, tuple) and np.ndim(neutral[:1]) == 2)
         if of_arrays:
             rest = points("neutral", neutral) * factor
             mesh = None if faces is None else Mesh(rest, faces)
@@ -309,7 +309,7 @@ class Rig:
 
         Raises ValueError if meshes differ in topology or there are too few, ComputationError if they cannot be aligned.
         """
-        all_meshes = [points("meshes", m) if isinstance(m, (list, np.ndarray)) else Mesh.of(m) for m in _meshes_of(meshes)]
+        all_meshes = [points("meshes", m) if is_array(m) else Mesh.of(m) for m in _meshes_of(meshes)]
         first = None if not all_meshes or isinstance(all_meshes[0], np.ndarray) else all_meshes[0]
         if first is not None and len(first._native.starts) < 2:
             first = None
@@ -329,6 +329,18 @@ class Rig:
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.neutral, self.mesh, self.names, self.families, self.deltas, self.landmarks, self._native.regions)
         return _unpickled, (*parts, self.standard_deviations, self.explained, self._native.kept)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Rig):
+            return NotImplemented
+        if (self.names, self.families, self.mesh) != (other.names, other.families, other.mesh):
+            return False
+        arrays: list[list[Any]] = [
+            [rig.neutral, rig.deltas, rig.landmarks, rig.standard_deviations, rig.explained, *rig.regions.values()] for rig in (self, other)
+        ]
+        return list(self.regions) == list(other.regions) and all(map(np.array_equal, *arrays))
+
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         families = self.families
@@ -351,7 +363,7 @@ def _vertices(what: str, thing: Any, unit: str | None = None) -> Floats:
         read = _nonrigid.Mesh.read_points(os.fspath(thing), unit)
         warn(read.note)
         return read.positions
-    if isinstance(thing, (np.ndarray, list)):
+    if is_array(thing):
         factor = 1.0 if unit in (None, "auto") else _nonrigid.millimetres(unit)
         return points(what, thing) * factor
     return Mesh.of(thing, unit=unit).vertices

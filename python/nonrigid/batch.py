@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import collections
 import concurrent.futures
+import contextlib
 import difflib
 import hashlib
 import itertools
@@ -145,8 +146,8 @@ def _fetch_named(fs: Any, path: str, copy: str) -> None:
 class _Fetched:
     """Local names of URLs."""
 
-    def __init__(self, task: _Task, scratch: str) -> None:
-        self.task, self.scratch = task, scratch
+    def __init__(self, task: _Task) -> None:
+        self.task = task
         self.names: dict[str, str] = {}
 
     def options(self, options: list[tuple[str, str]], folder: str) -> list[tuple[str, str]]:
@@ -171,8 +172,13 @@ def _task(task: _Task) -> list[Done]:
     """What a worker does; numbers are indices into the task's rows."""
     program, command = how()
     setting = {**task.setting, "program": program, "command": command}
-    with tempfile.TemporaryDirectory(prefix="nonrigid-", ignore_cleanup_errors=True) as scratch:
-        fetched = _Fetched(task, scratch)
+    remote = [value for _, _, _, options in task.rows for option, value in options if option in task.paths and _url(value)]
+    with contextlib.ExitStack() as stack:
+        # a worker that is killed leaves its folder: there is one only for what comes from afar
+        scratch = ""
+        if remote or task.aside is None:
+            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="nonrigid-", ignore_cleanup_errors=True))
+        fetched = _Fetched(task)
         if any(option in task.paths and _url(value) for option, value in task.setting["options"]):
             with _keeping:
                 setting["options"] = fetched.options(task.setting["options"], _shared(task.run))
@@ -356,6 +362,16 @@ def _by_ray(ray: Any, tasks: Sequence[_Task], threads: int, retries: int) -> Ite
             ray.cancel(reference)
 
 
+_OPTION = re.compile(rf"(?<![\w-])--({'|'.join(_nonrigid.batch_columns()[0])})(?: <[^>]*>)?(?![\w-])")
+
+
+def _row(told: str) -> dict[str, Any]:
+    """A row of the summary, whose note names arguments of `run`, not options of the command line."""
+    row: dict[str, Any] = json.loads(told)
+    row["note"] = _OPTION.sub(lambda option: option[1].replace("-", "_"), row["note"])
+    return row
+
+
 class _Table(Sequence[dict[str, Any]]):
     """Rows of a summary, each made when it is asked for."""
 
@@ -368,7 +384,7 @@ class _Table(Sequence[dict[str, Any]]):
     def __getitem__(self, k: Any) -> Any:
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
-        return json.loads(self._rows.told(range(len(self))[k]))
+        return _row(self._rows.told(range(len(self))[k]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and len(self) == len(other) and all(a == b for a, b in zip(self, other))
@@ -432,9 +448,9 @@ def _options(given: Mapping[str, Any], known: list[str], paths: frozenset[str]) 
             options.append((name, ",".join(f"{of.replace('_', '-')}={unit}" for of, unit in value.items())))
         elif isinstance(value, Mapping):
             raise TypeError(f"{key}: expected text, a number or a list, found {value!r}")
-        elif isinstance(value, (list, tuple, set, frozenset, np.ndarray)):
+        elif isinstance(value, (list, tuple, set, frozenset)) or np.ndim(value):
             # a set has another order in every process
-            items = sorted(value) if isinstance(value, (set, frozenset)) else value.tolist() if isinstance(value, np.ndarray) else value
+            items = sorted(value) if isinstance(value, (set, frozenset)) else value if isinstance(value, (list, tuple)) else np.asarray(value).tolist()
             options.append((name, ",".join(map(str, items))))
         else:
             options.append((name, str(value)))
@@ -532,7 +548,7 @@ def run(
             for i, row, before, seconds in result:
                 rows.tell(numbers[i], row, before, seconds)
                 if callback is not None:
-                    callback(json.loads(row))
+                    callback(_row(row))
             if holder is not None and holder.is_lost:
                 raise _nonrigid.ComputationError(f"{folder}: another batch took this folder over while this one stood still")
         batch.rows = _Table(rows)

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use nonrigid::io::{self, Input, Inputs, KnownUnit, LengthUnit, UnitSource, read_text};
 use nonrigid::landmark::{LandmarkSet, parse_landmark_set, read_landmark_set, read_scan_landmark_set};
 use nonrigid::registration;
-use nonrigid::registration::{ModelKind, ScanFlip};
+use nonrigid::registration::{ModelKind, ScanFlip, TERMS};
 use numpy::{IntoPyArray as _, PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyString, PyTuple};
@@ -182,6 +182,13 @@ impl Schedule {
         };
         schedule.validate().map_err(|e| value(format!("schedule: {e}")))?;
         Ok(Self { schedule, files: self.files.clone() })
+    }
+
+    /// What it says and has no effect with a model, and why.
+    fn without_effect(&self, model: &str) -> PyResult<Vec<String>> {
+        let model = model.parse::<ModelKind>().map_err(value)?;
+        let resolved = self.schedule.resolved(&model, &TERMS).map_err(|e| value(format!("schedule: {e}")))?;
+        Ok(resolved.without_effect())
     }
 
     #[getter]

@@ -8,6 +8,7 @@ import multiprocessing
 import pickle
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,23 @@ def test_an_executor(data: Data, tmp_path: Path) -> None:
     with concurrent.futures.ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         batch = nonrigid.batch.run(listed, tmp_path / "b", template=data.template, scheduler=pool, chunk=1)
     assert not batch.failed and results(tmp_path / "a") == results(tmp_path / "b")
+
+
+def test_a_worker_that_is_killed_leaves_no_folder(data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = manifest(data, tmp_path / "scans.csv", 1, broken=False)
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    there: list[Path] = []
+    real = nonrigid.batch._nonrigid.batch_run
+
+    def killed(*arguments: Any) -> Any:
+        there.extend(scratch.iterdir())
+        return real(*arguments)
+
+    monkeypatch.setattr(nonrigid.batch._nonrigid, "batch_run", killed)
+    assert not nonrigid.batch.run(listed, tmp_path / "out", template=data.template).failed
+    assert not there
 
 
 def test_tasks_are_made_when_they_are_needed(data: Data, tmp_path: Path) -> None:
@@ -141,4 +159,10 @@ def test_what_makes_no_sense(data: Data, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="none.csv"):
         nonrigid.batch.run(tmp_path / "none.csv", tmp_path / "out")
     batch = run(identity_modes=3)
-    assert all("--rig" in row["note"] for row in batch.failed[:1]) and len(batch.failed) == 2
+    assert len(batch.failed) == 2 and "give rig" in batch.failed[0]["note"]
+    # by the names of arguments, as they come and afterwards; files have those of the command line
+    seen: list[dict[str, Any]] = []
+    batch = run(model="none", callback=seen.append, again=True)
+    for row in (*batch.failed, *seen):
+        assert row["note"].startswith("invalid value 'none' for 'model': unknown model 'none'"), row["note"]
+    assert "--model <MODEL>" in (tmp_path / "out" / "summary.csv").read_text()

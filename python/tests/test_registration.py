@@ -212,6 +212,23 @@ def test_options_without_effect_are_said(face: data_gen.Face, case: data_gen.Cas
     for option, setting in [("identity_modes", 3), ("shapes", ["jawOpen"]), ("expression_bounds", (0, 1))]:
         with pytest.warns(nonrigid.NonrigidWarning, match=f"{option} has no effect: the model rigid has no blendshapes"):
             nonrigid.register(face.rig.mesh, case.scan, **given, **{option: setting})
+    keys = nonrigid.Schedule("sumner").to_dict()
+    for level in keys["level"]:
+        level["model"].pop("coarse", None)
+    with pytest.warns(nonrigid.NonrigidWarning, match="schedule: model: coarse_nodes has no effect: no level is coarse"):
+        nonrigid.register(face.rig.mesh, case.scan, landmarks=case.landmarks, model="sumner", schedule=keys)
+
+
+def test_masks_of_any_numbers(face: data_gen.Face, case: data_gen.Case, tmp_path: Path) -> None:
+    whole = np.ones(len(face.rig.mesh.vertices))
+    whole[::3] = 0.25
+    given = {"landmarks": case.landmarks, "model": "rigid"}
+    expected = nonrigid.register(face.rig.mesh, case.scan, mask=whole, **given)
+    for dtype in ("<f2", ">f2", "<f4", ">f8"):
+        np.save(tmp_path / "mask.npy", whole.astype(dtype))
+        for mask in (whole.astype(dtype), tmp_path / "mask.npy"):
+            found = nonrigid.register(face.rig.mesh, case.scan, mask=mask, **given)
+            assert np.array_equal(found.positions, expected.positions), dtype
 
 
 def test_saving(registered: nonrigid.Registration, data: Data, tmp_path: Path) -> None:

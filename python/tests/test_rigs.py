@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 import sys
 import types
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +54,51 @@ def test_arrays(face: data_gen.Face) -> None:
             Rig(**{"neutral": rig.neutral, "shapes": {}, **options})
     with pytest.warns(nonrigid.NonrigidWarning, match="moves nothing"):
         Rig(rig.neutral, {"still": np.zeros_like(rig.neutral), "jawOpen": shapes["jawOpen"]})
+
+
+def test_tables_and_tensors_are_arrays(face: data_gen.Face) -> None:
+    pandas = pytest.importorskip("pandas")
+
+    class Tensor:
+        """As those of PyTorch and JAX, which know how to become numpy's."""
+
+        def __init__(self, array: Any) -> None:
+            self.array = array
+
+        def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+            return self.array if dtype is None else self.array.astype(dtype)
+
+    rig, mesh = face.rig, face.rig.mesh
+    shapes = dict(zip(rig.names, rig.deltas))
+    rest = [rig.neutral + k * k * rig.deltas[0] for k in range(3)]
+    for kind in (pandas.DataFrame, Tensor):
+        assert Rig(kind(rig.neutral), {name: kind(d) for name, d in shapes.items()}) == Rig(rig.neutral, shapes)
+        assert rig.transfer(kind(rest[1])) == rig.transfer(rest[1])
+        assert rig.fit([kind(rest[1])])[0].weights == rig.fit([rest[1]])[0].weights
+        assert Rig.pca([kind(r) for r in rest], 2) == Rig.pca(rest, 2)
+        assert Mesh.of(kind(rig.neutral)) == Mesh(rig.neutral)
+        assert nonrigid.evaluate(mesh, mesh, truth=kind(rest[1]))["rmse"] == nonrigid.evaluate(mesh, mesh, truth=rest[1])["rmse"]
+
+
+def test_equal_rigs(face: data_gen.Face) -> None:
+    rig, rest = face.rig, [face.rig.neutral + k * face.rig.deltas[0] for k in range(3)]
+    parts = {"families": dict(zip(rig.names, rig.families)), "landmarks": rig.landmarks, "regions": rig.regions}
+    shapes = dict(zip(rig.names, rig.deltas))
+    assert rig == Rig(rig.mesh, shapes, **parts) == pickle.loads(pickle.dumps(rig)) == copy.deepcopy(rig)
+    assert Rig.pca(rest, 1) == Rig.pca(rest, 1) != Rig.pca(rest, 2) and rig != 7
+    moved = {**shapes, rig.names[3]: 2 * shapes[rig.names[3]]}
+    for other in (
+        Rig(rig.neutral, shapes, **parts),
+        Rig(rig.mesh, moved, **parts),
+        Rig(rig.mesh, dict(reversed(shapes.items())), **parts),
+        Rig(rig.mesh, shapes, **{**parts, "families": "other"}),
+        Rig(rig.mesh, shapes, **{**parts, "landmarks": None}),
+        Rig(rig.mesh, shapes, **{**parts, "regions": {}}),
+        Rig(rig.mesh, shapes, **{**parts, "regions": {name: r[1:] for name, r in rig.regions.items()}}),
+    ):
+        assert other != rig
+    with pytest.raises(TypeError, match="unhashable"):
+        {rig}
 
 
 def test_files(face: data_gen.Face, data: Data, tmp_path: Path) -> None:

@@ -37,6 +37,8 @@ pub struct WrapJob {
     command: Vec<String>,
     scan_name: String,
     settings: Regional,
+    /// What the schedule says and has no effect.
+    pub idle: Option<String>,
 }
 
 /// What the report repeats of the settings.
@@ -188,11 +190,14 @@ impl WrapJob {
         if !settings.free_regions.is_empty() {
             add(&["--free-regions", &settings.free_regions.join(",")]);
         }
+        let mut idle = None;
         let mut schedule = match &settings.schedule {
             None => model.schedule().map_err(problem)?,
             Some(at) => {
                 add(&["--config", &asset_path(at)]);
-                read_schedule(&vault.path(at)?, &model)?
+                let schedule = read_schedule(&vault.path(at)?, &model)?;
+                idle = without_effect(&at.file, &schedule);
+                schedule
             }
         };
         if case.rig.is_some() {
@@ -232,6 +237,7 @@ impl WrapJob {
             command,
             scan_name,
             settings,
+            idle,
         })
     }
 
@@ -364,6 +370,13 @@ pub fn read_schedule(path: &Path, model: &ModelKind) -> Result<Schedule, Problem
             model.name()
         ))
     })
+}
+
+/// What a schedule of one's own says and has no effect, in a line.
+#[must_use]
+pub fn without_effect(name: &str, schedule: &Schedule) -> Option<String> {
+    let idle = schedule.without_effect();
+    (!idle.is_empty()).then(|| format!("{name}: {}", idle.join("; ")))
 }
 
 /// Vertices at an edge of one triangle.

@@ -53,7 +53,7 @@ pub(super) fn parse_header(text: &[u8]) -> Result<Header, PythonError> {
     let (Some(descr), Some(fortran), Some(shape)) = (descr, fortran, shape) else {
         return Err((0, "the keys 'descr', 'fortran_order', 'shape'", excerpt(text.trim_ascii_end())));
     };
-    let unsupported = |descr: &str| (0, "an array of bool, i1-i8, u1-u8, f4 or f8", format!("type '{descr}'"));
+    let unsupported = |descr: &str| (0, "an array of bool, i1-i8, u1-u8, f2, f4 or f8", format!("type '{descr}'"));
     let (big, code) = match descr.split_at_checked(1) {
         Some(("<" | "|", code)) => (false, code),
         Some(("=", code)) => (cfg!(target_endian = "big"), code),
@@ -71,6 +71,7 @@ pub(super) fn parse_header(text: &[u8]) -> Result<Header, PythonError> {
         "u2" => (Kind::Unsigned, 2),
         "u4" => (Kind::Unsigned, 4),
         "u8" => (Kind::Unsigned, 8),
+        "f2" => (Kind::Float, 2),
         "f4" => (Kind::Float, 4),
         "f8" => (Kind::Float, 8),
         _ if letters.is_some() => (Kind::Text, 4 * letters.unwrap_or(0)),

@@ -210,7 +210,7 @@ impl<'a> NpyArray<'a> {
             return Ok(());
         }
         let found = format!("type '{}'", self.header.descr);
-        Err(ReadError::malformed(&self.path, Place::File, "an array of bool, i1-i8, u1-u8, f4 or f8", found))
+        Err(ReadError::malformed(&self.path, Place::File, "an array of bool, i1-i8, u1-u8, f2, f4 or f8", found))
     }
 
     fn read_with<T: Copy>(mut self, rows: usize, decode: impl Fn(&[u8]) -> T) -> Result<Vec<T>, ReadError> {
@@ -285,10 +285,23 @@ fn decoder(header: &Header) -> impl Fn(&[u8]) -> f64 + use<> {
                 let unused = 64 - 8 * size as u32;
                 (((bits << unused) as i64) >> unused) as f64
             }
+            Kind::Float if size == 2 => half(bits as u16),
             Kind::Float if size == 4 => f64::from(f32::from_bits(bits as u32)),
             Kind::Float => f64::from_bits(bits),
         }
     }
+}
+
+/// A number of 16 bits, binary16 of IEEE 754: a sign, five bits of exponent and ten of fraction.
+fn half(bits: u16) -> f64 {
+    let fraction = f64::from(bits & 0x3ff);
+    let size = match i32::from(bits >> 10 & 0x1f) {
+        0 => fraction * 2f64.powi(-24),
+        31 if fraction > 0.0 => f64::NAN,
+        31 => f64::INFINITY,
+        exponent => (1024.0 + fraction) * 2f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -size } else { size }
 }
 
 /// Reads an N x 3 array as points.
@@ -335,6 +348,25 @@ pub fn read_npy_mask(path: &Path, length: Option<usize>) -> Result<Vec<bool>, Re
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_of_16_bits() {
+        // as numpy.float16 has them
+        for (bits, number) in [
+            (0x0000, 0.0),
+            (0x0001, 2f64.powi(-24)),
+            (0x03ff, 1023.0 * 2f64.powi(-24)),
+            (0x0400, 2f64.powi(-14)),
+            (0x3555, 0.333_251_953_125),
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x7bff, 65504.0),
+            (0xfc00, f64::NEG_INFINITY),
+        ] {
+            assert_eq!(half(bits), number, "{bits:#x}");
+        }
+        assert!(half(0x7e00).is_nan());
+    }
 
     #[test]
     fn fortran_order_is_turned() {

@@ -24,8 +24,18 @@ impl Window {
     }
 
     /// Whether they wait for their unit.
-    fn join(&mut self, role: Role, files: &[Upload], unit: Option<Unit>) -> Result<bool, Problem> {
+    fn join(&mut self, role: Role, all: &[Upload], unit: Option<Unit>) -> Result<bool, Problem> {
         let hub = self.hub.clone();
+        // landmarks that come with their mesh
+        let of_mesh = match role {
+            Role::Scan => Some(Role::ScanLandmarks),
+            Role::Template => Some(Role::TemplateLandmarks),
+            _ => None,
+        };
+        let with_mesh = of_mesh.is_some() && !all.iter().all(holds_landmarks);
+        let (marks, files): (Vec<Upload>, Vec<Upload>) =
+            all.iter().cloned().partition(|file| with_mesh && holds_landmarks(file));
+        let files = &files[..];
         let (Some(first), true) = (files.first(), files.len() <= crate::vault::MOST_FILES) else {
             return Err(problem("choose between one file and two thousand"));
         };
@@ -40,7 +50,7 @@ impl Window {
         let id = self.case()?.id;
         let main = match role {
             Role::Rig if files.len() > 1 => String::new(),
-            _ => main_file(files)?,
+            _ => main_file(role, files)?,
         };
         let at_file = gathered.folder.join(&main);
         let unit = match role {
@@ -52,7 +62,7 @@ impl Window {
                 match unit.map_or_else(|| store::guess_unit(&at_file, &points), Ok) {
                     Ok(unit) => unit,
                     Err((text, units)) => {
-                        self.say(ServerMessage::UnitWanted { role, files: files.to_vec(), text, units });
+                        self.say(ServerMessage::UnitWanted { role, files: all.to_vec(), text, units });
                         return Ok(true);
                     }
                 }
@@ -71,7 +81,9 @@ impl Window {
             }
             Role::Schedule => {
                 let model = self.case()?.case.model().parse().map_err(problem)?;
-                wrap::read_schedule(&at_file, &model)?;
+                if let Some(text) = wrap::without_effect(&main, &wrap::read_schedule(&at_file, &model)?) {
+                    self.say(ServerMessage::Note { text });
+                }
                 let asset = hub.vault.take(&gathered)?;
                 self.change(&format!("schedule {main}"), |case| {
                     case.wrap.schedule = Some(FileRef { asset, file: main });
@@ -179,6 +191,9 @@ impl Window {
                 outcome?;
                 if matches!(role, Role::Template | Role::Scan) {
                     self.say_what_is_missing(&hub.vault.path(&at)?);
+                }
+                if let Some(role) = of_mesh {
+                    marks.into_iter().try_for_each(|mark| self.join(role, &[mark], None).map(drop))?;
                 }
             }
             Role::Case => {}
@@ -317,14 +332,23 @@ fn same_vertices(a: &PolygonMesh, b: &PolygonMesh) -> bool {
     polygons && (!a.corners.is_empty() || a.positions == b.positions)
 }
 
+/// Whether a file beside a mesh is one of its landmarks, by its name.
+fn holds_landmarks(file: &Upload) -> bool {
+    let endings = [".json", ".ljson", ".fcsv", ".pp", ".pts", ".lm3", ".csv", ".txt"];
+    endings.iter().any(|ending| file.name.to_lowercase().ends_with(ending))
+}
+
 /// Of files that were added together, the one that the others belong to: a glTF file's buffers, an OBJ file's materials.
-fn main_file(files: &[Upload]) -> Result<String, Problem> {
+fn main_file(role: Role, files: &[Upload]) -> Result<String, Problem> {
     let side = [".bin", ".mtl", ".png", ".jpg", ".jpeg"];
     let lower = |f: &Upload| f.name.to_lowercase();
     let main: Vec<&Upload> =
         files.iter().filter(|f| files.len() == 1 || !side.iter().any(|s| lower(f).ends_with(s))).collect();
     match main[..] {
         [one] => Ok(one.name.clone()),
-        _ => Err(problem("add one mesh at a time; a folder of several files is a rig")),
+        _ if matches!(role, Role::Template | Role::Scan | Role::Rig) => {
+            Err(problem("add one mesh at a time; a folder of several files is a rig"))
+        }
+        _ => Err(problem("add one file of this kind at a time")),
     }
 }

@@ -141,6 +141,10 @@ impl Window {
         self.start("wrapping", false, move |job| {
             let hub = &job.hub;
             let wrap = WrapJob::new(&hub.vault, &hub.store, &case, &case.model(), &case.wrap.pairs, warm)?;
+            // said once for a result, not at each correction of it
+            if let Some(text) = wrap.idle.clone().filter(|_| !warm) {
+                job.say(ServerMessage::Note { text });
+            }
             let result = job.register("wrapping", &wrap, Some("wrapped"))?;
             job.say(ServerMessage::Progress { what: "measuring".to_owned(), share: None });
             let outcome = wrap.measure(result)?;

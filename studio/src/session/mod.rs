@@ -312,10 +312,12 @@ impl Window {
         match self.hub.vault.case(open.id) {
             Ok(new) if new == *open => Ok(()),
             Ok(new) => self.changed(new),
-            Err(_) => {
+            Err(Problem(why)) => {
+                let name = open.case.name.clone();
                 self.open = None;
                 self.say(ServerMessage::NoCase);
-                self.list("")
+                self.list("")?;
+                Err(problem(format!("{name}: {why}")))
             }
         }
     }

@@ -150,8 +150,9 @@ export async function journey(name, program, work) {
     current = visited.page;
     return visited;
   };
-  const restart = () => {
-    server = start(program, ["--vault", vault]);
+  const restart = (...args) => {
+    server = start(program, ["--vault", vault, ...args]);
+    return server.address;
   };
   try {
     await work({ folder, vault, visit, end, restart });

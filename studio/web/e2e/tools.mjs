@@ -17,12 +17,13 @@ async function closed(page, part) {
   return words;
 }
 
-/** Drops a file on the page, as from a folder's window. */
+/** Drops files on the page, as from a folder's window. */
 async function drop(page, path, content) {
   if (content !== undefined) writeFileSync(path, content);
+  const files = [path].flat();
   const session = await page.context().newCDPSession(page);
   for (const type of ["dragEnter", "dragOver", "drop"]) {
-    await session.send("Input.dispatchDragEvent", { type, x: 640, y: 400, data: { items: [], files: [path], dragOperationsMask: 1 } });
+    await session.send("Input.dispatchDragEvent", { type, x: 640, y: 400, data: { items: [], files, dragOperationsMask: 1 } });
   }
   await session.detach();
 }
@@ -30,7 +31,18 @@ async function drop(page, path, content) {
 /** The step of a preview that is being drawn: the last one. */
 const drawn = (heard) => heard.plan?.preview && !heard.plan.error && heard.plan.results[heard.plan.steps.length - 1];
 
-await journey("tools", studio, async ({ folder, visit }) => {
+/** Fingers on the page. */
+async function fingers(page, moves) {
+  const session = await page.context().newCDPSession(page);
+  const touch = (type, points) => session.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  await touch("touchStart", moves[0].slice(0, 1));
+  await touch("touchStart", moves[0]);
+  for (const move of moves) await touch("touchMove", move);
+  await touch("touchEnd", []);
+  await session.detach();
+}
+
+await journey("tools", studio, async ({ folder, visit, end, restart }) => {
   const { page, heard } = await visit();
   const panel = page.locator(".panel");
   await until("a case", () => heard.case);
@@ -41,6 +53,39 @@ await journey("tools", studio, async ({ folder, visit }) => {
   for (let k = 0; k < 400; k++) lines.push(`v ${2000 + 5 * (k % 20)} ${7 * Math.floor(k / 20)} ${bump(5 * (k % 20) - 50, 7 * Math.floor(k / 20) - 70)}`);
   for (let r = 0; r < 19; r++) for (let c = 0; c < 19; c++) lines.push(`f ${20 * r + c + 1} ${20 * r + c + 2} ${20 * r + c + 22} ${20 * r + c + 21}`);
   const scans = heard.case.case.scans.length;
+
+  // a scan and its landmarks are no rig; where a bit of it would be cut off, all of it is brought into view
+  const near = lines.map((line) => (line.startsWith("v") ? line.replace(/^v (\S+)/, (_, x) => `v ${x - 1990}`) : line));
+  const marks = ["first", "second"].map((name, k) => ({ name, position: [10 + 50 * k, 70, 0] }));
+  writeFileSync(join(folder, "near.obj"), `${near.join("\n")}\n`);
+  writeFileSync(join(folder, "near.json"), JSON.stringify({ unit: "mm", landmarks: marks }));
+  await drop(page, ["near.obj", "near.json"].map((name) => join(folder, name)));
+  await page.getByRole("dialog").getByRole("button", { name: "Add" }).click();
+  const item = panel.locator(".item");
+  await until("the scan with its landmarks", async () => heard.case.case.scans.length === scans + 1 && (await item.count()) === 2);
+  await idle(page);
+  check(heard.case.case.wrap.pairs.every((pair) => pair.target), "landmarks that are dropped with a scan lie on it");
+  await until("all of it is seen", async () => (await variance(page, [0.05, 0.2, 0.3, 0.6])) > 20 && (await variance(page, [0.355, 0, 0.005, 0.9])) < 1);
+  await shot(page, "20-with-landmarks");
+  // keys choose a row of the list, and run nothing
+  await item.first().focus();
+  for (const key of ["ArrowDown", "Enter"]) await page.keyboard.press(key);
+  await until("the second landmark is chosen by keys", async () => (await panel.locator(".item.selected").textContent()).includes("second"));
+  check((await panel.locator(".item:focus").textContent()).includes("second") && !(await page.$(".progress")), "the row that keys have chosen keeps the focus");
+  for (const left of [1, 0]) {
+    await page.keyboard.press("Control+Z");
+    await until(`${left} left`, () => heard.case.case.scans.length === scans + left && heard.case.case.wrap.pairs.length === 0);
+  }
+
+  // two fingers zoom, and place no landmark
+  const still = await variance(page, [0.4, 0, 0.3, 1]);
+  const [x, y] = [640, 400];
+  await fingers(page, [20, 60, 120, 180].map((d) => [[x - d, y - d / 2], [x + d, y + d / 2]]));
+  await until("the template is seen from near", async () => Math.abs((await variance(page, [0.4, 0, 0.3, 1])) - still) > 50);
+  check(heard.case.case.wrap.pairs.length === 0, "two fingers place no landmark");
+  await shot(page, "20-pinched");
+  await page.getByRole("button", { name: "All", exact: true }).click();
+
   await drop(page, join(folder, "bumpy.obj"), `${lines.join("\n")}\n`);
   await page.getByRole("dialog").getByRole("button", { name: "Add" }).click();
   await until("the dropped scan", () => heard.case.case.scans.length === scans + 1);
@@ -326,6 +371,35 @@ await journey("tools", studio, async ({ folder, visit }) => {
   await keep.click();
   await until("it is kept", () => heard.articles.articles.some((article) => article.title === "Thought"));
 
-  const unexpected = page.failures.filter((text) => !text.includes("400"));
+  // as many plans as have a colour are measured and printed, and one more is refused aloud
+  await mode(page, "Plan");
+  for (let k = 2; k <= 7; k++) {
+    await panel.getByRole("button", { name: "Copy", exact: true }).click();
+    await page.keyboard.press("Enter");
+    await until(`${k} plans`, () => heard.case.case.plans.length === k);
+  }
+  await mode(page, "Analyse");
+  const chips7 = panel.locator("section").first().locator(".chip");
+  for (let k = 0; k < 6; k++) await chips7.nth(k).click();
+  await closed(page, "6 plans at most");
+  check((await panel.locator("section").first().locator(".chip.on").count()) === 6, "a seventh plan is refused");
+
+  // what is changed while the server is away is done when it is back
+  await mode(page, "Plan");
+  await page.getByRole("tab", { name: "Smart operations" }).click();
+  const port = new URL(page.url()).port;
+  end();
+  const said = page.locator("header [role=status]");
+  await until("the page notices", async () => (await said.textContent()).startsWith("no server"));
+  await slide("preset-chin-forward", 4);
+  await closed(page, "kept here");
+  check((await page.locator('[data-key="preset-chin-forward#"]').inputValue()) === "4" && (await said.textContent()).endsWith("that wait for it: 1"), "a number waits for the server");
+  const again = await page.context().newPage();
+  await again.goto(await restart("--port", port));
+  await until("it is done", () => heard.plan?.steps.some((step) => step.preset === "chin-forward" && step.amount === 4));
+  await until("nothing waits", async () => (await said.textContent()) === "all changes saved");
+  await again.close();
+
+  const unexpected = page.failures.filter((text) => !/40[01]|ERR_CONNECTION|WebSocket/.test(text));
   check(unexpected.length === 0, `nothing went wrong in the page ${unexpected.join("; ")}`);
 });

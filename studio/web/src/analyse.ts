@@ -1,13 +1,15 @@
 // Analyse: measurements of the face and its plans, drawn on it; outlines over each other; a report to print.
 
 import * as THREE from "three";
-import { app, belongs, counted, faceShown, send } from "./app";
-import { button, h, section, svg, toggle } from "./dom";
+import { app, belongs, counted, faceShown, send, toast } from "./app";
+import { button, h, row as rowToChoose, section, svg, toggle } from "./dom";
 import type { Analysis, MeasureRow } from "./protocol";
 import { stage, surfaceOf, views } from "./scene";
 import { Pane, lookFrom } from "./stage";
 
 const pane = new Pane(views.face, "Measurements");
+/** As many are measured at once, and have a colour. */
+const MOST_PLANS = 6;
 const state = { after: false, chosen: null as string | null, group: "all", plans: null as Set<number> | null };
 
 belongs("client", () => ([state.plans, state.chosen] = [null, null]));
@@ -16,7 +18,7 @@ function plans(): number[] {
   const c = app.open?.case;
   if (!c) return [];
   const known = c.plans.map((p) => p.id);
-  return known.filter((id) => (state.plans ?? new Set([c.plan])).has(id)).slice(0, 6);
+  return known.filter((id) => (state.plans ?? new Set([c.plan])).has(id));
 }
 
 /** Measures anew; until the answer comes, nothing is known: an error leaves no older numbers on another face. */
@@ -108,7 +110,7 @@ export function table(a: Analysis, rows: MeasureRow[], onclick?: (row: MeasureRo
       {},
       rows.map((row, k) => [
         rows[k - 1]?.group !== row.group && h("tr", { class: "group" }, h("td", { colspan: a.columns.length + 2 }, row.group)),
-        h("tr", { class: row.name === state.chosen ? "selected" : "", title: row.formula, onclick: onclick && (() => onclick(row)) }, h("td", {}, row.name), a.columns.map((_, i) => cell(row, i)), h("td", { title: row.source }, row.typical ? `${row.typical[0]}–${row.typical[1]}` : "", h("small", {}, ` ${row.unit}`))),
+        h("tr", { class: row.name === state.chosen ? "selected" : "", title: row.formula, ...(onclick && rowToChoose(row.name === state.chosen, () => onclick(row))) }, h("td", {}, row.name), a.columns.map((_, i) => cell(row, i)), h("td", { title: row.source }, row.typical ? `${row.typical[0]}–${row.typical[1]}` : "", h("small", {}, ` ${row.unit}`))),
       ]),
     ),
   );
@@ -126,7 +128,10 @@ export function panel(redraw: () => void): HTMLElement[] {
       "Plans",
       faceShown(),
       h("div", { class: "row wrap" }, c.plans.map((p, k) => toggle(names[k]!, wanted.has(p.id), () => {
-        if (!wanted.delete(p.id)) wanted.add(p.id);
+        if (!wanted.delete(p.id)) {
+          if (wanted.size >= MOST_PLANS) return toast(`${MOST_PLANS} plans at most are measured and printed beside each other: take one out first.`, "error");
+          wanted.add(p.id);
+        }
         state.plans = wanted;
         enter();
         redraw();

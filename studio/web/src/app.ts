@@ -33,6 +33,8 @@ export const app = {
   connected: false,
   /** The server was started again, and does not know this page. */
   locked: false,
+  /** Numbers of sliders that wait for the server, by key: they stand there until it has answered. */
+  typed: new Map<string, number>(),
   meshes: new Map<string, MeshData>(),
   positions: new Map<string, Float32Array>(),
   values: new Map<string, ValueData>(),
@@ -116,12 +118,43 @@ export function connect() {
   socket.onmessage = (event) => (typeof event.data === "string" ? message(JSON.parse(event.data)) : numbers(event.data));
 }
 
+/** Changes that the server has not heard yet; they outlast a reload. */
+const UNHEARD = "unheard";
+export let unheard: FromPage[] = JSON.parse(sessionStorage.getItem(UNHEARD) ?? "[]");
+
+function keepUnheard(messages: FromPage[]) {
+  unheard = messages;
+  try {
+    sessionStorage.setItem(UNHEARD, JSON.stringify(messages));
+  } catch {
+    // too much for the browser to keep: while the page is open they are there
+  }
+}
+
+/** Whether a change waits for the server. A region, a recipe and what is written of a client wait where they were made. */
+function canWait(message: ClientMessage): boolean {
+  return message.type === "place" || message.type === "paint_mask" || (message.type === "edit" && !["add_step", "set_recipe", "describe"].includes(message.edit.edit));
+}
+
+/** Sends what has waited for the client that is shown. */
+function tellUnheard() {
+  const [mine, others] = [true, false].map((own) => unheard.filter((m) => (m.case === app.open?.id) === own)) as [FromPage[], FromPage[]];
+  if (mine.length === 0 || socket?.readyState !== WebSocket.OPEN) return;
+  keepUnheard(others);
+  for (const message of mine) socket.send(JSON.stringify(message));
+  toast("The server is back and does now what you changed meanwhile.", "note");
+}
+
 /** Sends what is meant for a client: the one that is shown, or that was when the user began. */
 export function send(message: ClientMessage, client = app.open?.id ?? null) {
   const whole: FromPage = { case: client, ...message };
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(whole));
-  else {
-    toast("The server does not answer: is the program still running? Nothing was changed.", "error");
+  else if (canWait(message)) {
+    keepUnheard([...unheard, whole]);
+    toast("The server does not answer: is the program still running? What you change is kept here, and done when it is back.", "error");
+    changed("unheard");
+  } else {
+    toast("The server does not answer: is the program still running? This was not done.", "error");
     changed("error");
   }
 }
@@ -171,6 +204,8 @@ function message(m: ServerMessage) {
       forgetOthers(m);
       sessionStorage.setItem(CLIENT, String(m.id));
       app.open = m;
+      app.typed.clear();
+      tellUnheard();
       break;
     case "no_case":
       forgetOthers(null);
@@ -300,7 +335,9 @@ export async function addFiles(role: Role, files: File[], unit: Unit | null = nu
       app.progress = { type: "progress", what: "sending files", share: (k + 1) / files.length };
       changed("progress");
     }
-    send({ type: "add", role, files: uploads, unit }, client);
+    // files of a mesh or rig belong together; each photo, recipe, client or file of landmarks is one of its own
+    const together = ["template", "scan", "rig", "schedule"].includes(role);
+    for (const files of together ? [uploads] : uploads.map((one) => [one])) send({ type: "add", role, files, unit }, client);
   } catch (error) {
     toast(error instanceof Error ? error.message : String(error), "error");
   }

@@ -1,7 +1,7 @@
 // Clients: the vault's cases, and what belongs to the one that is open.
 
 import { app, belongs, counted, edit, onChange, send } from "./app";
-import { ask, button, h, section, sure } from "./dom";
+import { ask, button, h, row, section, sure } from "./dom";
 import type { CaseSummary } from "./protocol";
 import { MESHES, pickFiles } from "./wrap";
 
@@ -15,6 +15,9 @@ onChange((what) => {
   const kept = app.open?.case;
   if (what === "case" && kept) for (const key of ["name", "date", "notes"] as const) if (written[key]?.trim() === kept[key].trim()) delete written[key];
 });
+
+/** Whether something that was written of the client is not kept. */
+export const isUnkept = () => Object.keys(written).length > 0;
 
 export function page(go: (mode: string) => void): HTMLElement {
   const shown = app.open;
@@ -30,7 +33,7 @@ export function page(go: (mode: string) => void): HTMLElement {
     app.cases.map((c) =>
       h(
         "div",
-        { class: `card ${c.id === shown?.id ? "selected" : ""}`, onclick: () => open(c), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && open(c) },
+        { class: `card ${c.id === shown?.id ? "selected" : ""}`, ...row(c.id === shown?.id, () => open(c)) },
         h("b", {}, c.name),
         h("small", {}, [c.date, `${c.scans} scan${c.scans === 1 ? "" : "s"}`, c.wrapped ? "wrapped" : "", `${c.plans} plan${c.plans === 1 ? "" : "s"}`].filter(Boolean).join(" · ")),
         h("p", { class: "clip" }, c.notes),
@@ -68,7 +71,7 @@ function details(go: (mode: string) => void): HTMLElement {
   return h(
     "div",
     { class: "details" },
-    section("Client", field("Name", written.name ?? c.name, (name) => describe({ name })), field("Date", written.date ?? c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes), Object.keys(written).length > 0 && h("div", { class: "row" }, h("p", { class: "doubt" }, "Not kept yet."), button("Keep", () => describe({})))),
+    section("Client", field("Name", written.name ?? c.name, (name) => describe({ name })), field("Date", written.date ?? c.date, (date) => describe({ date })), h("label", { class: "field" }, h("span", {}, "Notes"), notes), isUnkept() && h("div", { class: "row" }, h("p", { class: "doubt" }, "Not kept yet."), button("Keep", () => describe({})))),
     section(
       "Scans",
       scans.map((name, k) => h("div", { class: "row" }, h("span", { class: "grow clip" }, name, k === c.scan && h("small", {}, " in work")), button("Open", () => {

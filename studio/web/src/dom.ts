@@ -1,6 +1,6 @@
 // Elements by hand: `h("button", { onclick }, "Run")`. Text is always text, so no name from a file can be markup.
 
-import { toast } from "./app";
+import { app, toast } from "./app";
 
 type Child = Node | string | number | null | undefined | false | Child[];
 type Attributes = Record<string, unknown>;
@@ -41,6 +41,23 @@ function add(element: Element, children: Child[]) {
 
 export function button(text: string, onclick: () => void, attributes: Attributes = {}): HTMLButtonElement {
   return h("button", { type: "button", onclick, ...attributes }, text);
+}
+
+/** What makes a row or card of a list a thing to choose, by click or by keys; the arrows lead to its neighbours. */
+export function row(chosen: boolean, choose: () => void): Attributes {
+  const keys = (event: KeyboardEvent) => {
+    const here = event.currentTarget as HTMLElement;
+    if (event.target !== here) return;
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (step) {
+      const rows = [...here.parentElement!.children].filter((other): other is HTMLElement => other instanceof HTMLElement && other.tabIndex === 0);
+      rows[rows.indexOf(here) + step]?.focus();
+    } else if (event.key === "Enter" || event.key === " ") choose();
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  };
+  return { tabindex: 0, "aria-current": chosen ? "true" : undefined, onclick: choose, onkeydown: keys };
 }
 
 export function toggle(text: string, on: boolean, onclick: () => void, attributes: Attributes = {}): HTMLButtonElement {
@@ -92,7 +109,12 @@ export const hand = { busy: false, free: () => {} };
 const PAUSE = 400;
 
 /** A slider with its number; `live` while it moves, `done` when it is let go. Double click brings 0 back. */
-export function slider(o: SliderOptions): HTMLElement {
+export function slider(given: SliderOptions): HTMLElement {
+  const done = (value: number) => {
+    if (!app.connected) app.typed.set(given.key, value);
+    given.done(value);
+  };
+  const o = { ...given, value: app.typed.get(given.key) ?? given.value, done };
   const shown = (v: number) => String(Number(v.toFixed(2)));
   const number = h("input", { type: "number", min: o.min, max: o.max, step: o.step, value: shown(o.value), "data-key": `${o.key}#`, "aria-label": o.label });
   const range = h("input", { type: "range", min: o.min, max: o.max, step: o.step, value: String(o.value), "data-key": o.key, "aria-label": o.label });

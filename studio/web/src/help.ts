@@ -10,6 +10,7 @@ const KEYS: [string, [string, string][]][] = [
     ["0", "show all"],
     ["W, H", "polygons, heat map"],
     ["Esc", "cancel what runs or what is drawn"],
+    ["Tab, ↑ ↓, Enter", "to a list, along it, choose a row"],
     ["?", "this sheet"],
   ]],
   ["Views", [

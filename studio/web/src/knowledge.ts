@@ -1,7 +1,7 @@
 // The knowledge base: articles in Markdown, some with a recipe that joins the plan in work.
 
 import { app, edit, onChange, send } from "./app";
-import { button, h, sure } from "./dom";
+import { button, h, row, sure } from "./dom";
 import type { Article } from "./protocol";
 
 const state = { query: "", chosen: 0, writing: null as Article | null };
@@ -63,7 +63,7 @@ export function page(redraw: () => void, go: (mode: string) => void): HTMLElemen
         state.writing = { id: 0, title: "", tags: "", body: "", recipe: "" };
         redraw();
       }, { class: "main" })),
-      h("div", { class: "cards" }, app.articles.map((a) => h("div", { class: `card ${a === chosen && !state.writing ? "selected" : ""}`, onclick: () => choose(a), tabindex: 0, onkeydown: (event: KeyboardEvent) => event.key === "Enter" && choose(a) }, h("b", {}, a.title), h("small", {}, a.tags)))),
+      h("div", { class: "cards" }, app.articles.map((a) => h("div", { class: `card ${a === chosen && !state.writing ? "selected" : ""}`, ...row(a === chosen && !state.writing, () => choose(a)) }, h("b", {}, a.title), h("small", {}, a.tags)))),
     ),
     state.writing ? write(state.writing, redraw) : chosen ? read(chosen, redraw, go) : h("div", { class: "empty" }, h("p", {}, "No article has these words.")),
   );

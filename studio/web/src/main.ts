@@ -2,7 +2,7 @@
 
 import "./style.css";
 import * as analyse from "./analyse";
-import { addFiles, app, connect, onChange, onUnitWanted, send } from "./app";
+import { addFiles, app, connect, onChange, onUnitWanted, send, unheard } from "./app";
 import * as clients from "./clients";
 import * as compare from "./compare";
 import { button, dialog, h, hand, select } from "./dom";
@@ -57,7 +57,7 @@ let waiting = false;
 let late = false;
 
 hand.free = () => late && render();
-const CONTROLS = "button, input, select, textarea, label, summary";
+const CONTROLS = "button, input, select, textarea, label, summary, [tabindex='0']";
 /** The part of the page where something is pressed: drawn anew before it is let go, it would not be clicked. */
 let pressed: Element | null = null;
 document.addEventListener("pointerdown", (event) => {
@@ -150,7 +150,7 @@ function drawBarContent() {
     h("span", { class: "grow clip client", title: "The client that is open" }, open ? open.case.name : ""),
     progress
       ? h("span", { class: "progress", role: "status" }, h("span", {}, progress.what), h("progress", progress.share === null ? {} : { max: 1, value: progress.share }), button("Cancel", () => send({ type: "cancel" }), { title: "Esc" }))
-      : h("small", { class: app.connected ? "saved" : "doubt", role: "status" }, app.connected ? (open ? "all changes saved" : "") : app.locked ? "the server was started again: open the address that it has printed" : "no server: start nonrigid-studio again"),
+      : h("small", { class: app.connected && !clients.isUnkept() ? "saved" : "doubt", role: "status" }, app.connected ? (open ? (clients.isUnkept() ? "what was written of the client is not kept yet" : "all changes saved") : "") : `${app.locked ? "the server was started again: open the address that it has printed" : "no server: start nonrigid-studio again"}${unheard.length ? `; changes that wait for it: ${unheard.length}` : ""}`),
     button("↶", () => send({ type: "undo" }), { disabled: !open?.undo, title: open?.undo ? `Undo: ${open.undo} (Ctrl Z)` : "Nothing to undo", "aria-label": "undo" }),
     button("↷", () => send({ type: "redo" }), { disabled: !open?.redo, title: open?.redo ? `Redo: ${open.redo} (Ctrl Shift Z)` : "Nothing to redo", "aria-label": "redo" }),
     button("?", toggleHelp, { title: "Keys and mouse (?)", "aria-label": "help" }),
@@ -186,6 +186,8 @@ onUnitWanted((wanted) => {
 
 onChange((what) => {
   if (what === "plan" || what === "error" || what === "connection") sculpt.answered(what);
+  // the number that was typed stays
+  if (what === "unheard") return drawBar();
   if (what === "case" && mode === "analyse") analyse.enter();
   if (what === "case" && mode === "clients") send({ type: "list_cases", query: "" });
   if (what.startsWith("numbers:") && (mode === "clients" || mode === "knowledge")) return;
@@ -200,7 +202,9 @@ onChange((what) => {
 function roleOf(files: File[]): Role | null {
   const endings = files.map((f) => f.name.toLowerCase().replace(/\.gz$/, "").split(".").pop() ?? "");
   const all = (list: string[]) => endings.every((e) => list.includes(e));
-  if (files.length > 1 && endings.some((e) => e === "npy" || e === "json")) return "rig";
+  const meshes = endings.filter((e) => ["obj", "ply", "stl", "off", "xyz", "glb", "gltf"].includes(e)).length;
+  // one mesh with a JSON file may as well be a scan and its landmarks
+  if (files.length > 1 && endings.some((e) => e === "npy" || (e === "json" && meshes > 1))) return "rig";
   if (all(["zip"])) return "case";
   if (all(["png", "jpg", "jpeg", "webp"])) return "photo";
   if (all(["npz"])) return "rig";
@@ -216,8 +220,8 @@ async function dropped(files: File[]) {
   }
   if (!role) {
     const roles: [Role, string][] = [
-      ["scan", "a scan"],
-      ["template", "the template"],
+      ["scan", files.length > 1 ? "a scan and what belongs to it" : "a scan"],
+      ["template", files.length > 1 ? "the template and what belongs to it" : "the template"],
       ["rig", "a rig"],
       ["scan_landmarks", "landmarks on the scan"],
       ["template_landmarks", "landmarks on the template"],
@@ -293,8 +297,8 @@ document.addEventListener("keyup", (event) => mode === "plan" && sculpt.keyUp(ev
 stage.canvas.addEventListener("pointermove", () => mode === "plan" && sculpt.overlay());
 stage.canvas.addEventListener("wheel", () => mode === "plan" && requestAnimationFrame(() => sculpt.overlay()));
 
-// what runs ends with the window
-window.addEventListener("beforeunload", (event) => app.progress && event.preventDefault());
+// what runs ends with the window, and what waits for the server
+window.addEventListener("beforeunload", (event) => (app.progress || unheard.length) && event.preventDefault());
 
 connect();
 render();

@@ -228,12 +228,15 @@ export class Pane {
   }
 
   show(surfaces: (Surface | null)[]) {
-    for (const old of this.surfaces) this.scene.remove(old.group);
-    this.surfaces = surfaces.filter((s) => s !== null);
-    for (const surface of this.surfaces) this.scene.add(surface.group);
     const { view } = this;
-    const unseen = this.surfaces.filter((s) => !view.seen.has(s.data));
-    if (this.surfaces.length > 0 && (!view.fitted || (unseen.length > 0 && this.outside()))) this.fit();
+    const now = surfaces.filter((s) => s !== null);
+    const unseen = now.filter((s) => !view.seen.has(s.data));
+    // what was whole stays whole; whoever looks closely is not moved away
+    const cut = unseen.length > 0 && this.surfaces.every((s) => this.inside(s)) && !unseen.every((s) => this.inside(s));
+    for (const old of this.surfaces) this.scene.remove(old.group);
+    this.surfaces = now;
+    for (const surface of this.surfaces) this.scene.add(surface.group);
+    if (now.length > 0 && (!view.fitted || cut || (unseen.length > 0 && this.outside()))) this.fit();
     for (const surface of unseen) view.seen.add(surface.data);
   }
 
@@ -251,6 +254,15 @@ export class Pane {
     const off = box.getCenter(new THREE.Vector3()).sub(target);
     const aspect = Math.max(this.rect.z, 1) / Math.max(this.rect.w, 1);
     return Math.abs(off.dot(this.up())) > height / 2 || Math.abs(off.dot(this.right())) > (height / 2) * aspect || size < height / 8 || size > 8 * height;
+  }
+
+  /** Whether nothing of a surface is cut off by the edge of the view. */
+  private inside({ box }: Surface): boolean {
+    const { height, target } = this.view;
+    const aspect = Math.max(this.rect.z, 1) / Math.max(this.rect.w, 1);
+    const [up, right] = [this.up(), this.right()];
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => new THREE.Vector3(k & 1 ? box.max.x : box.min.x, k & 2 ? box.max.y : box.min.y, k & 4 ? box.max.z : box.min.z).sub(target));
+    return corners.every((c) => Math.abs(c.dot(up)) <= height / 2 && Math.abs(c.dot(right)) <= (height / 2) * aspect);
   }
 
   fit() {
@@ -372,7 +384,9 @@ export class Stage {
   readonly renderer: THREE.WebGLRenderer;
   panes: Pane[] = [];
   private waiting = false;
-  private hold: { pane: Pane; x: number; y: number; moved: number; kind: "tool" | "turn" | "pan" } | null = null;
+  /** Fingers on the picture; two of them shift and zoom. */
+  private readonly fingers = new Map<number, THREE.Vector2>();
+  private hold: { pane: Pane; x: number; y: number; moved: number; kind: "tool" | "turn" | "pan" | "pinch" } | null = null;
 
   constructor() {
     this.element.className = "stage";
@@ -387,7 +401,10 @@ export class Stage {
     this.canvas.onpointerdown = (event) => this.down(event);
     this.canvas.onpointermove = (event) => this.move(event);
     this.canvas.onpointerup = (event) => this.up(event);
-    this.canvas.onpointercancel = () => (this.hold = null);
+    this.canvas.onpointercancel = (event) => {
+      this.fingers.delete(event.pointerId);
+      this.hold = null;
+    };
     this.canvas.oncontextmenu = (event) => event.preventDefault();
     this.canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
   }
@@ -473,6 +490,12 @@ export class Stage {
     if (!pane) return;
     this.canvas.focus();
     this.canvas.setPointerCapture(event.pointerId);
+    if (event.pointerType === "touch") {
+      this.fingers.set(event.pointerId, new THREE.Vector2(event.offsetX, event.offsetY));
+      // what a finger draws, another one does not end
+      if (this.fingers.size > 1 && this.hold?.kind !== "tool") this.hold = { pane: this.hold?.pane ?? pane, x: 0, y: 0, moved: 0, kind: "pinch" };
+      if (this.fingers.size > 1) return;
+    }
     const pan = event.button !== 0 || event.shiftKey;
     const kind = pan ? "pan" : pane.tool?.down(pane, event) ? "tool" : "turn";
     this.hold = { pane, x: event.offsetX, y: event.offsetY, moved: 0, kind };
@@ -486,6 +509,10 @@ export class Stage {
       pane?.tool?.hover?.(pane, event);
       return;
     }
+    if (hold.kind === "pinch") return this.pinch(hold.pane, event);
+    const own = this.fingers.get(event.pointerId);
+    if (own ? [...this.fingers.keys()][0] !== event.pointerId : this.fingers.size > 0) return;
+    own?.set(event.offsetX, event.offsetY);
     const [dx, dy] = [event.offsetX - hold.x, event.offsetY - hold.y];
     hold.x = event.offsetX;
     hold.y = event.offsetY;
@@ -503,8 +530,24 @@ export class Stage {
     this.draw();
   }
 
+  /** Two fingers: what lies between them follows, and what is between stretches with their distance. */
+  private pinch(pane: Pane, event: PointerEvent) {
+    const [one, other] = [this.fingers.get(event.pointerId), [...this.fingers].find(([id]) => id !== event.pointerId)?.[1]];
+    if (!one || !other) return;
+    const to = new THREE.Vector2(event.offsetX, event.offsetY);
+    const { view } = pane;
+    const shift = to.clone().sub(one).multiplyScalar(0.5 * pane.scale);
+    view.target.addScaledVector(pane.right(), -shift.x).addScaledVector(pane.up(), shift.y);
+    view.height = inBounds((view.height * Math.max(one.distanceTo(other), 10)) / Math.max(to.distanceTo(other), 10));
+    one.copy(to);
+    this.draw();
+  }
+
   private up(event: PointerEvent) {
     const { hold } = this;
+    const drawing = hold?.kind === "tool" && this.fingers.size > 1 && [...this.fingers.keys()][0] !== event.pointerId;
+    this.fingers.delete(event.pointerId);
+    if (drawing) return;
     this.hold = null;
     if (!hold) return;
     if (hold.kind === "tool") hold.pane.tool?.up?.(hold.pane, event);
@@ -519,9 +562,14 @@ export class Stage {
     const lines = event.deltaMode === 1 ? 20 : 1;
     // a pinch on a trackpad is a wheel with Ctrl, in smaller steps
     pane.view.height *= Math.exp(Math.max(-1, Math.min(1, event.deltaY * lines * (event.ctrlKey ? 0.01 : 0.0012))));
-    pane.view.height = Math.max(5, Math.min(5000, pane.view.height));
+    pane.view.height = inBounds(pane.view.height);
     this.draw();
   }
+}
+
+/** A height of a view, mm. */
+function inBounds(height: number): number {
+  return Math.max(5, Math.min(5000, height));
 }
 
 /** Looks from a side: yaw to the subject's left, pitch from above, degrees, in the axes of the face. */

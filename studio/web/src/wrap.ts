@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { addFiles, app, copy, counted, edit, send, toast } from "./app";
-import { ask, button, flag, h, section, select, slider, svg, toggle } from "./dom";
+import { ask, button, flag, h, row, section, select, slider, svg, toggle } from "./dom";
 import type { Pair, Source, Unit, WrapSettings } from "./protocol";
 import { options, stage, surfaceOf, views } from "./scene";
 import { Pane, type Marker, type Tool } from "./stage";
@@ -276,11 +276,11 @@ export function panel(): HTMLElement[] {
           {
             class: `item ${pair.name === state.selected ? "selected" : ""}`,
             title: pair.doubt ?? "",
-            onclick: () => {
+            ...row(pair.name === state.selected, () => {
               state.selected = pair.name;
               focusOn(pair);
               redraw();
-            },
+            }),
           },
           h("i", { class: `dot c${colour(pair).toString(16).padStart(6, "0")}` }),
           h("span", { class: "grow clip" }, pair.name, pair.doubt && h("small", { class: "doubt" }, ` ${pair.doubt}`)),
