@@ -320,7 +320,7 @@ def register(
     steering = Schedule.of(schedule, model)._native.with_options(
         bounds_of("expression_bounds", expression_bounds), bounds_of("identity_bounds", identity_bounds), flip
     )
-    for idle in steering.without_effect(model):
+    for idle in steering.without_effect(model, None if of_rig is None else of_rig._native):
         warn(f"schedule: {idle}")
     warm = None
     if isinstance(warm_start, Registration):

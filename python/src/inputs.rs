@@ -13,6 +13,7 @@ use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyString, PyTuple};
 
 use crate::errors::{compute, guarded, input, value};
 use crate::mesh::Mesh;
+use crate::rig::Rig;
 
 /// Landmarks of a file, or of a text in this project's own form.
 #[pyclass(frozen, module = "nonrigid._nonrigid")]
@@ -184,11 +185,11 @@ impl Schedule {
         Ok(Self { schedule, files: self.files.clone() })
     }
 
-    /// What it says and has no effect with a model, and why.
-    fn without_effect(&self, model: &str) -> PyResult<Vec<String>> {
+    /// What it says and has no effect with a model and a rig's shapes, and why.
+    fn without_effect(&self, model: &str, rig: Option<&Rig>) -> PyResult<Vec<String>> {
         let model = model.parse::<ModelKind>().map_err(value)?;
         let resolved = self.schedule.resolved(&model, &TERMS).map_err(|e| value(format!("schedule: {e}")))?;
-        Ok(resolved.without_effect())
+        Ok(resolved.without_effect(Some(rig.map_or(&[], |rig| rig.rig.shapes()))))
     }
 
     #[getter]

@@ -227,7 +227,10 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let files = input_files(&inputs);
     units.say();
     if let Some(path) = &a.config {
-        schedule.without_effect(&shapes).iter().for_each(|said| warn(format_args!("{}: {said}", path.display())));
+        schedule
+            .without_effect(Some(shapes.shapes()))
+            .iter()
+            .for_each(|said| warn(format_args!("{}: {said}", path.display())));
     }
     let chosen = [
         ("--shapes", a.rig.shapes.is_some()),

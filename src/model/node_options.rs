@@ -207,11 +207,12 @@ impl OptionTable for GraphLevel {
     }
 }
 
-/// Keys of a graph, and of its levels, that say something else than the default and have no effect, and why.
+/// Keys of a graph, and of its levels, that say something else than the default and have no effect, and why; with these shapes, if they
+/// are known.
 pub(crate) fn without_effect<'a>(
     graph: &Options,
     levels: impl Iterator<Item = &'a Options> + Clone,
-    shapes: &ShapeBasis,
+    shapes: Option<&[Shape]>,
 ) -> Vec<(&'static str, &'static str)> {
     let usual = Options::of(&GraphOptions::default());
     let other = |key: &str| graph.get(key).is_some_and(|value| Some(value) != usual.get(key));
@@ -219,7 +220,7 @@ pub(crate) fn without_effect<'a>(
     let rotates = levels.clone().any(|level| level.number("lambda_rotation").is_some_and(|lambda| lambda > 0.0));
     let sparse = || levels.clone().filter(|level| level.number("sparse").is_some_and(|scale| scale > 0.0));
     let weighs = |level: &Options| level.number("lambda_blend").is_some_and(|lambda| lambda > 0.0);
-    let no_expression = !shapes.shapes().iter().any(Shape::from_zero_to_one);
+    let no_expression = shapes.is_some_and(|shapes| !shapes.iter().any(Shape::from_zero_to_one));
     let said = [
         ("sparse", no_expression && sparse().next().is_some(), "no shape is an expression with one of ARKit's names"),
         ("sparse", !no_expression && sparse().any(|level| !weighs(level)), "lambda_blend is 0 beside it"),

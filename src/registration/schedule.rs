@@ -19,7 +19,7 @@ use crate::energy::Options;
 use crate::mesh::adjacency::EdgeGraph;
 use crate::mesh::{PolygonMesh, PoseKind};
 use crate::model::{ModelFactory, ModelKind, without_effect};
-use crate::rig::{Family, ShapeBasis};
+use crate::rig::{Family, Shape, ShapeBasis};
 use crate::term::TermFactory;
 use crate::text;
 
@@ -260,25 +260,20 @@ impl Schedule {
         Ok(resolved)
     }
 
-    /// What a [resolved](Self::resolved) schedule says and has no effect with these shapes, and why.
+    /// What a [resolved](Self::resolved) schedule says and has no effect, and why; with these shapes, if they are known.
     #[must_use]
-    pub fn without_effect(&self, shapes: &ShapeBasis) -> Vec<String> {
-        let said = |prefix: &str, model: &Options, levels: &[&Level], shapes: &ShapeBasis| -> Vec<String> {
+    pub fn without_effect(&self, shapes: Option<&[Shape]>) -> Vec<String> {
+        let said = |prefix: &str, model: &Options, levels: &[&Level]| -> Vec<String> {
             let found = without_effect(model, levels.iter().map(|level| &level.model), shapes);
             found.into_iter().map(|(key, why)| format!("{prefix}model: {key} has no effect: {why}")).collect()
         };
-        let mut all = said("", &self.model, &self.bend.iter().chain(&self.levels).collect::<Vec<_>>(), shapes);
+        let mut all = said("", &self.model, &self.bend.iter().chain(&self.levels).collect::<Vec<_>>());
         for (k, stage) in (1..).zip(self.later_stages()) {
-            all.extend(said(
-                &"then.".repeat(k),
-                &stage.model.options,
-                &stage.levels.iter().collect::<Vec<_>>(),
-                shapes,
-            ));
+            all.extend(said(&"then.".repeat(k), &stage.model.options, &stage.levels.iter().collect::<Vec<_>>()));
         }
         if let Some(closed) = &self.closed {
             let levels: Vec<&Level> = closed.bend.iter().chain(&closed.levels).collect();
-            all.extend(said("closed.", &closed.model, &levels, &ShapeBasis::none())); // it has no expressions
+            all.extend(said("closed.", &closed.model, &levels));
         }
         all
     }
@@ -375,7 +370,6 @@ fn known_terms(
 mod tests {
     use super::*;
     use crate::mesh::{TriangleMesh, Vec3};
-    use crate::rig::Shape;
     use crate::term::TERMS;
 
     #[test]
@@ -428,12 +422,12 @@ mod tests {
 
     #[test]
     fn what_has_no_effect_is_said_of_every_stage() {
-        let shape =
-            |name: &str| ShapeBasis::new(vec![Shape { name: name.to_owned(), family: Family::Expression }], vec![]);
-        let said_of = |model: ModelKind, text: &str, shapes: &ShapeBasis| {
-            Schedule::from_toml(text).unwrap().resolved(&model, &TERMS).unwrap().without_effect(shapes)
+        let said_of = |model: ModelKind, text: &str, shape: Option<&str>| {
+            let shapes = shape.map(|name| [Shape { name: name.to_owned(), family: Family::Expression }]);
+            let schedule = Schedule::from_toml(text).unwrap().resolved(&model, &TERMS).unwrap();
+            schedule.without_effect(shapes.as_ref().map(|shapes| &shapes[..]))
         };
-        let said = |model: ModelKind, text: &str| said_of(model, text, &shape("jawOpen"));
+        let said = |model: ModelKind, text: &str| said_of(model, text, Some("jawOpen"));
         for model in ModelKind::ALL {
             assert_eq!(said(model, model.default_schedule()), [""; 0], "{model}");
         }
@@ -443,8 +437,9 @@ mod tests {
         let text = ModelKind::Sumner.default_schedule().replace("coarse = true, ", "");
         assert_eq!(said(ModelKind::Sumner, &text), ["model: coarse_nodes has no effect: no level is coarse"]);
         let text = ModelKind::Hybrid.default_schedule();
-        let found = said_of(ModelKind::Hybrid, text, &shape("open the jaw"));
+        let found = said_of(ModelKind::Hybrid, text, Some("open the jaw"));
         assert_eq!(found, ["model: sparse has no effect: no shape is an expression with one of ARKit's names"]);
+        assert_eq!(said_of(ModelKind::Hybrid, text, None), [""; 0]);
         let found = said(ModelKind::Hybrid, &text.replace("lambda_blend = 1.5, sparse", "lambda_blend = 0.0, sparse"));
         assert_eq!(found, ["model: sparse has no effect: lambda_blend is 0 beside it"]);
     }

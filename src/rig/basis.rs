@@ -211,8 +211,7 @@ impl ShapeBasis {
     pub fn unlikeliness(&self, weights: &[f64]) -> f64 {
         assert_eq!(weights.len(), self.len(), "one weight for each shape");
         let identities = (0..self.len()).filter(|&k| self.shapes[k].family == Family::Identity);
-        let (sum, count) =
-            identities.fold((0.0, 0.0), |(sum, count), k| (sum + weights[k].powi(2), count + 1.0));
+        let (sum, count) = identities.fold((0.0, 0.0), |(sum, count), k| (sum + weights[k].powi(2), count + 1.0));
         if count > 0.0 { sum / (count + 2.0 * (2.0_f64 * count).sqrt()) } else { 0.0 }
     }
 

@@ -375,7 +375,7 @@ pub fn read_schedule(path: &Path, model: &ModelKind) -> Result<Schedule, Problem
 /// What a schedule of one's own says and has no effect, in a line.
 #[must_use]
 pub fn without_effect(name: &str, schedule: &Schedule) -> Option<String> {
-    let idle = schedule.without_effect();
+    let idle = schedule.without_effect(None);
     (!idle.is_empty()).then(|| format!("{name}: {}", idle.join("; ")))
 }
 
