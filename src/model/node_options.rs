@@ -39,7 +39,7 @@ pub struct GraphOptions {
     pub proportions: f64,
     /// How much stiffer shapes become that a subject needs more of than the rig's own people do: a level's `lambda_blend` counts
     /// `u^distrust` times, with `u` the sum of squares of the identities' weights where the level starts, in units of two standard deviations
-    /// above what their prior expects, if that is more than one. Such a rig knows people of another kind, and its shapes say wrongly
+    /// above what the rig's own people have, if that is more than one. Such a rig knows people of another kind, and its shapes say wrongly
     /// where a smooth surface has slid to. 0 for never. For the hybrid alone.
     pub distrust: f64,
     /// Number of smooth shapes that join the rig's, if it has any, as in the model `gpmm_rig`: three for each function of the Gaussian
