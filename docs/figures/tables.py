@@ -387,8 +387,6 @@ PARTS = {
     "default": "",
     "expressions": "/^beyond/d",
     "sparse": "s/, sparse = [0-9.]*//",
-    "identities": "/^identity/d",
-    "soft": "s/lambda_graph = 0.8/lambda_graph = 1.0/",
     "scan": "/^terms.scan_to_template/d",
     "symmetric": "/^terms.symmetric/d; s/^terms.point_to_plane = { weight = 0.0 }/terms.point_to_plane = { weight = 1.0 }/",
     "nodes": "s/^nodes = 600/nodes = 400/",
