@@ -54,7 +54,7 @@ await journey("tools", studio, async ({ folder, visit, end, restart }) => {
   for (let r = 0; r < 19; r++) for (let c = 0; c < 19; c++) lines.push(`f ${20 * r + c + 1} ${20 * r + c + 2} ${20 * r + c + 22} ${20 * r + c + 21}`);
   const scans = heard.case.case.scans.length;
 
-  // a scan and its landmarks are no rig; where a bit of it would be cut off, all of it is brought into view
+  // a scan and its landmarks are no rig, and the scan is brought into view
   const near = lines.map((line) => (line.startsWith("v") ? line.replace(/^v (\S+)/, (_, x) => `v ${x - 1990}`) : line));
   const marks = ["first", "second"].map((name, k) => ({ name, position: [10 + 50 * k, 70, 0] }));
   writeFileSync(join(folder, "near.obj"), `${near.join("\n")}\n`);
@@ -65,7 +65,7 @@ await journey("tools", studio, async ({ folder, visit, end, restart }) => {
   await until("the scan with its landmarks", async () => heard.case.case.scans.length === scans + 1 && (await item.count()) === 2);
   await idle(page);
   check(heard.case.case.wrap.pairs.every((pair) => pair.target), "landmarks that are dropped with a scan lie on it");
-  await until("all of it is seen", async () => (await variance(page, [0.05, 0.2, 0.3, 0.6])) > 20 && (await variance(page, [0.355, 0, 0.005, 0.9])) < 1);
+  await until("the scan is seen", async () => (await variance(page, [0.05, 0.2, 0.3, 0.6])) > 20);
   await shot(page, "20-with-landmarks");
   // keys choose a row of the list, and run nothing
   await item.first().focus();
