@@ -444,6 +444,36 @@ fn a_case_whose_file_is_gone_says_so() {
 }
 
 #[test]
+fn landmarks_that_come_with_their_mesh_are_its_own() {
+    let (server, page) = Running::with_empty_case();
+    let mut page = page;
+    let marks = r#"{"landmarks": [{"name": "a", "position": [5, 7, 0]}]}"#.as_bytes();
+    let on_template = r#"{"landmarks": [{"name": "a", "vertex": 7}]}"#.as_bytes();
+    page.send(&server.adding("template", &[("a.json", on_template), ("face.obj", sheet().as_bytes())], Some("mm")));
+    while page.wait("case")["case"]["wrap"]["pairs"] == json!([]) {}
+    page.send(&server.adding("scan", &[("a.obj", scaled_sheet(0.1).as_bytes()), ("A.JSON", marks)], Some("cm")));
+    let pair = loop {
+        let pair = page.wait("case")["case"]["wrap"]["pairs"][0].clone();
+        if !pair["target"].is_null() {
+            break pair;
+        }
+    };
+    // in the scan's unit
+    assert_eq!((&pair["vertex"], &pair["target"][0]), (&json!(7), &json!(50.0)));
+    page.wait("idle");
+    // they wait with their scan for its unit, and what is wrong with them leaves the scan there
+    let files: [(&str, &[u8]); 2] =
+        [("b.obj", scaled_sheet(1e-9).into_bytes().leak()), ("b.json", b"{\"landmarks\": \"x\"}")];
+    page.send(&server.adding("scan", &files, None));
+    let wanted = page.wait("unit_wanted");
+    assert_eq!(wanted["files"].as_array().unwrap().len(), 2);
+    let again = json!({ "type": "add", "role": "scan", "files": wanted["files"], "unit": "mm" });
+    assert!(page.refused(&again).starts_with("b.json"));
+    assert_eq!(server.hub.vault.cases("").unwrap()[0].scans, 2);
+    assert_eq!(server.waiting(), 0);
+}
+
+#[test]
 fn keys_of_a_schedule_without_effect_are_said() {
     let (server, _, mut page) = Running::with_sheet();
     let mut settings = serde_json::to_value(studio::case::WrapSettings::default()).unwrap();
