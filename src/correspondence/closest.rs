@@ -14,7 +14,8 @@ pub struct Correspondences {
     pub points: Vec<Vec3>,
     /// Unit normal of the scan there, interpolated between its vertices.
     pub normals: Vec<Vec3>,
-    /// One for an accepted correspondence and each vertex that it speaks for, zero for a rejected one, less where a mask says so.
+    /// One for an accepted correspondence and each vertex that it speaks for, zero for a rejected one, less where a mask says so or the
+    /// scan is noisy.
     pub weights: Vec<f64>,
     /// Share of each vertex that nothing holds: one where nothing was accepted, less where a mask says so.
     pub unseen: Vec<f64>,
@@ -31,13 +32,14 @@ struct Found {
     feature: Option<u32>,
     point: Vec3,
     normal: Vec3,
+    trust: f64,
     accepted: bool,
 }
 
 impl Default for Found {
     fn default() -> Self {
         let zero = Vec3::zeros();
-        Self { feature: None, point: zero, normal: zero, accepted: false }
+        Self { feature: None, point: zero, normal: zero, trust: 0.0, accepted: false }
     }
 }
 
@@ -70,7 +72,8 @@ impl Correspondences {
             found.accepted &= !on_rim && *data > 0.0;
         }
         let found = &self.found;
-        let weight = |i: usize| if masks.speaker(i) == i && found[i].accepted { masks.weight(i) } else { 0.0 };
+        let weight =
+            |i: usize| if masks.speaker(i) == i && found[i].accepted { masks.weight(i) * found[i].trust } else { 0.0 };
         let seen = |i: usize| if found[masks.speaker(i)].accepted { masks.own_weight(i) } else { 0.0 };
         self.weights.clear();
         self.weights.extend((0..positions.len()).map(weight));
@@ -113,6 +116,7 @@ impl Found {
             return;
         }
         self.normal = hit.normal;
+        self.trust = accept.trust(hit.noise);
         let on_rim = scan.rejects_boundary() && hit.on_boundary;
         self.accepted = !on_rim && hit.normal.dot(&normal) > cosine;
     }
@@ -125,7 +129,7 @@ mod tests {
     use crate::mesh::testing::{noise, sheet};
 
     fn limits() -> Acceptance {
-        Acceptance { distance: 2.0, angle: 40.0 }
+        Acceptance { distance: 2.0, angle: 40.0, noise: 0.0 }
     }
 
     fn scan_of(mesh: TriangleMesh, reject_boundary: bool) -> ScanSurface {
@@ -186,6 +190,24 @@ mod tests {
                 assert_eq!(*weight == 1.0, inside || !reject, "{p}");
             }
         }
+    }
+
+    #[test]
+    fn what_a_noisy_part_of_the_scan_says_counts_less() {
+        let gaussian = |i: usize| noise(3 * i) + noise(3 * i + 1) + noise(3 * i + 2);
+        let height = |c: f64, r: f64| if c > 20.0 { 0.6 * gaussian((41.0 * r + c) as usize) } else { 0.0 };
+        let scan = scan_of(sheet(41, 41, |c, r| Vec3::new(c, r, height(c, r))), true);
+        let template = sheet(31, 31, |c, r| Vec3::new(5.0 + c, 5.0 + r, 0.0));
+        let weights = |noise| find(&scan, &template, &Acceptance { distance: 5.0, angle: 80.0, noise }).weights;
+        assert!(weights(0.0).iter().all(|w| *w == 0.0 || *w == 1.0));
+        let mean = |side: &dyn Fn(f64) -> bool| {
+            let pairs = template.positions.iter().zip(weights(0.3)).filter(|(p, w)| side(p.x) && *w > 0.0);
+            let (sum, count) = pairs.fold((0.0, 0.0), |(sum, count), (_, w)| (sum + w, count + 1.0));
+            sum / count
+        };
+        assert_eq!(mean(&|x| x < 17.0), 1.0);
+        // 0.3^2 / (0.3^2 + 0.6^2)
+        assert!((0.15..0.3).contains(&mean(&|x| x > 24.0)), "{}", mean(&|x| x > 24.0));
     }
 
     #[test]

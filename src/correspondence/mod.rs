@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub use closest::Correspondences;
 pub use masks::VertexMasks;
 pub(crate) use scan::check_normals;
-pub use scan::{ScanError, ScanSurface};
+pub use scan::{ScanError, ScanSample, ScanSurface};
 
 /// What of the scan is believed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -64,4 +64,13 @@ pub struct Acceptance {
     pub distance: f64,
     /// Greatest angle between the normals, degrees.
     pub angle: f64,
+    /// Standard deviation of the scan's noise at which a pair counts half, in the unit of the positions; 0 where all count alike.
+    pub noise: f64,
+}
+
+impl Acceptance {
+    /// What a pair counts where the scan's noise is this: `s^2 / (s^2 + noise^2)`, as if every pair were off by `s` besides.
+    pub(crate) fn trust(&self, noise: f64) -> f64 {
+        if self.noise > 0.0 { 1.0 / (1.0 + (noise / self.noise).powi(2)) } else { 1.0 }
+    }
 }

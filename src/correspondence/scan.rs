@@ -11,7 +11,7 @@ use super::ScanOptions;
 use crate::mesh::adjacency::{EdgeGraph, OpenBoundary};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::{NormalWeighting, face_areas, vertex_normals};
-use crate::mesh::{MeshError, OrientedPoints, Pose, TriangleMesh, Vec3};
+use crate::mesh::{MeshError, OrientedPoints, Pose, TriangleMesh, Vec3, noise};
 
 /// Why a scan cannot be searched.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -52,7 +52,7 @@ pub struct ScanSurface {
 }
 
 enum Surface {
-    Triangles { tree: ClosestPoint, normals: Vec<Vec3>, boundary: OpenBoundary },
+    Triangles { tree: ClosestPoint, normals: Vec<Vec3>, noise: Vec<f32>, boundary: OpenBoundary },
     Points(OrientedPoints),
 }
 
@@ -69,8 +69,21 @@ pub(crate) struct Hit {
     pub barycentric: [f64; 3],
     /// Unit length, or zero where the scan has none.
     pub normal: Vec3,
+    /// Standard deviation along the normal ([`noise`]).
+    pub noise: f64,
     /// Whether the scan ends there.
     pub on_boundary: bool,
+}
+
+/// A point of a scan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanSample {
+    /// Where it is.
+    pub point: Vec3,
+    /// Unit normal of the scan there.
+    pub normal: Vec3,
+    /// Standard deviation along it ([`noise`]).
+    pub noise: f64,
 }
 
 impl ScanSurface {
@@ -137,7 +150,8 @@ impl ScanSurface {
         let p = self.frame.apply(*p);
         let hit = self.surface.closest(&p, hint, squared_reach * self.frame.scale.powi(2))?;
         let normal = self.frame.rotation.tr_mul(&hit.normal) * self.side;
-        Some(Hit { point: self.frame.apply_inverse(hit.point), normal, ..hit })
+        let noise = hit.noise / self.frame.scale;
+        Some(Hit { point: self.frame.apply_inverse(hit.point), normal, noise, ..hit })
     }
 
     /// The closest point of the surface, if it lies within `reach` and not on the open boundary.
@@ -159,19 +173,23 @@ impl ScanSurface {
         self.reject_boundary
     }
 
-    /// Vertices spread evenly over the scan, no two nearer than `spacing` and every other one within `spacing` of them, as
-    /// (position, unit normal); and the area that each stands for. The boundary is left out where it is not believed.
+    /// Vertices spread evenly over the scan, no two nearer than `spacing` and every other one within `spacing` of them; and the area that
+    /// each stands for. The boundary is left out where it is not believed.
     ///
     /// A vertex is taken, in the order of the scan, unless one before it is too near: a choice that does not depend on how the
     /// scan lies in space.
     #[must_use]
-    pub fn spread(&self, spacing: f64) -> (Vec<(Vec3, Vec3)>, f64) {
+    pub fn spread(&self, spacing: f64) -> (Vec<ScanSample>, f64) {
         let (candidates, area) = self.surface.points(self.reject_boundary);
         let frame = &self.frame;
-        let placed = |(p, n): (Vec3, Vec3)| (frame.apply_inverse(p), frame.rotation.tr_mul(&n) * self.side);
-        let candidates: Vec<(Vec3, Vec3)> = candidates.into_par_iter().map(placed).collect();
-        let chosen: Vec<(Vec3, Vec3)> =
-            apart(candidates.iter().map(|c| c.0), spacing).into_iter().map(|i| candidates[i]).collect();
+        let placed = |ScanSample { point, normal, noise }| ScanSample {
+            point: frame.apply_inverse(point),
+            normal: frame.rotation.tr_mul(&normal) * self.side,
+            noise: noise / frame.scale,
+        };
+        let candidates: Vec<ScanSample> = candidates.into_par_iter().map(placed).collect();
+        let chosen: Vec<ScanSample> =
+            apart(candidates.iter().map(|c| c.point), spacing).into_iter().map(|i| candidates[i]).collect();
         let each = area / frame.scale.powi(2) / chosen.len().max(1) as f64;
         (chosen, each)
     }
@@ -221,46 +239,53 @@ impl Surface {
             for _ in 0..smoothing {
                 normals = smooth_normals(&edges, &normals);
             }
-            (normals, OpenBoundary::of_edges(&edges, &mesh.triangles))
+            let noise = noise(&mesh.positions, &normals, |i| edges.neighbours(i));
+            (normals, noise, OpenBoundary::of_edges(&edges, &mesh.triangles))
         };
-        let (tree, (normals, boundary)) = rayon::join(|| ClosestPoint::new(&mesh), rest);
-        Ok(Self::Triangles { tree: tree?, normals, boundary })
+        let (tree, (normals, noise, boundary)) = rayon::join(|| ClosestPoint::new(&mesh), rest);
+        Ok(Self::Triangles { tree: tree?, normals, noise, boundary })
     }
 
     fn closest(&self, p: &Vec3, hint: Option<u32>, squared_reach: f64) -> Option<Hit> {
         match self {
-            Self::Triangles { tree, normals, boundary } => {
+            Self::Triangles { tree, normals, noise, boundary } => {
                 let hit = tree.query_from_within(p, hint.unwrap_or(u32::MAX), squared_reach)?;
                 let corners = tree.triangle(hit.triangle);
                 let normal: Vec3 = corners.iter().zip(hit.barycentric).map(|(&v, b)| normals[v as usize] * b).sum();
+                let noise = corners.iter().zip(hit.barycentric).map(|(&v, b)| f64::from(noise[v as usize]) * b).sum();
                 Some(Hit {
                     feature: hit.triangle,
                     point: hit.point,
                     barycentric: hit.barycentric,
                     normal: normal.try_normalize(0.0).unwrap_or_default(),
+                    noise,
                     on_boundary: boundary.holds(hit.triangle as usize, corners, hit.barycentric),
                 })
             }
             Self::Points(points) => {
                 let hit = points.query(p, hint, squared_reach)?;
-                let (feature, point, normal) = (hit.index, hit.point, hit.normal);
-                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, on_boundary: hit.beyond_edge })
+                let (feature, point, normal, noise) =
+                    (hit.index, hit.point, hit.normal, points.noise(hit.index as usize));
+                Some(Hit { feature, point, barycentric: [1.0, 0.0, 0.0], normal, noise, on_boundary: hit.beyond_edge })
             }
         }
     }
 
     /// All points with a normal, without the boundary if that is not believed; and the area.
-    fn points(&self, without_boundary: bool) -> (Vec<(Vec3, Vec3)>, f64) {
+    fn points(&self, without_boundary: bool) -> (Vec<ScanSample>, f64) {
         match self {
-            Self::Triangles { tree, normals, boundary } => {
+            Self::Triangles { tree, normals, noise, boundary } => {
                 let inside = used(tree).filter(|&v| !(without_boundary && boundary.vertices()[v]));
                 let positions = tree.positions();
                 let area = face_areas(positions, &tree.triangles().collect::<Vec<_>>()).iter().sum();
-                (inside.map(|v| (positions[v], normals[v])).filter(|c| c.1 != Vec3::zeros()).collect(), area)
+                let sample = |v| ScanSample { point: positions[v], normal: normals[v], noise: f64::from(noise[v]) };
+                (inside.map(sample).filter(|s| s.normal != Vec3::zeros()).collect(), area)
             }
             Self::Points(points) => {
                 let inside = (0..points.points().len()).filter(|&i| !(without_boundary && points.on_edge(i)));
-                (inside.map(|i| (points.points()[i], points.normals()[i])).collect(), points.area())
+                let sample =
+                    |i| ScanSample { point: points.points()[i], normal: points.normals()[i], noise: points.noise(i) };
+                (inside.map(sample).collect(), points.area())
             }
         }
     }
@@ -357,7 +382,7 @@ fn smooth_normals(edges: &EdgeGraph, normals: &[Vec3]) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::testing::{noise, sheet};
+    use crate::mesh::testing::{self, sheet};
 
     fn cloud(mesh: &TriangleMesh) -> ScanSurface {
         let normals = vertex_normals(&mesh.positions, &mesh.triangles, NormalWeighting::Area);
@@ -410,7 +435,7 @@ mod tests {
     #[test]
     fn whoever_asks_in_another_frame_finds_the_same_points_there() {
         // uneven, so that no two neighbours of a point are equally near
-        let uneven = |c: f64, r: f64, seed: usize| 0.05 * noise((31.0 * r + c) as usize + seed);
+        let uneven = |c: f64, r: f64, seed: usize| 0.05 * testing::noise((31.0 * r + c) as usize + seed);
         let place =
             |c, r| Vec3::new(0.5 * c + uneven(c, r, 0), 0.5 * r + uneven(c, r, 5000), 0.01 * (c - 15.0).powi(2));
         let mesh = sheet(31, 31, place);
@@ -436,7 +461,12 @@ mod tests {
             }
             let ((a, area), (b, same)) = (here.spread(1.3), there.spread(1.3));
             assert!(a.len() == b.len() && (area - same).abs() < 1e-5 && a.len() > 60, "{} {}", a.len(), b.len());
-            assert!(a.iter().zip(&b).all(|(a, b)| (a.0 - b.0).norm() < 1e-5 && (a.1 - b.1).norm() < 1e-5));
+            let near = |a: &ScanSample, b: &ScanSample| {
+                (a.point - b.point).norm() < 1e-5
+                    && (a.normal - b.normal).norm() < 1e-5
+                    && (a.noise - b.noise).abs() < 1e-5
+            };
+            assert!(a.iter().zip(&b).all(|(a, b)| near(a, b)));
         }
     }
 

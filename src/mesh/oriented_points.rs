@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 
 use super::closest_point::{ClosestVertex, ClosestVertices};
-use super::{MeshError, Vec3, check_finite};
+use super::{MeshError, Vec3, check_finite, noise};
 
 /// Neighbours that have to surround a point.
 const NEIGHBOURS: usize = 16;
@@ -46,6 +46,7 @@ pub struct OrientedPoints {
     normals: Vec<Vec3>,
     radii: Vec<f64>,
     edges: Vec<Option<Edge>>,
+    noise: Vec<f32>,
     area: f64,
     tree: ClosestVertices,
 }
@@ -81,6 +82,7 @@ impl OrientedPoints {
             };
             normals = (0..points.len()).into_par_iter().map(average).collect();
         }
+        let noise = noise(&points, &normals, |i| near[i].vertices());
         let radii = near.iter().map(|near| near.disc.sqrt()).collect();
         let edges: Vec<Option<Edge>> =
             (0..points.len()).into_par_iter().map(|i| edge(&points, normals[i], i, near[i].vertices())).collect();
@@ -90,7 +92,7 @@ impl OrientedPoints {
             if near.count == 0 { 0.0 } else { half_sector * near.farthest / near.count as f64 }
         };
         let area = near.iter().zip(&edges).map(share).sum();
-        Ok(Self { points, normals, radii, edges, area, tree })
+        Ok(Self { points, normals, radii, edges, noise, area, tree })
     }
 
     /// The points that have a normal.
@@ -103,6 +105,12 @@ impl OrientedPoints {
     #[must_use]
     pub fn normals(&self) -> &[Vec3] {
         &self.normals
+    }
+
+    /// Standard deviation of point `index` along its normal ([`noise`]), millimetres.
+    #[must_use]
+    pub fn noise(&self, index: usize) -> f64 {
+        self.noise[index].into()
     }
 
     /// Whether point `index` lies on the edge of the cloud.
@@ -217,13 +225,13 @@ fn edge(points: &[Vec3], normal: Vec3, i: usize, near: &[u32]) -> Option<Edge> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::testing::{noise, sheet};
+    use crate::mesh::testing::{self, sheet};
 
     /// A square of 20 mm in the plane z = 0, points about a millimetre apart.
     fn square(jitter: f64) -> Vec<Vec3> {
         let place = |c: f64, r: f64| {
             let i = (21.0 * r + c) as usize;
-            Vec3::new(c + jitter * noise(2 * i), r + jitter * noise(2 * i + 1), 0.0)
+            Vec3::new(c + jitter * testing::noise(2 * i), r + jitter * testing::noise(2 * i + 1), 0.0)
         };
         sheet(21, 21, place).positions
     }
@@ -247,7 +255,7 @@ mod tests {
         let cloud = cloud(&square(0.3));
         for height in [0.0, 0.5, 30.0] {
             for i in 0..400 {
-                let p = Vec3::new(10.0 + 14.0 * noise(2 * i), 10.0 + 14.0 * noise(2 * i + 1), height);
+                let p = Vec3::new(10.0 + 14.0 * testing::noise(2 * i), 10.0 + 14.0 * testing::noise(2 * i + 1), height);
                 let found = cloud.query(&p, None, f64::INFINITY).unwrap();
                 let depth = p.x.min(20.0 - p.x).min(p.y).min(20.0 - p.y);
                 // Within the jitter and one spacing either answer will do.
@@ -272,7 +280,7 @@ mod tests {
             square(0.0).into_iter().filter(|p| (p - Vec3::new(10.0, 10.0, 0.0)).norm() > 4.0).collect();
         let cloud = cloud(&points);
         for i in 0..200 {
-            let p = Vec3::new(10.0 + 2.4 * noise(2 * i), 10.0 + 2.4 * noise(2 * i + 1), 0.2);
+            let p = Vec3::new(10.0 + 2.4 * testing::noise(2 * i), 10.0 + 2.4 * testing::noise(2 * i + 1), 0.2);
             let found = cloud.query(&p, None, f64::INFINITY).unwrap();
             assert!(found.beyond_edge, "{p}");
             assert!(found.distance > 0.2, "{p}: {found:?}");

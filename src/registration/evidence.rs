@@ -167,13 +167,13 @@ fn scan_missed(scan: &ScanSurface, result: &TriangleMesh, size: f64) -> Result<f
     let of_result = || (ClosestPoint::new(result), OpenBoundary::of(result));
     let ((tree, boundary), (points, _)) = rayon::join(of_result, || scan.spread(SPACING * size));
     let tree = tree?;
-    let over = |(p, _): &(Vec3, Vec3)| {
+    let over = |p: &Vec3| {
         let hit = tree.query_within(p, (OVER * size).powi(2))?;
         let t = hit.triangle as usize;
         let past = boundary.holds(t, result.triangles[t], hit.barycentric);
         (!past).then_some(hit.squared_distance.sqrt() > NEAR * size)
     };
-    let over: Vec<bool> = points.par_iter().filter_map(over).collect();
+    let over: Vec<bool> = points.par_iter().filter_map(|s| over(&s.point)).collect();
     Ok(over.iter().filter(|missed| **missed).count() as f64 / over.len().max(1) as f64)
 }
 

@@ -11,7 +11,7 @@
 //! own asymmetry says much; a rig whose people are as often skewed to the left as to the right says nothing, and then nothing can
 //! be known.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, SymmetricEigen};
 use serde::Serialize;
 
 use super::{RegistrationInput, RegistrationResult};
@@ -39,6 +39,8 @@ const EVIDENT: f64 = 8.0;
 /// Vertices that take part, and how many independent ones they stand for (`n` of the head comment).
 const SAMPLES: usize = 600;
 const INDEPENDENT: f64 = 100.0;
+/// Rounds of closest points that find a template's plane of symmetry.
+const ROUNDS: usize = 10;
 /// `s` of the head comment, and the distance of a template from its mirror image up to which it is symmetric, shares of the size.
 const MISFIT: f64 = 0.01;
 const SYMMETRIC: f64 = 0.03;
@@ -71,22 +73,41 @@ fn mirrored_pairs(
 ) -> Option<Vec<(usize, usize)>> {
     let points = &input.template.positions;
     let tree = ClosestVertices::new(points).ok()?;
-    let centre = points.iter().sum::<Vec3>() / points.len() as f64;
-    let image = |axis: usize, i: usize| {
-        let plane = MirrorPlane { point: centre, normal: Vec3::ith(axis, 1.0) };
-        tree.query(&plane.reflect(points[i])).map(|c| (c.vertex as usize, c.squared_distance))
-    };
-    let few: Vec<usize> = (0..points.len()).step_by(points.len() / 200 + 1).collect();
-    let away = |axis: usize| few.iter().filter_map(|&i| image(axis, i)).map(|c| c.1).sum::<f64>() / few.len() as f64;
-    let axis = (0..3).min_by(|&a, &b| away(a).total_cmp(&away(b)))?;
+    let used = input.template.on_surface();
+    let used: Vec<usize> = (0..points.len()).filter(|&i| used[i]).collect();
+    let few: Vec<Vec3> = used.iter().step_by(used.len() / 200 + 1).map(|&i| points[i]).collect();
+    let (plane, away) = symmetry_plane(&few, points, &tree)?;
     let scale = result.start.scale.max(f64::MIN_POSITIVE);
-    if away(axis).sqrt() > SYMMETRIC * size / scale {
+    if away > SYMMETRIC * size / scale {
         return None;
     }
-    let shown = |i: &usize| result.accepted[*i];
-    let all: Vec<usize> = (0..points.len()).filter(shown).collect();
-    let pairs = all.iter().step_by(all.len() / SAMPLES + 1).filter_map(|&i| Some((i, image(axis, i)?.0)));
+    let all: Vec<usize> = (0..points.len()).filter(|&i| result.accepted[i]).collect();
+    let image = |i: usize| tree.query(&plane.reflect(points[i])).map(|c| c.vertex as usize);
+    let pairs = all.iter().step_by(all.len() / SAMPLES + 1).filter_map(|&i| Some((i, image(i)?)));
     Some(pairs.filter(|(_, j)| result.accepted[*j]).collect())
+}
+
+/// The plane in which a few points of a template come nearest to it, and how near: by closest points, from those across the axes, its own
+/// and those in which it is given, since a template may be posed and may lack a part of one side.
+fn symmetry_plane(few: &[Vec3], points: &[Vec3], tree: &ClosestVertices) -> Option<(MirrorPlane, f64)> {
+    let centre = few.iter().sum::<Vec3>() / few.len().max(1) as f64;
+    let spread: Matrix3<f64> = few.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();
+    let own = SymmetricEigen::new(spread).eigenvectors;
+    let images = |plane: &MirrorPlane| -> Vec<(Vec3, Vec3, f64)> {
+        few.iter().filter_map(|p| Some((*p, points[tree.query(&plane.reflect(*p))?.vertex as usize], 1.0))).collect()
+    };
+    let settled = |normal: Vec3| {
+        let mut plane = MirrorPlane::new(centre, normal)?;
+        let mut pairs = images(&plane);
+        for _ in 0..ROUNDS {
+            plane = MirrorPlane::of_pairs(pairs.iter().copied())?;
+            pairs = images(&plane);
+        }
+        let square = pairs.iter().map(|(p, q, _)| (plane.reflect(*p) - q).norm_squared()).sum::<f64>();
+        Some((plane, (square / pairs.len() as f64).sqrt()))
+    };
+    let normals = (0..3).flat_map(|axis| [Vec3::ith(axis, 1.0), own.column(axis).into_owned()]);
+    normals.filter_map(settled).min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// `(E(v') - E(v)) / 2`; `None` where too little is shown.
@@ -138,4 +159,30 @@ fn log_odds(
     let mirrored: Vec<Vec3> =
         pairs.iter().map(|(_, j)| result.positions[*j].component_mul(&Vec3::new(-1.0, 1.0, 1.0))).collect();
     Some((energy(&mirrored)? - energy(&given)?) / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Pose;
+    use crate::mesh::testing::sheet;
+
+    #[test]
+    fn a_template_has_its_plane_however_it_lies_and_where_a_part_of_it_is_missing() {
+        let nose = |x: f64, y: f64| 25.0 * (-(x * x + (y - 5.0).powi(2)) / 150.0).exp() - 0.012 * x * x - 0.008 * y * y;
+        let face =
+            sheet(81, 91, |c, r| Vec3::new(2.0 * c - 80.0, 2.0 * r - 90.0, nose(2.0 * c - 80.0, 2.0 * r - 90.0)));
+        for turn in [Vec3::zeros(), Vec3::z() * 0.1, Vec3::new(0.4, -0.7, 0.3), Vec3::new(-1.2, 0.2, 0.8)] {
+            let pose = Pose::rigid(turn, Vec3::new(5.0, 40.0, -9.0));
+            let whole: Vec<Vec3> = face.positions.iter().map(|p| pose.apply(*p)).collect();
+            let without_an_ear = face.positions.iter().filter(|p| p.x < 60.0 || p.y < 20.0);
+            for points in [whole, without_an_ear.map(|p| pose.apply(*p)).collect()] {
+                let few: Vec<Vec3> = points.iter().step_by(40).copied().collect();
+                let tree = ClosestVertices::new(&points).unwrap();
+                let (plane, away) = symmetry_plane(&few, &points, &tree).unwrap();
+                let across = plane.normal.dot(&(pose.rotation * Vec3::x())).abs();
+                assert!(across > 0.999 && away < 4.0, "{turn}: {across}, {away} mm");
+            }
+        }
+    }
 }

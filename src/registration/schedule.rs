@@ -205,6 +205,7 @@ impl Schedule {
                 .map_err(|e| ScheduleError::Kernel { level: place.clone(), reason: e.to_string() })?;
             positive(name("distance_cap"), level.distance_cap)?;
             not_negative(name("sampling"), level.sampling)?;
+            not_negative(name("noise"), level.noise)?;
             check(
                 name("normal_angle"),
                 level.normal_angle,

@@ -128,14 +128,16 @@ pub struct LandmarkStart {
     pub searched: bool,
     /// Share of the landmarks that lie off the scan, by more than 15 mm on a face.
     pub off_scan: f64,
+    /// How many times as much as they say the landmarks lie off the scan's surface, in the median of those that it does not end before.
+    pub above_scan: f64,
 }
 
 impl LandmarkStart {
-    /// What landmarks count of what they would, `(2 / scatter)^2` and at most 1: as much as if they had said what they show. A scatter
-    /// of up to 2 may as well be a shape that no pose explains.
+    /// What landmarks count of what they would, `(2 / s)^2` and at most 1, with `s` the scatter or how far they are above the scan: as much
+    /// as if they had said what they show. A scatter of up to 2 may as well be a shape that no pose explains.
     #[must_use]
     pub fn trust(&self) -> f64 {
-        (PLAUSIBLE / self.scatter.max(PLAUSIBLE)).powi(2)
+        (PLAUSIBLE / self.scatter.max(self.above_scan).max(PLAUSIBLE)).powi(2)
     }
 
     /// What the user should know of the landmarks, a sentence each.
@@ -148,7 +150,7 @@ impl LandmarkStart {
             )
         };
         let mut remarks: Vec<String> = self.suspects.iter().map(took_no_part).collect();
-        if self.scatter > PLAUSIBLE {
+        if self.scatter > PLAUSIBLE && self.scatter >= self.above_scan {
             remarks.push(format!(
                 "the landmarks are off by {:.0} times what is expected of them, each otherwise than its neighbours: they count \
                  {:.2} of what they would; place them better",
@@ -156,7 +158,14 @@ impl LandmarkStart {
                 self.trust()
             ));
         }
-        if self.off_scan > MOST_OFF_SCAN {
+        if self.above_scan > PLAUSIBLE.max(self.scatter) {
+            remarks.push(format!(
+                "the landmarks lie {:.0} times as far off the scan's surface as is expected of them: they count {:.2} of what they \
+                 would; was the scan moved after they were placed, or are they another scan's?",
+                self.above_scan,
+                self.trust()
+            ));
+        } else if self.off_scan > MOST_OFF_SCAN {
             remarks.push(format!(
                 "{:.0} % of the landmarks lie far off the scan: are they another scan's, or was it moved after they were placed?",
                 100.0 * self.off_scan
@@ -171,7 +180,7 @@ pub(super) const OFF_SCAN: f64 = 15.0;
 /// Share of the landmarks that may be off the scan without a word: parts that it lacks.
 const MOST_OFF_SCAN: f64 = 0.3;
 
-/// Scatter that landmarks may have without counting less.
+/// Scatter, and distance from the scan, that landmarks may have without counting less.
 const PLAUSIBLE: f64 = 2.0;
 
 impl StartSearch {
@@ -292,7 +301,8 @@ pub(super) fn find_start(
     };
     let searched = start.search.as_ref().is_some_and(|search| !search.given);
     let suspects = suspects.iter().map(named).collect();
-    start.by_landmarks = Some(LandmarkStart { rms, std_dev: deviation, suspects, scatter, searched, off_scan: 0.0 });
+    start.by_landmarks =
+        Some(LandmarkStart { rms, std_dev: deviation, suspects, scatter, searched, off_scan: 0.0, above_scan: 0.0 });
     Ok(start)
 }
 

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::ScanToTemplate;
-use crate::correspondence::{Acceptance, ScanSurface, VertexMasks};
+use crate::correspondence::{Acceptance, ScanSample, ScanSurface, VertexMasks};
 use crate::mesh::adjacency::OpenBoundary;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::normals::face_areas;
@@ -16,8 +16,7 @@ const AREA_OF_ONE: f64 = 1.2;
 /// Scan points as dense as the template's vertices, evenly spread ([`ScanSurface::spread`]).
 #[derive(Debug)]
 pub struct ScanPoints {
-    /// Positions and unit normals.
-    points: Vec<(Vec3, Vec3)>,
+    points: Vec<ScanSample>,
     /// Area that a point stands for over that of a template vertex.
     weight: f64,
     /// The template's own boundary.
@@ -78,7 +77,7 @@ impl ScanPoints {
             }
         };
         let (cosine, cap) = (accept.angle.to_radians().cos(), accept.distance * accept.distance);
-        let search = |(&(q, normal), hint): (&(Vec3, Vec3), &mut u32)| {
+        let search = |(&ScanSample { point: q, normal, noise }, hint): (&ScanSample, &mut u32)| {
             let hit = surface.query_from_within(&q, *hint, cap)?;
             *hint = hit.triangle;
             let corners = template.triangles[hit.triangle as usize];
@@ -91,7 +90,7 @@ impl ScanPoints {
             // On a side, the corner opposite has weight 0: both triangles there give the same answer.
             let (nearest, _) = corners.into_iter().zip(hit.barycentric).max_by(|a, b| a.1.total_cmp(&b.1))?;
             let nearest = nearest as usize;
-            let weight = if masks.rim[nearest] { 0.0 } else { masks.data[nearest] };
+            let weight = if masks.rim[nearest] { 0.0 } else { masks.data[nearest] * accept.trust(noise) };
             let nearest = masks.speaker(nearest);
             (weight > 0.0).then(|| (nearest, q + (positions[nearest] - hit.point), normal, self.weight * weight))
         };
@@ -139,7 +138,7 @@ mod tests {
     }
 
     fn limits() -> Acceptance {
-        Acceptance { distance: 5.0, angle: 80.0 }
+        Acceptance { distance: 5.0, angle: 80.0, noise: 0.0 }
     }
 
     fn find(scan: &ScanSurface, template: &TriangleMesh, masks: &VertexMasks, accept: &Acceptance) -> ScanToTemplate {
@@ -167,12 +166,12 @@ mod tests {
             assert!((95..165).contains(&points.len()), "{what}: {}", points.len());
             let total = points.weight * points.len() as f64;
             assert!((total - 121.0).abs() < 0.15 * 121.0, "{what}: all points weigh as much as {total} vertices");
-            for (i, (p, _)) in points.points.iter().enumerate() {
-                assert!(points.points[..i].iter().all(|(q, _)| (p - q).norm() >= spacing), "{what}");
+            for (i, s) in points.points.iter().enumerate() {
+                assert!(points.points[..i].iter().all(|t| (s.point - t.point).norm() >= spacing), "{what}");
             }
             for i in 0..300 {
                 let p = Vec3::new(10.0 + 9.0 * noise(2 * i), 10.0 + 9.0 * noise(2 * i + 1), 0.0);
-                assert!(points.points.iter().any(|(q, _)| (p - q).norm() < 1.4 * spacing), "{what}: nothing near {p}");
+                assert!(points.points.iter().any(|s| (p - s.point).norm() < 1.4 * spacing), "{what}: nothing near {p}");
             }
         }
         // Inner vertices only, each for more than one of the template's.

@@ -490,6 +490,24 @@ fn landmarks_count_as_little_as_they_scatter_or_say() {
 }
 
 #[test]
+fn landmarks_above_the_scan_count_little() {
+    let rig = rig();
+    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+    let case = simulate_scan(&rig, &options, 53).unwrap();
+    let shapes = expressions(&rig);
+    let good = case.landmark_pairs();
+    let (clean, start) = hybrid_by(&rig, &shapes, &case, &good);
+    assert!(start.above_scan < 1.0, "{start:?}");
+    let forward = case.pose.rotation * Vec3::z() * 6.0;
+    let above = |l: &Landmark| Landmark { target: l.target + forward, ..l.clone() };
+    let marks: Vec<Landmark> = good.iter().map(above).collect();
+    let (off, start) = hybrid_by(&rig, &shapes, &case, &marks);
+    assert!((3.0..7.0).contains(&start.above_scan) && start.trust() < 0.5, "{start:?}");
+    assert!(start.remarks().last().unwrap().contains("off the scan's surface"), "{start:?}");
+    assert!(off < 1.5 * clean, "{off} mm, {clean} mm");
+}
+
+#[test]
 fn landmarks_that_the_shapes_cannot_reach_are_no_scatter_and_still_pull() {
     let rig = rig();
     let expressions = Some(vec![("jawOpen".to_owned(), 1.0)]);

@@ -149,12 +149,17 @@ impl Placed {
         let (mut start, scan) = (start?, scan?);
         cancel.check()?;
         if let Some(by_landmarks) = &mut start.by_landmarks {
-            let reach = start::OFF_SCAN * template.unit * start.pose.scale;
-            let off = |l: &&Landmark| {
-                let closest = scan.closest(&l.target, None, reach * reach);
-                closest.is_none_or(|hit| (hit.point - l.target).norm() > reach)
-            };
-            by_landmarks.off_scan = input.landmarks.iter().filter(off).count() as f64 / input.landmarks.len() as f64;
+            let [reach, sigma] =
+                [start::OFF_SCAN, schedule.sigma.landmark].map(|l| l * template.unit * start.pose.scale);
+            let hits = input.landmarks.iter().filter_map(|l| Some((l, scan.closest(&l.target, None, f64::INFINITY)?)));
+            let off = hits.map(|(l, hit)| ((hit.point - l.target).norm(), l.sigma.unwrap_or(sigma), hit.on_boundary));
+            let off: Vec<(f64, f64, bool)> = off.collect();
+            by_landmarks.off_scan = off.iter().filter(|l| l.0 > reach).count() as f64 / input.landmarks.len() as f64;
+            let mut above: Vec<f64> = off.iter().filter(|l| !l.2).map(|l| l.0 / l.1).collect();
+            let middle = above.len() / 2;
+            if !above.is_empty() {
+                by_landmarks.above_scan = *above.select_nth_unstable_by(middle, f64::total_cmp).1;
+            }
         }
         Ok(Self::new(scan, facing, start, schedule.scan.flip))
     }

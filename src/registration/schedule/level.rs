@@ -31,6 +31,10 @@ pub struct Level {
     /// so many samples of the scan, it counts the root of the ratio. 0 (default): all count alike.
     #[serde(default)]
     pub sampling: f64,
+    /// Standard deviation of the scan's noise at which what it shows counts half, millimetres; 0.3 by default. Where neighbours lie at heights
+    /// of their own ([`noise`](crate::mesh::noise())), as in hair, shapes and smoothness say more. 0: all of the scan counts alike.
+    #[serde(default = "noise")]
+    pub noise: f64,
     /// Robust kernel of the data terms, in the unit that [`scale`](Self::scale) says.
     pub kernel: Kernel,
     /// What the scale of [`kernel`](Self::kernel) counts: `fixed` (default) or `mad`.
@@ -49,6 +53,10 @@ fn normal_angle() -> f64 {
     60.0
 }
 
+fn noise() -> f64 {
+    0.3
+}
+
 fn yes() -> bool {
     true
 }
@@ -63,6 +71,7 @@ impl Default for Level {
             reject_rim: true,
             thinned: false,
             sampling: 0.0,
+            noise: noise(),
             kernel: Kernel::None,
             scale: KernelScale::Fixed,
             model: Options::new(),
@@ -100,7 +109,7 @@ impl Level {
     /// What a pair must keep to be accepted, for a model whose length of a millimetre is `unit`.
     #[must_use]
     pub fn acceptance(&self, unit: f64) -> Acceptance {
-        Acceptance { distance: self.distance_cap * unit, angle: self.normal_angle }
+        Acceptance { distance: self.distance_cap * unit, angle: self.normal_angle, noise: self.noise * unit }
     }
 }
 
