@@ -75,6 +75,30 @@ fn a_moved_head_is_brought_back() {
 }
 
 #[test]
+fn a_change_is_the_same_however_the_head_has_moved() {
+    let bench = Bench::new();
+    bench.done("morph --mesh rig/template.obj --rig rig --preset nose-tip=2 --out plan.obj");
+    let plan = read_polygon_mesh(&bench.path("plan.obj")).unwrap();
+    let pose = Pose::rigid(Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.0, 5.0, 0.0));
+    let moved: Vec<Vec3> = plan.positions.iter().map(|p| pose.apply(*p)).collect();
+    write_obj(&bench.path("moved.obj"), &plan.with_positions(moved)).unwrap();
+    let changes = |options: &str| -> (Vec<f64>, String) {
+        let stderr = bench.ends(&format!("{MEASURE} --rig rig {options} --json m.json"), 0);
+        let regions = bench.json("m.json")["regions"].take();
+        (regions.as_array().unwrap().iter().map(|r| r["change"]["volume"].as_f64().unwrap()).collect(), stderr)
+    };
+    let (volumes, silent) = changes("--after plan.obj");
+    assert!(volumes[0] > 100.0 && !silent.contains("moved"), "{volumes:?} {silent}");
+    for after in ["plan.obj", "moved.obj"] {
+        let (aligned, silent) = changes(&format!("--after {after} --align"));
+        let off = volumes.iter().zip(&aligned).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-2 && !silent.contains("moved"), "{after}: {off} {silent}");
+    }
+    let (_, said) = changes("--after moved.obj");
+    assert!(said.contains("moved.obj: the head moved by 5.7° and ") && said.contains("--align takes it out"), "{said}");
+}
+
+#[test]
 fn one_shape_and_some_landmarks_are_enough() {
     let bench = Bench::new();
     let printed = bench.done("measure --mesh rig/template.obj --landmarks rig/landmarks_multipie68.json");
