@@ -20,7 +20,7 @@ pub struct SummaryRow {
     pub status: Cow<'static, str>,
     /// `cold`, `warm` or `cold again`.
     pub start: Cow<'static, str>,
-    /// Probability that the error exceeds 3 mm.
+    /// Probability that the error exceeds 3 mm on a face, the same share of the size on other subjects.
     pub probability: Option<f64>,
     /// Share of the template's vertices with a correspondence.
     pub inliers: Option<f64>,
@@ -76,7 +76,7 @@ impl Summary {
     #[must_use]
     pub fn to_html(&self, pictured: &dyn Fn(&str) -> bool) -> String {
         let mut body = "<h1>Registered scans</h1>\n".to_owned();
-        let caption = "error_probability: that the error exceeds 3 mm; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
+        let caption = "error_probability: that the error exceeds 3 mm on a face, the same share of the size on other subjects; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
         body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
         for row in self.rows.iter().filter(|row| pictured(&row.name)) {
             let name = text::html(&row.name);

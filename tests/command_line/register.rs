@@ -135,6 +135,8 @@ fn a_few_wild_vertices_make_a_result_doubtful() {
     let report = bench.json("wild.json");
     assert!(report["error_probability"].as_f64().unwrap() >= 0.5);
     assert_eq!(report["doubts"][0]["sign"], "spikes");
+    let [wrong, size] = [&report["wrong_mm"], &report["evidence"]["size"]].map(|length| length.as_f64().unwrap());
+    assert!((wrong - 3.0 / 67.0 * size).abs() < 1e-12, "{wrong} {size}");
 }
 
 #[test]
