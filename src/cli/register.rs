@@ -225,6 +225,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let landmarks = read_landmarks(landmarks, &inputs, &mut units, &template, ("target", Some(&scan.mesh)))?;
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
+    units.refuse_misfits()?;
     units.say();
     if let Some(path) = &a.config {
         schedule

@@ -28,6 +28,7 @@ const ROWS: &[Row] = &[
     ("register", "--target lone.ply --unit mm", COMPUTATION, &["no vertex of the template", "25 mm"]),
     ("register", "--target away.ply", COMPUTATION, &["no vertex of the template", "landmarks"]),
     ("register", "--target inverted.ply --flip no", COMPUTATION, &["inside out"]),
+    ("register", "--target in_mm.glb", LOADING, &["in_mm.glb", "the unit of its format, which no face or body is", "--unit target=mm"]),
     ("register", "--target -", ARGUMENTS, &["--target"]),
     // masks and regions
     ("register", "--mask missing.npy", LOADING, &["missing.npy"]),

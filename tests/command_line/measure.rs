@@ -1,7 +1,7 @@
 //! `nonrigid measure` on generated data: what it prints and writes.
 
 use crate::support::{Bench, files_in};
-use nonrigid::io::{read_polygon_mesh, write_npy, write_obj};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_obj, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 
 const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
@@ -96,6 +96,24 @@ fn a_change_is_the_same_however_the_head_has_moved() {
     }
     let (_, said) = changes("--after moved.obj");
     assert!(said.contains("moved.obj: the head moved by 5.7° and ") && said.contains("--align takes it out"), "{said}");
+}
+
+#[test]
+fn millimetres_in_a_format_of_metres_are_said() {
+    let bench = Bench::new();
+    let large = bench.rig.neutral.iter().map(|p| p * 1000.0).collect();
+    write_polygon_mesh(&bench.path("in_mm.glb"), &bench.rig.mesh.with_positions(large)).unwrap();
+    bench.done("landmarks convert rig/landmarks_anthropometric.json points.csv --as position --mesh rig/template.obj");
+    let measure = |options: &str| {
+        bench.ends(
+            &format!("measure --mesh in_mm.glb --landmarks points.csv --unit landmarks=mm{options} --json m.json"),
+            0,
+        )
+    };
+    let said = measure(",mesh=mm");
+    assert!(!said.contains("across in"), "{said}");
+    let run = bench.run("measure --mesh in_mm.glb --landmarks points.csv");
+    assert!(run.stderr.contains("in_mm.glb: ") && run.stderr.contains("say --unit mesh=mm"), "{}", run.stderr);
 }
 
 #[test]
