@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::animation::AllTold;
 use super::job::read_json;
 use super::{Batch, Job, Outcome, Record, Start, Status};
+use crate::registration::Handedness;
 use crate::{page, text};
 
 /// What is known of one scan.
@@ -109,6 +110,11 @@ impl fmt::Display for Summary {
     }
 }
 
+/// Parts of a note, of those that say something.
+fn joined(parts: [String; 2]) -> String {
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
+}
+
 fn short(x: f64) -> String {
     format!("{x:.3}")
 }
@@ -141,6 +147,8 @@ impl SummaryRow {
         };
         let doubts: Vec<&str> =
             report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
+        let handedness = Handedness::deserialize(&report["evidence"]["handedness"]);
+        let parts = [doubts.join(" "), handedness.ok().and_then(Handedness::remark).unwrap_or_default().to_owned()];
         let quality = &report["quality"];
         Self {
             status: if doubts.is_empty() { "done" } else { "doubtful" }.into(),
@@ -150,7 +158,7 @@ impl SummaryRow {
             near: quality["to_scan"]["share_within"].as_f64(),
             median: quality["median_within"].as_f64(),
             flipped: quality["flipped"].as_u64(),
-            note: doubts.join(" "),
+            note: joined(parts),
             name,
         }
     }
@@ -161,7 +169,7 @@ impl SummaryRow {
             if lost && self.status == "done" {
                 self.status = "doubtful".into();
             }
-            self.note = [self.note, note].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ");
+            self.note = joined([self.note, note]);
         }
         self
     }
