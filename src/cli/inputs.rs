@@ -7,9 +7,9 @@ use clap::Args;
 use clap::builder::NonEmptyStringValueParser;
 
 use super::units::Units;
-use super::{Failure, Stage, file_name, has_extension, same_place, warn};
+use super::{Failure, Stage, file_name, has_extension, same_place, tell, warn};
 use crate::io::{self, Inputs};
-use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate};
+use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate, PatientSpace};
 use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 use crate::registration::ScanFlip;
 use crate::rig::{
@@ -33,6 +33,9 @@ pub fn read_landmarks(
     let Some(path) = scan_landmarks else { return Ok(Vec::new()) };
     let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, mesh, &mut set)?;
+    if set.space == Some(PatientSpace::Ras) {
+        tell("landmarks: RAS brought to LPS, the space of 3D Slicer's meshes");
+    }
     scan.map_or(Ok(()), |scan| check_span(path, &set, scan))?;
     let mut names = None;
     if let Some(path) = template_landmarks {

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use super::json::wrong_entry;
-use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, Place, ReadError, Side, parse, read_side};
+use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, Place, ReadError, Side, parse, read_side};
 use crate::io::read_file;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
@@ -134,6 +134,7 @@ pub fn pair_landmarks(
 ) -> Result<Vec<Landmark>, ReadError> {
     let named = set.named;
     let count = set.landmarks.len() + set.missing.len();
+    scan.map_or(Ok(()), |scan| check_space(&set, target, scan))?;
     let points = on_scan(set, target, scan)?;
     let Some(names) = names else {
         if !named {
@@ -290,6 +291,31 @@ impl OffTemplate {
         let count = self.0.len();
         Some(format!("{count} {many} off the mesh, {name} by {distance:.1} mm: the closest point of the mesh is taken"))
     }
+}
+
+/// Vertices of a scan that are asked where it is, about.
+const ASKED: usize = 20_000;
+/// How far landmarks lie off a scan of another space at least, as a share of its size, and how many times nearer they are to it in their own.
+const OFF_SCAN: f64 = 0.03;
+const NEARER: f64 = 4.0;
+
+/// Refuses landmarks that lie off their scan and, turned between LPS and RAS, on it.
+fn check_space(set: &LandmarkSet, path: &Path, scan: &TriangleMesh) -> Result<(), ReadError> {
+    let points: Vec<Vec3> = set.positions().map(|(_, p)| p).collect();
+    let size = bounding_box_diagonal(&scan.positions);
+    let asked = || scan.positions.iter().step_by(scan.positions.len() / ASKED + 1);
+    let off = |space: PatientSpace| {
+        let squared = |p: &Vec3| asked().map(|q| (q - space.to_lps(*p)).norm_squared()).fold(f64::INFINITY, f64::min);
+        (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt()
+    };
+    let here = off(PatientSpace::Lps);
+    if points.len() < 3 || here < OFF_SCAN * size || NEARER * off(PatientSpace::Ras) > here {
+        return Ok(());
+    }
+    let expected = "landmarks in the scan's space, LPS or RAS (`nonrigid landmarks convert FILE landmarks.json --space ras` turns them)";
+    let brought = if set.space == Some(PatientSpace::Ras) { ", brought from RAS to LPS" } else { "" };
+    let found = format!("landmarks{brought}, {here:.0} mm off the scan, and on it with x and y negated");
+    Err(ReadError::malformed(path, Place::File, expected, found))
 }
 
 /// The nearest vertex of those on the surface, the first of equals.

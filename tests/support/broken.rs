@@ -162,6 +162,8 @@ pub fn broken() -> Bench {
     write_polygon_mesh(&bench.path("in_mm.glb"), &in_mm).unwrap();
 
     let marks = &bench.case.landmarks;
+    let turned: Vec<(u32, Vec3)> = marks.iter().map(|(v, p)| (*v, Vec3::new(-p.x, -p.y, p.z))).collect();
+    bench.write("turned.json", landmarks_json(&turned));
     bench.write("two.json", landmarks_json(&marks[..2]));
     let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
     bench.write("line.json", landmarks_json(&line));
