@@ -199,14 +199,14 @@ fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<
         _ => Failure::computation(e),
     })?;
     let text = format!(
-        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n",
+        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {}; {} triangles flipped against the truth\n",
         errors.rmse,
         errors.normal,
         errors.tangential,
         errors.median,
         errors.p95,
         errors.max,
-        errors.unobserved,
+        errors.unobserved.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.4}")),
         errors.flipped
     );
     let per_vertex = vertices.observed_distance(&observed);

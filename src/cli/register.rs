@@ -450,7 +450,7 @@ fn print_summary(
         100.0 * inliers
     ))?;
     say(format_args!(
-        "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} flipped triangles",
+        "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} triangles flipped against the rest shape",
         100.0 * quality.to_scan.share_within,
         quality.median_within,
         quality.flipped

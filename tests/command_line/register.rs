@@ -338,7 +338,10 @@ fn eval_prints_what_the_library_computes_from_truth() {
         {
             assert!(text.contains(&format!("{number:.4}")), "{text}: {number}");
         }
-        assert!(text.contains(&format!("{} flipped", expected.flipped)), "{text}");
+        assert!(text.contains(&format!("{} triangles flipped against the truth", expected.flipped)), "{text}");
+        let unobserved = expected.unobserved.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.4}"));
+        assert_eq!(expected.unobserved.is_some(), mask.contains(&false));
+        assert!(text.contains(&format!("; unobserved {unobserved}; ")), "{text}");
         assert!(text.contains(&quality.to_string()), "{text}");
     }
     // The result as an array is the same result.
