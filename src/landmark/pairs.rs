@@ -338,7 +338,10 @@ fn on_scan(
     let plain = matches!(set.format, LandmarkFormat::Points | LandmarkFormat::Wrap);
     let on_surface = |name: &str, place: LandmarkPlace| match place {
         LandmarkPlace::Position(p) => Ok(p),
-        LandmarkPlace::Vertex(v) if plain => Err(wrong_entry(path, name, Side::Target.entry(), v.to_string())),
+        LandmarkPlace::Vertex(v) if plain => {
+            let points = "`nonrigid landmarks convert --mesh SCAN --as position` makes these of the scan's vertices";
+            Err(wrong_entry(path, name, &format!("{} ({points})", Side::Target.entry()), v.to_string()))
+        }
         LandmarkPlace::Vertex(v) => {
             let scan = scan.ok_or_else(|| needs_scan(name, "a vertex"))?;
             let position = usize::try_from(v).ok().and_then(|v| scan.positions.get(v));

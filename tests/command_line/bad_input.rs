@@ -30,6 +30,7 @@ const ROWS: &[Row] = &[
     ("register", "--target inverted.ply --flip no", COMPUTATION, &["inside out"]),
     ("register", "--target in_mm.glb", LOADING, &["in_mm.glb", "the unit of its format, which no face or body is", "--unit target=mm"]),
     ("register", "--landmarks turned.json", LOADING, &["turned.json", "off the scan, and on it with x and y negated", "--space ras"]),
+    ("register", "--landmarks nosion.json", LOADING, &["nosion.json", "landmarks convert --mesh SCAN --as position"]),
     ("register", "--target -", ARGUMENTS, &["--target"]),
     // masks and regions
     ("register", "--mask missing.npy", LOADING, &["missing.npy"]),
