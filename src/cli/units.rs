@@ -34,7 +34,8 @@ impl FromStr for Choice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (input, unit) = text.split_once('=').map_or((None, text), |(input, unit)| (Some(input.to_owned()), unit));
+        let (input, unit) = text.split_once('=').map_or((None, text), |(input, unit)| (Some(input), unit));
+        let (input, unit) = (input.map(|input| input.trim().to_owned()), unit.trim());
         let unit = if unit == "auto" { None } else { Some(unit.parse().map_err(|e| format!("{e}, or auto"))?) };
         Ok(Self { input, unit })
     }

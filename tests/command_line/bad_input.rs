@@ -52,7 +52,7 @@ const ROWS: &[Row] = &[
     ("register", "--rig other_rig", LOADING, &["other_rig: the neutral: found", "vertices, expected"]),
     ("register", "--shapes jawOpen,jawOpne", LOADING, &["jawOpne", "did you mean \"jawOpen\""]),
     ("register", "--shapes jawOpen,jawOpen", LOADING, &["jawOpen", "twice"]),
-    ("register", "--shapes jawOpen,", ARGUMENTS, &["--shapes", "a value is required"]),
+    ("register", "--shapes jawOpen,", ARGUMENTS, &["--shapes", "a name is missing"]),
     ("register", "--identity-modes 9", LOADING, &["9 identity modes", "8"]),
     ("register", "--identity-modes -1", ARGUMENTS, &["-1"]),
     ("register", "--rig - --shapes jawOpen", ARGUMENTS, &["--rig"]),

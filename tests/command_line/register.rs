@@ -318,6 +318,21 @@ fn a_schedule_file_steers_the_run_and_is_reported() {
 }
 
 #[test]
+fn names_of_a_list_may_have_spaces_after_the_commas() {
+    let bench = Bench::new();
+    for (option, list) in [("--shapes", "jawOpen, wart"), ("--regions", "nose, wart"), ("--free-regions", "nose ,wart")]
+    {
+        let run = std::process::Command::new(env!("CARGO_BIN_EXE_nonrigid"))
+            .args(format!("{FIT} {INPUTS} --out r.obj").split_whitespace().chain([option, list]))
+            .current_dir(bench.path(""))
+            .output()
+            .unwrap();
+        let said = String::from_utf8(run.stderr).unwrap();
+        assert!(said.contains("\"wart\"") && !said.contains("jawOpen\"") && !said.contains("\"nose\""), "{said}");
+    }
+}
+
+#[test]
 fn eval_prints_what_the_library_computes_from_truth() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --model blendshape --out r.obj"));
