@@ -502,7 +502,11 @@ fn gltf_is_painted_by_its_base_colours() {
         (serde_json::json!({ "uri": "none.png" }), plain.clone(), "none.png"),
         (serde_json::json!({ "bufferView": 0 }), plain.clone(), "PNG or JPEG (image 0 of"),
         (inside.clone(), serde_json::json!({ "index": 7 }), "textures"),
-        (inside, serde_json::json!({ "index": 0, "texCoord": 1 }), "TEXCOORD_1"),
+        (
+            inside,
+            serde_json::json!({ "index": 0, "texCoord": 1 }),
+            "export again with these as the first set, found TEXCOORD_1",
+        ),
     ] {
         let error = middle(image, texture).unwrap_err();
         assert!(error.contains(expected), "{expected}: {error}");
