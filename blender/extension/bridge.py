@@ -424,7 +424,8 @@ def morph(surface: Surface, preset: str, landmarks: dict[str, int]) -> Morphed:
 
 def report_text(wrapped: Wrapped) -> str:
     """The report in words, then as JSON."""
-    lines = [f"Probability that the result is wrong by more than 3 mm: {wrapped.error_probability:.0%}"]
+    report = json.loads(wrapped.report)
+    lines = [f"Probability that the result is wrong by more than {report['wrong_mm']:.1f} mm: {wrapped.error_probability:.0%}"]
     lines += [f"Doubt: {doubt}" for doubt in wrapped.doubts] or ["No doubts."]
     lines += [f"Note: {note}" for note in wrapped.notes]
-    return "\n".join([*lines, "", json.dumps(json.loads(wrapped.report), indent=1), ""])
+    return "\n".join([*lines, "", json.dumps(report, indent=1), ""])

@@ -83,7 +83,7 @@ class NONRIGID_PT_result(_Tab, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, result = self.layout, context.object
-        layout.label(text=f"{result['nonrigid_error_probability']:.0%} probably wrong by over 3 mm")
+        layout.label(text=f"{result['nonrigid_error_probability']:.0%} probably wrong")
         for doubt in result["nonrigid_doubts"].splitlines():
             layout.label(text=doubt, icon="ERROR")
         report = result.get("nonrigid_report")

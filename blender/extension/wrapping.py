@@ -147,7 +147,7 @@ class NONRIGID_OT_wrap(bpy.types.Operator):
             for note in notes:
                 self.report({"WARNING"}, note)
             probability = result["nonrigid_error_probability"]
-            self.report({"INFO"}, f"{result.name}: {probability:.0%} probably wrong by more than 3 mm")
+            self.report({"INFO"}, f"{result.name}: {probability:.0%} probably wrong")
             outcome = {"FINISHED"}
         current = None
         return outcome

@@ -242,7 +242,7 @@ fn row_of(
     };
     let (errors, MeshQuality { self_intersections, stretch, .. }) = case.score(&result.positions)?;
     (row.rmse, row.folds, row.seconds) = (Some(errors.rmse), errors.flipped, seconds);
-    row.unseen_rmse = (row.seen < case.observed.len()).then_some(errors.unobserved);
+    row.unseen_rmse = errors.unobserved;
     (row.self_intersections, row.stretch) = (self_intersections, [stretch.p1, stretch.p99, stretch.max]);
     if a.meshes {
         let name = format!("{}-{}-{}.obj", row.case, row.view.replace(' ', "_"), row.model);

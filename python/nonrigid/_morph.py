@@ -205,11 +205,12 @@ def measure(
 
     mesh: as of `morph`. after: the same vertices after, a mesh, (V, 3) or a path, measured along the axes of the face before, however the
     head is held. landmarks: {name: vertex or point}, the 68 vertex indices of Multi-PIE, files, or a list of these; unless stated those of
-    the rig, with the landmarks by name beside it. rig, regions: parts of the face; the groups of the mesh unless stated. align: move the
-    face after onto the one before first, which displacements and volumes alone depend on. unit: of mesh, after and points of landmarks; a
-    `Mesh` is in millimetres already.
+    the rig, with the landmarks by name beside it. rig, regions: parts of the face; the groups of the mesh unless stated. align: take the
+    motion of the head out of the face after, on which displacements and volumes alone depend. unit: of mesh, after and points of
+    landmarks; a `Mesh` is in millimetres already.
 
-    Warns of points off the mesh. Raises ValueError where nothing can be measured, or vertices do not correspond; OSError.
+    Warns of points off the mesh, and of a head that has moved, unless align. Raises ValueError where nothing can be measured, or vertices
+    do not correspond; OSError.
     """
     before = Mesh.of(mesh, unit=unit)
     moved = None if after is None else _vertices("after", after, unit)

@@ -61,7 +61,7 @@ class Registration:
     state_json: str
     """Where it has ended, byte for byte as `nonrigid register --state` writes it."""
     error_probability: float
-    """Probability that the result is wrong by more than 3 mm."""
+    """Probability that the result is wrong by more than 3 mm (on a face; on other subjects the same share of their size)."""
     doubts: list[str]
     """What speaks for that, most telling first; empty unless the probability is high."""
     finished: bool
@@ -73,6 +73,7 @@ class Registration:
     _reads: list[str]
     _facing: tuple[int, int, bool]
     _title: str
+    _wrong_length: str
     _scan: Mesh | None
     _equations: Any
 
@@ -138,7 +139,7 @@ class Registration:
 
     def __repr__(self) -> str:
         unfinished = "" if self.finished else ", stopped before its end"
-        return f"Registration({self.model}, {self.error_probability:.0%} probably wrong by over 3 mm{unfinished})"
+        return f"Registration({self.model}, {self.error_probability:.0%} probably wrong by over {self._wrong_length}{unfinished})"
 
 
 def _landmarks(what: str, given: Any, scan: bool, unit: str | None) -> _nonrigid.Landmarks:
@@ -375,5 +376,6 @@ def register(
     read = [start._native, target._native, rest, of_shapes, marks, names, *masks, steering, warm]
     result._reads = [os.fspath(file) for source in read if source is not None for file in source.files]
     name = os.path.basename(target._native.path) or "a scan"
-    result._title = f"{model} onto {name}; off by over 3 mm: {100 * result.error_probability:.0f} %"
+    result._wrong_length = found.wrong_length
+    result._title = f"{model} onto {name}; off by over {found.wrong_length}: {100 * result.error_probability:.0f} %"
     return result

@@ -19,7 +19,7 @@ use crate::errors::{abandonable, compute, in_python, input, value};
 pub struct Measured {
     pub known: KnownUnit,
     pub factor: f64,
-    /// Another unit that it could be in.
+    /// Another unit that it could be in, or is.
     pub note: Option<String>,
 }
 
@@ -29,7 +29,18 @@ pub fn measured(path: &Path, points: &[Vec3], asked: Option<LengthUnit>) -> PyRe
     let mut note = None;
     let known = match (asked, of_format) {
         (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
-        (None, Some(unit)) => KnownUnit { unit, by: UnitSource::File },
+        (None, Some(unit)) => {
+            let extent = face_extent(points) / unit.millimetres();
+            note = unit.instead_of(extent).map(|other| {
+                let [stated, instead] = [unit, other].map(|unit| extent * unit.millimetres());
+                format!(
+                    "{}: {stated:.0} mm across in {unit}, the unit of its format, which no face or body is; if it is in {other}, \
+                     {instead:.0} mm, say unit=\"{other}\"",
+                    path.display()
+                )
+            });
+            KnownUnit { unit, by: UnitSource::File }
+        }
         (None, None) => {
             let extent = face_extent(points);
             let at = path.display();

@@ -6,7 +6,7 @@ use nonrigid::correspondence::ScanError;
 use nonrigid::evaluation::{MeshQuality, SurfaceDistances, TruthErrors};
 use nonrigid::io::LengthUnit;
 use nonrigid::landmark::{LandmarkFormat, OffTemplate, TemplatePoint, swapped_sides};
-use nonrigid::measurement::{self, NamedRegion};
+use nonrigid::measurement::{self, HeadMotion, NamedRegion};
 use nonrigid::mesh::PolygonMesh;
 use nonrigid::morph::{
     self, MorphModel, NO_LANDMARKS, Recipe, RecipeError, ReplayOptions, Subject, preset, preset_names, preset_text,
@@ -169,7 +169,7 @@ fn morph_mesh<'py>(
     Ok((notes, outcomes.into_iter().map(step).collect::<PyResult<_>>()?))
 }
 
-/// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks.
+/// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks and of the head's motion.
 #[pyfunction]
 #[pyo3(signature = (mesh, after, landmarks, unit, rig, regions, align))]
 fn measure_mesh(
@@ -206,10 +206,14 @@ fn measure_mesh(
             Some(regions) => Regions::new(polygons.positions.len(), regions).map_err(input)?,
             None => Regions::of(rig.map(|r| &r.rig), polygons),
         };
-        if let Some(after) = after.as_mut().filter(|_| align) {
-            let pairs: Vec<_> = after.iter().copied().zip(polygons.positions.iter().copied()).collect();
-            let pose = nonrigid::mesh::closest_pose(&pairs, nonrigid::mesh::PoseKind::Rigid).map_err(computation)?;
-            after.iter_mut().for_each(|p| *p = pose.apply(*p));
+        let mut notes = known.doubts(&polygons.positions);
+        if let Some(after) = &mut after {
+            let motion = HeadMotion::between(polygons, after).map_err(input)?;
+            if align {
+                motion.undo(after);
+            } else if motion.counts() {
+                notes.push(format!("{motion}; align=True takes it out"));
+            }
         }
         let named = |name| NamedRegion {
             name,
@@ -221,7 +225,7 @@ fn measure_mesh(
             measurement::Subject { mesh: polygons, after: after.as_deref(), landmarks: &known, regions: &regions };
         let measured = subject.measure().map_err(input)?;
         let json = serde_json::to_string(&measured).map_err(value)?;
-        Ok((json, measured.to_csv(), measured.to_string(), known.doubts(&polygons.positions)))
+        Ok((json, measured.to_csv(), measured.to_string(), notes))
     })
 }
 

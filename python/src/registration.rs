@@ -261,6 +261,11 @@ impl Registration {
     }
 
     #[getter]
+    fn wrong_length(&self) -> String {
+        self.reliability.wrong_length()
+    }
+
+    #[getter]
     fn doubts(&self) -> Vec<String> {
         self.reliability.doubts.iter().map(ToString::to_string).collect()
     }

@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::animation::AllTold;
 use super::job::read_json;
 use super::{Batch, Job, Outcome, Record, Start, Status};
+use crate::registration::Handedness;
 use crate::{page, text};
 
 /// What is known of one scan.
@@ -20,7 +21,7 @@ pub struct SummaryRow {
     pub status: Cow<'static, str>,
     /// `cold`, `warm` or `cold again`.
     pub start: Cow<'static, str>,
-    /// Probability that the error exceeds 3 mm.
+    /// Probability that the error exceeds 3 mm on a face, the same share of the size on other subjects.
     pub probability: Option<f64>,
     /// Share of the template's vertices with a correspondence.
     pub inliers: Option<f64>,
@@ -76,7 +77,7 @@ impl Summary {
     #[must_use]
     pub fn to_html(&self, pictured: &dyn Fn(&str) -> bool) -> String {
         let mut body = "<h1>Registered scans</h1>\n".to_owned();
-        let caption = "error_probability: that the error exceeds 3 mm; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
+        let caption = "error_probability: that the error exceeds 3 mm on a face, the same share of the size on other subjects; inliers: vertices with a correspondence; near: vertices within 3 mm of the scan; median: their distance";
         body += &page::table(caption, &HEADER, self.rows.iter().map(|row| row.cells(short)));
         for row in self.rows.iter().filter(|row| pictured(&row.name)) {
             let name = text::html(&row.name);
@@ -107,6 +108,11 @@ impl fmt::Display for Summary {
         }
         Ok(())
     }
+}
+
+/// Parts of a note, of those that say something.
+fn joined(parts: [String; 2]) -> String {
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
 }
 
 fn short(x: f64) -> String {
@@ -141,6 +147,8 @@ impl SummaryRow {
         };
         let doubts: Vec<&str> =
             report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
+        let handedness = Handedness::deserialize(&report["evidence"]["handedness"]);
+        let parts = [doubts.join(" "), handedness.ok().and_then(Handedness::remark).unwrap_or_default().to_owned()];
         let quality = &report["quality"];
         Self {
             status: if doubts.is_empty() { "done" } else { "doubtful" }.into(),
@@ -150,7 +158,7 @@ impl SummaryRow {
             near: quality["to_scan"]["share_within"].as_f64(),
             median: quality["median_within"].as_f64(),
             flipped: quality["flipped"].as_u64(),
-            note: doubts.join(" "),
+            note: joined(parts),
             name,
         }
     }
@@ -161,7 +169,7 @@ impl SummaryRow {
             if lost && self.status == "done" {
                 self.status = "doubtful".into();
             }
-            self.note = [self.note, note].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ");
+            self.note = joined([self.note, note]);
         }
         self
     }

@@ -135,6 +135,12 @@ impl BakeArguments {
             percent(baked.seen_share()),
             side = baked.side,
         ))?;
+        if baked.is_of_one_colour() {
+            warn(
+                "the texture has one colour: is the scan's image in another map of its material, such as emissiveTexture? Only \
+                 baseColorTexture (glTF) and map_Kd (OBJ) are read",
+            );
+        }
         if baked.tiles.len() > 1 {
             let tiles: Vec<String> = baked.tiles.iter().take(12).map(i64::to_string).collect();
             warn(format_args!(

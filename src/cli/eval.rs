@@ -13,7 +13,7 @@ use crate::evaluation::{DistanceSummary, EvaluationError, LandmarkErrors, MeshQu
 use crate::io::{self, FilePlan, Inputs, Scan};
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use crate::registration::WITHIN_MM;
-use crate::render::{ColourScale, View, error_sheet, save_png};
+use crate::render::{ColourScale, View, error_sheet, save_png, turn_back};
 use crate::rig::check_order;
 
 /// Arguments of `nonrigid eval`.
@@ -118,6 +118,7 @@ pub fn run(a: &Arguments) -> Result<(), Failure> {
         mesh: MeshQuality::new(&template, &result.positions).map_err(Failure::computation)?,
         landmarks: a.landmarks.as_ref().map(|_| LandmarkErrors::new(&landmarks, &result.positions, WITHIN_MM)),
         result,
+        template: &template,
     };
     match (truth, scan) {
         (Some(truth), _) => evaluated.say(a, against_truth(a, &evaluated.result, &truth)?),
@@ -139,8 +140,9 @@ fn read_target(units: &mut Units<'_>, path: &Path) -> Result<Scan, Failure> {
 }
 
 /// A result, and what needs neither truth nor scan.
-struct Evaluated {
+struct Evaluated<'a> {
     result: PolygonMesh,
+    template: &'a PolygonMesh,
     mesh: MeshQuality,
     landmarks: Option<LandmarkErrors>,
 }
@@ -158,14 +160,16 @@ struct Compared<D> {
 #[derive(Serialize)]
 struct Nothing {}
 
-impl Evaluated {
+impl Evaluated<'_> {
     /// Prints all, and draws the heatmap.
     fn say(&self, a: &Arguments, compared: Compared<impl Serialize>) -> Result<(), Failure> {
         let Compared { text, distances, per_vertex, label } = compared;
         if let Some(path) = &a.heatmap {
             let scale = ColourScale::for_magnitudes(&per_vertex, label, "mm");
             let name = a.result.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let shown = [(&*name, &self.result, &*per_vertex)];
+            let turn = turn_back(&self.template.positions, &self.result.positions);
+            let turned = self.result.with_positions(self.result.positions.iter().map(|p| turn * p).collect());
+            let shown = [(&*name, &turned, &*per_vertex)];
             let sheet = error_sheet(label, &shown, &scale, &[View::Front, View::ThreeQuarter], 640);
             save_png(&sheet, path).map_err(Failure::writing)?;
         }
@@ -195,14 +199,14 @@ fn against_truth(a: &Arguments, result: &PolygonMesh, truth: &[Vec3]) -> Result<
         _ => Failure::computation(e),
     })?;
     let text = format!(
-        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {:.4}; {} flipped triangles\n",
+        "rmse {:.4} mm (normal {:.4}, tangential {:.4}), median {:.4}, p95 {:.4}, max {:.4}; unobserved {}; {} triangles flipped against the truth\n",
         errors.rmse,
         errors.normal,
         errors.tangential,
         errors.median,
         errors.p95,
         errors.max,
-        errors.unobserved,
+        errors.unobserved.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.4}")),
         errors.flipped
     );
     let per_vertex = vertices.observed_distance(&observed);

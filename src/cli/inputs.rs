@@ -4,12 +4,11 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use clap::builder::NonEmptyStringValueParser;
 
 use super::units::Units;
-use super::{Failure, Stage, file_name, has_extension, same_place, warn};
+use super::{Failure, Stage, file_name, has_extension, same_place, tell, warn};
 use crate::io::{self, Inputs};
-use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate};
+use crate::landmark::{self, Landmark, LandmarkSet, OffTemplate, PatientSpace};
 use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
 use crate::registration::ScanFlip;
 use crate::rig::{
@@ -33,6 +32,9 @@ pub fn read_landmarks(
     let Some(path) = scan_landmarks else { return Ok(Vec::new()) };
     let mut set = inputs.reading(LANDMARKS, || landmark::read_scan_landmark_set(path)).map_err(Failure::loading)?;
     units.bring_landmarks("landmarks", path, mesh, &mut set)?;
+    if set.space == Some(PatientSpace::Ras) {
+        tell("landmarks: RAS brought to LPS, the space of 3D Slicer's meshes");
+    }
     scan.map_or(Ok(()), |scan| check_span(path, &set, scan))?;
     let mut names = None;
     if let Some(path) = template_landmarks {
@@ -70,7 +72,7 @@ pub struct RigArguments {
     #[arg(long, value_name = "DIR")]
     pub rig: Option<PathBuf>,
     /// Expression shapes to use, by name [default: all]
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig", value_parser = NonEmptyStringValueParser::new())]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', requires = "rig", value_parser = trimmed)]
     pub shapes: Option<Vec<String>>,
     /// Identity modes to use, from the first [default: 60 or as many as there are for an unknown subject, none beside its own neutral, such as the mesh of a morph]
     #[arg(long, value_name = "K", requires = "rig")]
@@ -140,10 +142,10 @@ pub struct MaskArguments {
     #[arg(long, value_name = "FILE")]
     pub free_mask: Option<PathBuf>,
     /// Look at the scan only in these regions of the rig (regions.json) or, without any, groups of the template
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', value_parser = trimmed)]
     pub regions: Vec<String>,
     /// Regions or groups that follow smoothness alone
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', value_parser = trimmed)]
     pub free_regions: Vec<String>,
 }
 
@@ -285,6 +287,14 @@ pub fn frames(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
         return Err(Failure::loading(format!("{}: found no .obj, .ply or .glb", folder.display())));
     }
     Ok(files)
+}
+
+/// A name of a list, which may have spaces after its commas.
+pub fn trimmed(text: &str) -> Result<String, String> {
+    match text.trim() {
+        "" => Err("a name is missing; is there a comma too many?".to_owned()),
+        name => Ok(name.to_owned()),
+    }
 }
 
 /// Two numbers between which a weight may lie.

@@ -12,7 +12,7 @@ use crate::landmark;
 use crate::landmark::{
     LandmarkCheck, LandmarkError, LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, PlaceKind,
 };
-use crate::mesh::{PolygonMesh, Vec3};
+use crate::mesh::{PolygonMesh, Vec3, bounding_box_diagonal, surface_points};
 
 /// `nonrigid landmarks` and its subcommands.
 #[derive(Debug, Subcommand)]
@@ -120,6 +120,13 @@ impl fmt::Display for Kind {
         self.to_possible_value().map_or(Ok(()), |value| f.write_str(value.get_name()))
     }
 }
+
+/// How far a landmark moves that is named, as a share of the mesh's size: 2 mm of a face. Where most move farther than the second, 5 mm, they
+/// are of something else.
+const FAR: f64 = 0.006;
+const TOO_FAR: f64 = 0.015;
+/// Landmarks that a sentence names.
+const SHOWN: usize = 8;
 
 /// Arguments of `nonrigid landmarks check`.
 #[derive(Debug, Args)]
@@ -243,9 +250,34 @@ fn transfer(a: &Transfer) -> Result<(), Failure> {
         LandmarkError::Landmarks(e) => Failure::loading(e),
         e => Failure::loading(format!("{}: {e}", a.to.display())),
     })?;
+    check_moved(a, &set, &moved, bounding_box_diagonal(&surface_points(&to.positions, to.corners.iter().copied())))?;
     let carried = a.output.on(carried, format, &to)?;
     write(&a.output, &carried, format)?;
-    say(format_args!("{} -> {format}; moved to a surface by at most {moved:.3} mm", describe(&set)))
+    let farthest = moved.iter().copied().fold(0.0, f64::max);
+    say(format_args!("{} -> {format}; moved to a surface by at most {farthest:.3} mm", describe(&set)))
+}
+
+/// Names landmarks that were moved far to reach a surface, as over a hole, and refuses them where most were, as by another subject. `size` is
+/// that of the mesh.
+fn check_moved(a: &Transfer, set: &LandmarkSet, moved: &[f64], size: f64) -> Result<(), Failure> {
+    let mut far: Vec<(f64, &str)> = moved.iter().copied().zip(set.landmarks.iter().map(|l| &*l.name)).collect();
+    far.sort_by(|a, b| b.0.total_cmp(&a.0));
+    far.retain(|(by, _)| *by > FAR * size);
+    if far.is_empty() {
+        return Ok(());
+    }
+    let count = far.len();
+    let shown: Vec<String> = far.iter().take(SHOWN).map(|(by, name)| format!("{name} by {by:.1} mm")).collect();
+    let rest = if count > SHOWN { format!(" and {} more", count - SHOWN) } else { String::new() };
+    let list = shown.join(", ") + &rest;
+    if far.iter().filter(|(by, _)| *by > TOO_FAR * size).count() * 2 > moved.len() {
+        return Err(Failure::loading(format!(
+            "{}: most landmarks would move far to reach its surface: {list}; is it the mesh that was registered, and in its place?",
+            a.to.display()
+        )));
+    }
+    warn(format_args!("moved far to reach a surface, as over a hole: {list}; look at them"));
+    Ok(())
 }
 
 /// Landmarks of a file that has some.

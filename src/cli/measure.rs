@@ -9,8 +9,10 @@ use super::inputs::{open_rig, read_mask, rig_files};
 use super::units::{UnitArguments, Units};
 use super::{Failure, check_output, check_output_folder, check_plan, has_extension, meshes, on_threads, say, warn};
 use crate::io::{FilePlan, LengthUnit, write_atomically, write_json};
-use crate::measurement::{AFTER, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report};
-use crate::mesh::{PolygonMesh, PoseKind, Vec3, closest_pose};
+use crate::measurement::{
+    AFTER, HeadMotion, Landmarks, MeasurementError, NamedRegion, Plan, Subject, glossary, report,
+};
+use crate::mesh::{PolygonMesh, Vec3};
 use crate::rig::{Companions, Regions, Rig, check_order};
 
 /// Arguments of `nonrigid measure`.
@@ -34,8 +36,8 @@ pub struct Arguments {
     /// The same vertices after (.obj, .ply or .npy N x 3), once or more: several plans stand beside each other under their files' names
     #[arg(long, value_name = "FILE")]
     after: Vec<PathBuf>,
-    /// Move the face after onto the one before first, by the rigid motion that fits all vertices best; else displacements and
-    /// volumes are also those of the head's motion. Nothing else depends on it
+    /// Take the motion of the head out of the face after first; else displacements and volumes are also those of that motion, which is
+    /// said. Nothing else depends on it
     #[arg(long, requires = "after")]
     align: bool,
     /// Landmarks on the mesh, in any format that 'nonrigid landmarks' reads, once or more; names stand before numbers, later files before earlier ones
@@ -133,12 +135,14 @@ fn measure(a: &Arguments, before: &Path) -> Result<(), Failure> {
         let odd = check_order(&mesh, "the first mesh", "after", after);
         odd.map_err(|e| Failure::loading(format!("{}: {e}", path.display())))?.iter().for_each(warn);
     }
-    for after in after.iter_mut().filter(|_| a.align) {
-        let pairs = after.iter().copied().zip(mesh.positions.iter().copied());
-        let pairs: Vec<(Vec3, Vec3)> =
-            pairs.zip(mesh.on_surface()).filter(|(_, on)| *on).map(|(pair, _)| pair).collect();
-        let pose = closest_pose(&pairs, PoseKind::Rigid).map_err(|e| Failure::computation(format!("--align: {e}")))?;
-        after.iter_mut().for_each(|p| *p = pose.apply(*p));
+    for (path, after) in a.after.iter().zip(&mut after) {
+        let at_after = |e| Failure::loading(format!("{}: {e}", path.display()));
+        let motion = HeadMotion::between(&mesh, after).map_err(at_after)?;
+        if a.align {
+            motion.undo(after);
+        } else if motion.counts() {
+            warn(format_args!("{}: {motion}; --align takes it out", path.display()));
+        }
     }
     let unit = units.of_points("landmarks", "mesh").map_or(LengthUnit::Millimetre, |known| known.unit);
     let landmarks = match &rig {

@@ -23,9 +23,9 @@ use super::{
 use crate::correspondence::VertexMasks;
 use crate::io::{self, FilePlan, Inputs, MaterialFiles, write_json};
 use crate::registration::{
-    DetailReport, Handedness, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError,
-    RegistrationInput, RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, Schedule,
-    StepRecord, TERMS, VertexColors, WITHIN_MM, WRONG_MM, WarmStart, add_detail, assess, register, scan_colors,
+    DetailReport, InputFile, MOST_ROUNDS, ModelFactory, ModelKind, Quality, RegistrationError, RegistrationInput,
+    RegistrationObserver, RegistrationResult, RegistrationStop, Reliability, Report, Schedule, StepRecord, TERMS,
+    VertexColors, WITHIN_MM, WarmStart, add_detail, assess, register, scan_colors,
 };
 use crate::render::{registration_sheet, save_png};
 use crate::rig::Regions;
@@ -225,6 +225,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let landmarks = read_landmarks(landmarks, &inputs, &mut units, &template, ("target", Some(&scan.mesh)))?;
     let warm_start = a.warm_start.as_deref().map(|path| inputs.reading(WARM_START, || read_state(path))).transpose()?;
     let files = input_files(&inputs);
+    units.refuse_misfits()?;
     units.say();
     if let Some(path) = &a.config {
         schedule
@@ -343,8 +344,8 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     }
     if let Some(path) = &a.picture {
         let percent = 100.0 * reliability.probability;
-        let title =
-            format!("{} onto {}; off by over {WRONG_MM} mm: {percent:.0} %", a.model().name(), file_name(&a.target));
+        let (target, length) = (file_name(&a.target), reliability.wrong_length());
+        let title = format!("{} onto {target}; off by over {length}: {percent:.0} %", a.model().name());
         let sheet = registration_sheet(&title, template, &faced, &registered, 480);
         save_png(&sheet, path).map_err(Failure::writing)?;
     }
@@ -449,7 +450,7 @@ fn print_summary(
         100.0 * inliers
     ))?;
     say(format_args!(
-        "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} flipped triangles",
+        "distance to the scan: {:.1} % of the vertices within {WITHIN_MM} mm, their median {:.3} mm; {} triangles flipped against the rest shape",
         100.0 * quality.to_scan.share_within,
         quality.median_within,
         quality.flipped
@@ -459,12 +460,8 @@ fn print_summary(
     }
     say(quality.mesh)?;
     let percent = 100.0 * reliability.probability;
-    if let Handedness::Unknown(_) = reliability.evidence.handedness {
-        say(
-            "left and right: nothing tells them apart here, a mirrored scan would give as good a result; four landmarks would tell",
-        )?;
-    }
-    say(format_args!("probability that the error exceeds {WRONG_MM} mm: {percent:.0} %"))?;
+    reliability.evidence.handedness.remark().map_or(Ok(()), say)?;
+    say(format_args!("probability that the error exceeds {}: {percent:.0} %", reliability.wrong_length()))?;
     let held = result.weights.iter().filter(|w| w.at_bound).count();
     if held > 0 {
         say(format_args!("{held} of {} weights are at a bound", result.weights.len()))?;

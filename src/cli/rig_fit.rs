@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::inputs::{Align, RigInput, bounds, frames, rig_files};
+use super::inputs::{Align, RigInput, bounds, frames, rig_files, trimmed};
 use super::units::UnitArguments;
 use super::{Failure, Stage, check_output, check_plan, has_extension, meshes, say, warn};
 use crate::io::{FilePlan, write_atomically, write_json};
@@ -25,7 +25,7 @@ pub struct Arguments {
     #[command(flatten)]
     rig: RigInput,
     /// Shapes to use, by name [default: all but identity modes]
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', value_parser = trimmed)]
     shapes: Option<Vec<String>>,
     /// The frames: every .obj and .ply in this folder, or where there are none every .glb, by name
     #[arg(long, value_name = "DIR")]

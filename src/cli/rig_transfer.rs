@@ -8,7 +8,7 @@ use super::inputs::RigInput;
 use super::rig_convert::RigOutput;
 use super::units::UnitArguments;
 use super::{Failure, Stage, meshes, on_threads, warn};
-use crate::rig::{TransferError, TransferOptions};
+use crate::rig::{IDENTITY_MODES, TransferError, TransferOptions};
 
 /// Arguments of `nonrigid rig transfer`.
 #[derive(Debug, Args)]
@@ -47,7 +47,7 @@ fn run_here(a: &Arguments) -> Result<(), Failure> {
     let others = meshes([("subject", Some(&a.subject))]);
     a.output.check(&a.rig.path, &others)?;
     let mut units = a.units.of(&["rig", "subject"])?;
-    let rig = a.rig.read(0, &mut units)?;
+    let rig = a.rig.read(IDENTITY_MODES, &mut units)?;
     a.output.check_shapes(&a.rig.path, &others, &rig)?;
     let subject = units.read_positions("subject", &a.subject)?;
     units.say();

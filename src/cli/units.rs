@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use clap::Args;
 
-use super::{Failure, Stage, has_extension, tell};
+use super::{Failure, Stage, has_extension, tell, warn};
 use crate::io::{self, FACE_EXTENT, FaceUnit, KnownUnit, LengthUnit, MeshFile, Paint, Scan, UnitSource, face_extent};
 use crate::landmark::LandmarkSet;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, surface_points};
@@ -34,7 +34,8 @@ impl FromStr for Choice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (input, unit) = text.split_once('=').map_or((None, text), |(input, unit)| (Some(input.to_owned()), unit));
+        let (input, unit) = text.split_once('=').map_or((None, text), |(input, unit)| (Some(input), unit));
+        let (input, unit) = (input.map(|input| input.trim().to_owned()), unit.trim());
         let unit = if unit == "auto" { None } else { Some(unit.parse().map_err(|e| format!("{e}, or auto"))?) };
         Ok(Self { input, unit })
     }
@@ -46,6 +47,8 @@ pub struct Units<'a> {
     known: Vec<(&'static str, KnownUnit)>,
     /// Inputs that could be in another unit, with both and their extent.
     unsure: BTreeMap<&'static str, (LengthUnit, LengthUnit, f64)>,
+    /// What is to be said of inputs whose format states a unit that does not fit their size.
+    misfits: BTreeMap<&'static str, String>,
 }
 
 impl UnitArguments {
@@ -75,7 +78,7 @@ impl UnitArguments {
                 _ => {}
             }
         }
-        Ok(Units { choices: &self.choices, known: Vec::new(), unsure: BTreeMap::new() })
+        Ok(Units { choices: &self.choices, known: Vec::new(), unsure: BTreeMap::new(), misfits: BTreeMap::new() })
     }
 }
 
@@ -92,7 +95,13 @@ impl Units<'_> {
         let of_format = LengthUnit::of_format(path);
         let known = match (self.asked(input), of_format) {
             (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
-            (None, Some(unit)) => KnownUnit { unit, by: UnitSource::File },
+            (None, Some(unit)) => {
+                let extent = face_extent(points) / unit.millimetres();
+                if let Some(other) = unit.instead_of(extent) {
+                    self.misfits.entry(input).or_insert_with(|| misfit(input, path, extent, [unit, other]));
+                }
+                KnownUnit { unit, by: UnitSource::File }
+            }
             (None, None) => {
                 let extent = face_extent(points);
                 let unit = match FaceUnit::of(extent) {
@@ -221,11 +230,17 @@ impl Units<'_> {
         self.known.iter().map(|(input, known)| ((*input).to_owned(), *known)).collect()
     }
 
+    /// Refuses inputs whose format states a unit that does not fit their size.
+    pub fn refuse_misfits(&self) -> Result<(), Failure> {
+        self.misfits.values().next().map_or(Ok(()), |said| Err(Failure::loading(said)))
+    }
+
     /// Says the units.
     pub fn say(&self) {
         if !self.known.is_empty() {
             let line: Vec<String> = self.known.iter().map(|(input, known)| format!("{input} {known}")).collect();
             tell(format_args!("units: {}", line.join(", ")));
+            self.misfits.values().for_each(warn);
             for (input, (unit, other, extent)) in &self.unsure {
                 let [taken, not] = [unit, other].map(|unit| extent * unit.millimetres());
                 tell(format_args!(
@@ -234,6 +249,16 @@ impl Units<'_> {
             }
         }
     }
+}
+
+fn misfit(input: &str, path: &Path, extent: f64, units: [LengthUnit; 2]) -> String {
+    let [stated, other] = units;
+    let [of_stated, of_other] = units.map(|unit| extent * unit.millimetres());
+    format!(
+        "{}: {of_stated:.0} mm across in {stated}, the unit of its format, which no face or body is; if it is in {other}, {of_other:.0} mm, say \
+         --unit {input}={other}",
+        path.display()
+    )
 }
 
 fn unknown(input: &str, path: &Path, extent: f64) -> Failure {

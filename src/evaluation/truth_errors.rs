@@ -25,8 +25,8 @@ pub struct TruthErrors {
     pub normal: f64,
     /// Root mean square of the part along the true surface.
     pub tangential: f64,
-    /// Root mean square of |result - truth| over the vertices that were *not* observed; 0 when there are none.
-    pub unobserved: f64,
+    /// Root mean square of |result - truth| over the vertices that were *not* observed, if there are any.
+    pub unobserved: Option<f64>,
     /// Triangles whose normal turned by more than 90 degrees against the truth, over the whole mesh.
     pub flipped: usize,
     /// Number of observed vertices.
@@ -113,7 +113,7 @@ impl TruthErrors {
             max: at(100.0),
             normal: root_mean_square(&pick(&errors.normal, true)),
             tangential: root_mean_square(&pick(&errors.tangential, true)),
-            unobserved: root_mean_square(&pick(&errors.distance, false)),
+            unobserved: observed.contains(&false).then(|| root_mean_square(&pick(&errors.distance, false))),
             flipped: triangles.iter().zip(&face_normals).filter(|pair| turned(*pair)).count(),
             observed_vertices: seen.len(),
             finite: result.iter().all(|v| v.iter().all(|c| c.is_finite())),
@@ -133,9 +133,6 @@ pub(super) fn face_normal(positions: &[Vec3], t: &[u32; 3]) -> Vec3 {
 }
 
 fn root_mean_square(values: &[f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
@@ -165,7 +162,7 @@ mod tests {
         close(e.max, 5.0);
         close(e.normal, (17.0f64 / 3.0).sqrt());
         close(e.tangential, 3.0f64.sqrt());
-        close(e.unobserved, 2.0);
+        close(e.unobserved.unwrap(), 2.0);
         close(per_vertex.tangential[0], 3.0);
         assert!(e.finite && e.observed_vertices == 3);
         assert!(per_vertex.observed_distance(&observed)[3].is_nan());
@@ -175,7 +172,7 @@ mod tests {
     fn flips_are_counted_and_a_perfect_result_has_no_error() {
         let (truth, triangles) = square();
         let (e, _) = TruthErrors::new(&truth, &truth, &[true; 4], &triangles).unwrap();
-        assert_eq!((e.rmse, e.max, e.normal, e.tangential, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, 0.0, 0));
+        assert_eq!((e.rmse, e.max, e.normal, e.tangential, e.unobserved, e.flipped), (0.0, 0.0, 0.0, 0.0, None, 0));
         let mut folded = truth.clone();
         folded[3] = Vec3::new(2.0, 0.0, 0.0); // over the diagonal
         let (e, _) = TruthErrors::new(&folded, &truth, &[true; 4], &triangles).unwrap();

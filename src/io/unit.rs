@@ -82,6 +82,17 @@ impl LengthUnit {
         matches!(extension(path).as_str(), "glb" | "gltf").then_some(Self::Metre)
     }
 
+    /// The unit that points are probably in instead of the one that their format states, in which `extent` is that of no face and no body.
+    #[must_use]
+    pub fn instead_of(self, extent: f64) -> Option<Self> {
+        let stated = extent * self.millimetres();
+        match FaceUnit::of(extent) {
+            _ if (FACE_EXTENT[0]..BODY_EXTENT[1]).contains(&stated) => None,
+            FaceUnit::One(unit) | FaceUnit::Likely(unit, _) | FaceUnit::Either(unit, _) => Some(unit),
+            FaceUnit::Unknown => None,
+        }
+    }
+
     /// The unit in which the points have the extent of a face: within [`FACE_EXTENT`]. `None` if there is none, or if
     /// [`FaceUnit::Either`].
     #[must_use]
@@ -235,6 +246,18 @@ mod tests {
         }
         // In metres it is as large as nothing that is known.
         assert_eq!(FaceUnit::of(1.5), FaceUnit::Unknown);
+    }
+
+    #[test]
+    fn a_stated_unit_is_doubted_where_another_fits_and_it_does_not() {
+        use LengthUnit::{Centimetre, Metre, Millimetre};
+        for (extent, instead) in [(0.05, None), (0.2, None), (1.8, None), (7.0, None), (20.0, Some(Centimetre))] {
+            assert_eq!(Metre.instead_of(extent), instead, "{extent} m");
+        }
+        assert_eq!(
+            [200.0, 1800.0, 9000.0].map(|extent| Metre.instead_of(extent)),
+            [Some(Millimetre), Some(Millimetre), None]
+        );
     }
 
     #[test]

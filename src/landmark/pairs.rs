@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use super::json::wrong_entry;
-use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, Place, ReadError, Side, parse, read_side};
+use super::{LandmarkFormat, LandmarkPlace, LandmarkSet, PatientSpace, Place, ReadError, Side, parse, read_side};
 use crate::io::read_file;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::{PolygonMesh, TriangleMesh, Vec3, bounding_box_diagonal, surface_points};
@@ -134,6 +134,7 @@ pub fn pair_landmarks(
 ) -> Result<Vec<Landmark>, ReadError> {
     let named = set.named;
     let count = set.landmarks.len() + set.missing.len();
+    scan.map_or(Ok(()), |scan| check_space(&set, target, scan))?;
     let points = on_scan(set, target, scan)?;
     let Some(names) = names else {
         if !named {
@@ -292,6 +293,31 @@ impl OffTemplate {
     }
 }
 
+/// Vertices of a scan that are asked where it is, about.
+const ASKED: usize = 20_000;
+/// How far landmarks lie off a scan of another space at least, as a share of its size, and how many times nearer they are to it in their own.
+const OFF_SCAN: f64 = 0.03;
+const NEARER: f64 = 4.0;
+
+/// Refuses landmarks that lie off their scan and, turned between LPS and RAS, on it.
+fn check_space(set: &LandmarkSet, path: &Path, scan: &TriangleMesh) -> Result<(), ReadError> {
+    let points: Vec<Vec3> = set.positions().map(|(_, p)| p).collect();
+    let size = bounding_box_diagonal(&scan.positions);
+    let asked = || scan.positions.iter().step_by(scan.positions.len() / ASKED + 1);
+    let off = |space: PatientSpace| {
+        let squared = |p: &Vec3| asked().map(|q| (q - space.to_lps(*p)).norm_squared()).fold(f64::INFINITY, f64::min);
+        (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt()
+    };
+    let here = off(PatientSpace::Lps);
+    if points.len() < 3 || here < OFF_SCAN * size || NEARER * off(PatientSpace::Ras) > here {
+        return Ok(());
+    }
+    let expected = "landmarks in the scan's space, LPS or RAS (`nonrigid landmarks convert FILE landmarks.json --space ras` turns them)";
+    let brought = if set.space == Some(PatientSpace::Ras) { ", brought from RAS to LPS" } else { "" };
+    let found = format!("landmarks{brought}, {here:.0} mm off the scan, and on it with x and y negated");
+    Err(ReadError::malformed(path, Place::File, expected, found))
+}
+
 /// The nearest vertex of those on the surface, the first of equals.
 pub(super) fn nearest_vertex(positions: &[Vec3], on_surface: &[bool], p: Vec3) -> Option<u32> {
     let vertices = positions.iter().zip(on_surface).zip(0..).filter(|((_, on), _)| **on);
@@ -312,7 +338,10 @@ fn on_scan(
     let plain = matches!(set.format, LandmarkFormat::Points | LandmarkFormat::Wrap);
     let on_surface = |name: &str, place: LandmarkPlace| match place {
         LandmarkPlace::Position(p) => Ok(p),
-        LandmarkPlace::Vertex(v) if plain => Err(wrong_entry(path, name, Side::Target.entry(), v.to_string())),
+        LandmarkPlace::Vertex(v) if plain => {
+            let points = "`nonrigid landmarks convert --mesh SCAN --as position` makes these of the scan's vertices";
+            Err(wrong_entry(path, name, &format!("{} ({points})", Side::Target.entry()), v.to_string()))
+        }
         LandmarkPlace::Vertex(v) => {
             let scan = scan.ok_or_else(|| needs_scan(name, "a vertex"))?;
             let position = usize::try_from(v).ok().and_then(|v| scan.positions.get(v));

@@ -66,7 +66,7 @@ impl LandmarkSet {
         Ok((set, farthest))
     }
 
-    /// The landmarks of `from` as points in space on `to`, and how far the farthest was moved to reach a surface, millimetres.
+    /// The landmarks of `from` as points in space on `to`, and how far each was moved to reach a surface, millimetres.
     ///
     /// Meshes of the same polygons correspond by those. Others need `via`, one of them registered onto the other: it has the
     /// polygons of one and the shape of the other, where the closest point of the surface is taken.
@@ -79,11 +79,13 @@ impl LandmarkSet {
         from: &PolygonMesh,
         via: Option<&PolygonMesh>,
         to: &PolygonMesh,
-    ) -> Result<(Self, f64), LandmarkError> {
+    ) -> Result<(Self, Vec<f64>), LandmarkError> {
         let at = self.positions_on(path, from)?;
-        let carried = |set: &Self, a: &PolygonMesh, b: &PolygonMesh| -> Result<(Vec<Vec3>, f64), LandmarkError> {
-            let (on_surface, moved) = set.placed_as(PlaceKind::Face, &set.positions_on(path, a)?, a)?;
-            let points = on_surface.on_template(path, a)?;
+        let carried = |set: &Self, a: &PolygonMesh, b: &PolygonMesh| -> Result<(Vec<Vec3>, Vec<f64>), LandmarkError> {
+            let at = set.positions_on(path, a)?;
+            let points = set.placed_as(PlaceKind::Face, &at, a)?.0.on_template(path, a)?;
+            let moved =
+                points.iter().zip(&at).map(|((_, point), p)| (point.position(&a.positions) - p).norm()).collect();
             Ok((points.iter().map(|(_, p)| p.position(&b.positions)).collect(), moved))
         };
         let (points, moved) = match via {
@@ -95,7 +97,7 @@ impl LandmarkSet {
                 if closest.len() != points.len() {
                     return Err(LandmarkError::NoSurface);
                 }
-                let moved = closest.iter().map(|c| c.squared_distance.sqrt()).fold(moved, f64::max);
+                let moved = closest.iter().zip(moved).map(|(c, moved)| c.squared_distance.sqrt().max(moved)).collect();
                 (closest.iter().map(|c| c.point).collect(), moved)
             }
             Some(via) if same_polygons(via, to) => {

@@ -5,7 +5,7 @@
 //! where an entry is a vertex index, `[x, y, z]`, or `[triangle, u, v]`: the point `P = A u + B v + C (1 - u - v)` of a
 //! triangle of the fan triangulation, as FaceForm's Wrap writes named and nameless points on triangles
 //! (<https://docs.faceform.com/Wrap/Nodes/SavePoints/SavePoints.html>). Arrays are taken as that when every one starts with
-//! a whole number and 0 <= u, 0 <= v, u + v <= 1.
+//! a whole number and 0 <= u, 0 <= v, u + v <= 1, and not all are on one triangle: then they are points in metres, with a whole x.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -35,7 +35,11 @@ pub(super) fn parse(json: Json, path: &Path, side: Side) -> Result<LandmarkSet, 
         },
         other => return Err(ReadError::malformed(path, Place::File, side.whole(), other.kind())),
     };
-    let on_surface = !only_points && entries.iter().all(|(_, e)| e.array().is_none() || e.surface_point().is_some());
+    let on_triangles: Vec<Option<[f64; 3]>> =
+        entries.iter().filter(|(_, e)| e.array().is_some()).map(|(_, e)| e.surface_point()).collect();
+    let triangle = |at: &Option<[f64; 3]>| at.map(|[triangle, ..]| triangle);
+    let on_one = on_triangles.len() > 1 && on_triangles.iter().all(|at| triangle(at) == triangle(&on_triangles[0]));
+    let on_surface = !only_points && on_triangles.iter().all(Option::is_some) && !on_one;
     let mut format = LandmarkFormat::Points;
     let mut landmarks = Vec::with_capacity(entries.len());
     for (name, entry) in entries {

@@ -6,7 +6,7 @@
 //! landmarks of another, [`LANDMARKS`]. A measurement whose landmarks are not given has no value, and says which.
 //!
 //! Everything moves with the mesh: turned and shifted, it measures the same, and so does a face after whose head is held otherwise; only
-//! displacements and volumes are those of the motion too. Lengths are millimetres. [`Subject::compare`] puts several shapes after beside
+//! displacements and volumes are those of the motion too, unless that is taken out ([`HeadMotion`]). Lengths are millimetres. [`Subject::compare`] puts several shapes after beside
 //! each other.
 //!
 //! ```
@@ -39,6 +39,7 @@ pub use change::{Change, swept_volume};
 pub use definitions::{Axis, DEFINITIONS, Definition, FacialFrame, Formula, Missing, TypicalRange};
 pub use error::MeasurementError;
 pub use landmarks::{LANDMARKS, LandmarkDefinition, Landmarks};
+pub use motion::HeadMotion;
 pub use output::glossary;
 pub use symmetry::{Asymmetry, Symmetry, SymmetryOptions};
 

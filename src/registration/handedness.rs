@@ -12,14 +12,14 @@
 //! be known.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, SymmetricEigen};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{RegistrationInput, RegistrationResult};
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{MirrorPlane, PoseKind, Vec3, closest_pose};
 
 /// What tells a result from its mirror image.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "by", content = "log_odds")]
 pub enum Handedness {
     /// Landmarks.
@@ -56,6 +56,14 @@ impl Handedness {
             Some(odds) if odds.abs() > EVIDENT => Self::Shapes(odds),
             odds => Self::Unknown(odds.unwrap_or(0.0)),
         }
+    }
+
+    /// What is to be said of a result that nothing tells from its mirror image.
+    #[must_use]
+    pub fn remark(self) -> Option<&'static str> {
+        matches!(self, Self::Unknown(_)).then_some(
+            "left and right: nothing tells them apart here, a mirrored scan would give as good a result; four landmarks would tell",
+        )
     }
 
     /// How probable it is that the scan is mirrored, as log-odds; 0 where that is not known.

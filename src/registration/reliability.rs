@@ -13,8 +13,9 @@ use super::{Doubt, Evidence, Quality, QualityError, RegistrationInput, Registrat
 use crate::mesh::{PolygonMesh, Vec3, spikes};
 
 /// Root mean square error over the vertices that the scan shows above which a result counts as wrong, millimetres on a face
-/// (of 67 mm root mean square size); on other subjects the same share of the size.
+/// (of 67 mm root mean square size); on other subjects the same share of the size: [`Reliability::wrong_mm`].
 pub const WRONG_MM: f64 = 3.0;
+const FACE_MM: f64 = 67.0;
 
 /// Median distance from the scan, as a share of the size (0.6 mm on a face), above which nothing was calibrated: such a result is
 /// as probably wrong as right at least. What lies off the scan is off the truth, as that of a rigid template.
@@ -43,9 +44,11 @@ const MIRRORED: f64 = 0.9;
 /// What a result says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reliability {
-    /// Probability that the error exceeds [`WRONG_MM`].
+    /// Probability that the error exceeds `wrong_mm`.
     #[serde(rename = "error_probability")]
     pub probability: f64,
+    /// [`WRONG_MM`] of a subject of this size, millimetres.
+    pub wrong_mm: f64,
     /// What speaks for that, most telling first; empty unless the probability is above the threshold of the calibration.
     pub doubts: Vec<Doubt>,
     /// What it was computed from.
@@ -104,13 +107,19 @@ impl Reliability {
                 doubts.push(doubt);
             }
         }
-        Self { probability, doubts, evidence }
+        Self { probability, wrong_mm: WRONG_MM / FACE_MM * evidence.size, doubts, evidence }
     }
 
     /// Whether it should be looked at.
     #[must_use]
     pub fn is_doubtful(&self) -> bool {
         !self.doubts.is_empty()
+    }
+
+    /// The length that the error exceeds with this probability, for people.
+    #[must_use]
+    pub fn wrong_length(&self) -> String {
+        format!("{:.*} mm", usize::from(self.wrong_mm < 10.0), self.wrong_mm)
     }
 }
 
@@ -246,7 +255,7 @@ impl RiskCurve {
 }
 
 impl Calibration {
-    /// Probability that the error exceeds [`WRONG_MM`].
+    /// Probability that the error exceeds [`WRONG_MM`] on a face, the same share of the size on other subjects.
     #[must_use]
     pub fn probability(&self, evidence: &Evidence) -> f64 {
         1.0 / (1.0 + (-self.log_odds(evidence)).exp())

@@ -36,5 +36,5 @@ pub use colour::{ColourMap, ColourScale, Rgb8};
 pub use png::{PictureError, encode_png, save_png};
 pub use raster::render;
 pub use scene::{Scene, Style};
-pub use sheet::{Panel, Sheet, error_sheet, registration_sheet};
+pub use sheet::{Panel, Sheet, error_sheet, registration_sheet, turn_back};
 pub use text::{draw_text, text_height, text_size};

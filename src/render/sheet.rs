@@ -1,10 +1,11 @@
 //! Several pictures on one: a grid of panels with titles and a colour bar.
 
 use image::{Rgb, RgbImage, imageops};
+use nalgebra::Matrix3;
 
 use super::text::{draw_text, text_height, text_size};
 use super::{Camera, ColourScale, Frame, Rgb8, Scene, Style, View, render};
-use crate::mesh::{PolygonMesh, TriangleMesh};
+use crate::mesh::{PolygonMesh, PoseKind, TriangleMesh, Vec3, closest_pose};
 
 /// A picture of a [`Sheet`] with a caption above it, which may be empty. A picture alone is a panel too.
 #[derive(Debug, Clone)]
@@ -216,9 +217,18 @@ fn outline(image: &mut RgbImage, x: i64, y: i64, width: u32, height: u32, colour
 const SCAN: Rgb8 = [86, 140, 196];
 const RESULT: Rgb8 = [240, 160, 76];
 
+/// The rotation that turns a result as its template is turned: back by the one of the rigid motion that maps the template best onto it. So
+/// a face is seen from the front however its scan lies; none where the two do not correspond.
+#[must_use]
+pub fn turn_back(template: &[Vec3], result: &[Vec3]) -> Matrix3<f64> {
+    let pairs: Vec<(Vec3, Vec3)> = result.iter().copied().zip(template.iter().copied()).collect();
+    let pose = closest_pose(&pairs, PoseKind::Rigid).ok().filter(|_| template.len() == result.len());
+    pose.map_or_else(Matrix3::identity, |pose| pose.rotation)
+}
+
 /// The sheet of a registration: template, scan, result with wireframe, and result (orange) over scan (blue), from the
-/// front and in three-quarter view. Scan and result share one frame; the template is shown in its own place at the same
-/// scale. `panel` is the side of a panel in pixels.
+/// front and in three-quarter view. Scan and result share one frame and are [turned](turn_back) as the template is, which is shown in its own
+/// place at the same scale. `panel` is the side of a panel in pixels.
 #[must_use]
 pub fn registration_sheet(
     title: &str,
@@ -227,6 +237,10 @@ pub fn registration_sheet(
     result: &PolygonMesh,
     panel: u32,
 ) -> RgbImage {
+    let turn = turn_back(&template.positions, &result.positions);
+    let turned = |positions: &[Vec3]| positions.iter().map(|p| turn * p).collect();
+    let scan = &TriangleMesh { positions: turned(&scan.positions), triangles: scan.triangles.clone() };
+    let result = &result.with_positions(turned(&result.positions));
     let frame = Frame::of(&result.positions).scaled(0.95);
     let template_frame = Frame::of(&template.positions).at_scale_of(frame);
     let (template_surface, result_surface) = (template.triangulate(), result.triangulate());
@@ -276,6 +290,7 @@ pub fn error_sheet(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::Pose;
     use crate::render::ColourMap;
 
     #[test]
@@ -288,6 +303,26 @@ mod tests {
         let sheet = sheet.colour_bar(&scale).render();
         assert_eq!(sheet.pixels().filter(|p| p.0 == [1, 2, 3]).count() / 1000, 2 * 48 * 38 / 1000);
         assert_eq!(tick_texts(&scale).last().unwrap().1, "≥ 2.0");
+    }
+
+    #[test]
+    fn a_scan_that_lies_otherwise_gives_the_same_pictures() {
+        let height = |x: f64, y: f64| 3.0 * (x * 0.7).sin() + 0.2 * x * y;
+        let grid = (0..100).map(|k| (f64::from(k % 10), f64::from(k / 10)));
+        let positions = grid.map(|(x, y)| Vec3::new(x, y, height(x, y))).collect();
+        let quads = (0..90).filter(|k| k % 10 < 9).flat_map(|k| [[k, k + 1, k + 11], [k, k + 11, k + 10]]);
+        let scan = TriangleMesh { positions, triangles: quads.collect() };
+        let template = PolygonMesh::from(scan.clone());
+        let sheet = |turn: Vec3| {
+            let pose = Pose::rigid(turn, Vec3::new(5.0, 8.0, -3.0));
+            let positions: Vec<Vec3> = scan.positions.iter().map(|p| pose.apply(*p)).collect();
+            let result = template.with_positions(positions.clone());
+            registration_sheet("", &template, &TriangleMesh { positions, ..scan.clone() }, &result, 60)
+        };
+        let (here, there) = (sheet(Vec3::zeros()), sheet(Vec3::new(1.5, 0.4, 0.0)));
+        let same =
+            here.pixels().zip(there.pixels()).filter(|(a, b)| a.0.iter().zip(b.0).all(|(a, b)| a.abs_diff(b) < 8));
+        assert!(same.count() as f64 > 0.98 * here.pixels().len() as f64);
     }
 
     #[test]

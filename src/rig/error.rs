@@ -167,6 +167,15 @@ pub enum RigWarning {
         /// The largest distance, millimetres.
         distance: f64,
     },
+    /// A subject that should be neutral has an expression.
+    NotNeutral {
+        /// The shape.
+        name: String,
+        /// Its weight.
+        weight: f64,
+        /// How far it moves the subject at most, millimetres.
+        by: f64,
+    },
     /// An archive has arrays that are none of a rig's.
     UnreadArrays {
         /// Their names.
@@ -183,6 +192,11 @@ impl fmt::Display for RigWarning {
             Self::NeutralDiffers { distance } => {
                 write!(f, "neutral.npy and the template mesh differ by up to {distance:.3} mm; neutral.npy is used")
             }
+            Self::NotNeutral { name, weight, by } => write!(
+                f,
+                "the subject looks like {name:?} of {weight:.2}, which moves it by {by:.0} mm: shapes are to begin at a neutral face, mouth closed \
+                 and eyes open"
+            ),
             Self::UnreadArrays { names } => write!(
                 f,
                 "not read are arrays that no rig has: {}; polygons are polygon_starts and corners, texture coordinates uvs and corner_uvs",

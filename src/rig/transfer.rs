@@ -18,13 +18,18 @@ use std::sync::Arc;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{Family, Rig, RigError, RigWarning, Shape, likeness};
+use super::{Family, Rig, RigError, RigWarning, Shape, ShapeSelection, WeightFitOptions, WeightFitter, likeness};
 use crate::mesh::{PoseError, PoseKind, Vec3, bounding_box_diagonal, closest_pose};
 use crate::nlls::linear::BorderedCholesky;
 use crate::nlls::{BlockStructure, LinearError, LinearSolver as _, NormalEquations};
 
 /// A triangle of less than this share of the squared diagonal has no gradient, on either face, and no say.
 const DEGENERATE_SHARE: f64 = 1e-14;
+
+/// A subject with more than this weight of an expression, which moves it by more than this share of its diagonal (7 mm of a face), is no neutral.
+const EXPRESSION: (f64, f64) = (0.3, 0.025);
+/// Bounds of the weights by which that is seen: those of identity modes are standard deviations.
+const WEIGHTS: [f64; 2] = [-3.0, 3.0];
 
 /// How to transfer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -151,9 +156,31 @@ impl Rig {
             .map(|why| RigWarning::Unlike { what: "the subject", of: likeness::OF_RIG, why })
             .collect();
         warnings.extend(dropped);
+        warnings.extend(self.expression_of(subject));
         rig.landmarks.clone_from(&self.landmarks);
         rig.regions.clone_from(&self.regions);
         Ok((rig, warnings))
+    }
+
+    /// The expression that a subject has instead of being neutral, the one that moves it most, by the weights that explain it best.
+    fn expression_of(&self, subject: &[Vec3]) -> Option<RigWarning> {
+        let identity_modes = self.usual_identity_modes(None, false);
+        let basis = self.select(ShapeSelection { names: None, identity_modes }).ok()?;
+        let reach = |k: usize| (0..subject.len()).map(|i| basis.displacement(i, k).norm()).fold(0.0, f64::max);
+        let expressions = basis.shapes().iter().enumerate().filter(|(_, shape)| shape.family == Family::Expression);
+        let reaches: Vec<(usize, String, f64)> =
+            expressions.map(|(k, shape)| (k, shape.name.clone(), reach(k))).collect();
+        let options =
+            WeightFitOptions { bounds: WEIGHTS, pose: Some(PoseKind::Similarity), ..WeightFitOptions::default() };
+        let mut fitter = WeightFitter::new(&self.neutral, self.mesh.as_ref(), basis, &options).ok()?;
+        let fitted = fitter.fit(subject).ok()?;
+        let (least, share) = EXPRESSION;
+        let far = share * bounding_box_diagonal(subject);
+        let moved = reaches
+            .into_iter()
+            .map(|(k, name, reach)| (name, fitted.weights[k], fitted.weights[k] * reach * fitted.pose.scale));
+        let most = moved.filter(|(_, weight, by)| *weight > least && *by > far).max_by(|a, b| a.2.total_cmp(&b.2));
+        most.map(|(name, weight, by)| RigWarning::NotNeutral { name, weight, by })
     }
 }
 

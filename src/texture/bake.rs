@@ -104,6 +104,17 @@ impl Baked {
         let count = |of: &[bool]| of.iter().filter(|x| **x).count() as f64;
         count(&self.seen) / count(&self.covered).max(1.0)
     }
+
+    /// Whether all that the scan shows has one colour.
+    #[must_use]
+    pub fn is_of_one_colour(&self) -> bool {
+        let Some(light) = &self.light else { return false };
+        let mut seen = light.iter().zip(&self.seen).filter(|(_, seen)| **seen).map(|(light, _)| light);
+        let first = seen.next();
+        let same =
+            |light: &[f32; 3]| first.is_some_and(|first| first.iter().zip(light).all(|(a, b)| (a - b).abs() < 1e-4));
+        first.is_some() && seen.all(same)
+    }
 }
 
 /// What texels are made of.

@@ -171,7 +171,7 @@ pub struct WrapSummary {
     pub p95: f64,
     /// Triangles turned over.
     pub flipped: u32,
-    /// Probability that the error exceeds 3 mm.
+    /// Probability that the error exceeds 3 mm on a face, the same share of the size on other subjects.
     pub probability: f64,
     /// Steps.
     pub steps: u32,

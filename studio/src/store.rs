@@ -109,11 +109,20 @@ fn factor(path: &Path, unit: Unit) -> f64 {
 /// # Errors
 /// With a sentence and the possible units.
 pub fn guess_unit(path: &Path, points: &[Vec3]) -> Result<Unit, (String, Vec<Unit>)> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
     if let Some(unit) = LengthUnit::of_format(path) {
-        return Ok(unit_of(unit));
+        let extent = face_extent(points) / unit.millimetres();
+        return match unit.instead_of(extent) {
+            None => Ok(unit_of(unit)),
+            Some(other) => {
+                let text = format!(
+                    "{name} is {extent:.0} {unit} across by its format, which no face or body is. In which unit is it?"
+                );
+                Err((text, vec![unit_of(other), unit_of(unit)]))
+            }
+        };
     }
     let extent = face_extent(points);
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
     match FaceUnit::of(extent) {
         FaceUnit::One(unit) | FaceUnit::Likely(unit, _) => Ok(unit_of(unit)),
         FaceUnit::Either(a, b) => {

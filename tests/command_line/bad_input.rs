@@ -28,6 +28,9 @@ const ROWS: &[Row] = &[
     ("register", "--target lone.ply --unit mm", COMPUTATION, &["no vertex of the template", "25 mm"]),
     ("register", "--target away.ply", COMPUTATION, &["no vertex of the template", "landmarks"]),
     ("register", "--target inverted.ply --flip no", COMPUTATION, &["inside out"]),
+    ("register", "--target in_mm.glb", LOADING, &["in_mm.glb", "the unit of its format, which no face or body is", "--unit target=mm"]),
+    ("register", "--landmarks turned.json", LOADING, &["turned.json", "off the scan, and on it with x and y negated", "--space ras"]),
+    ("register", "--landmarks nosion.json", LOADING, &["nosion.json", "landmarks convert --mesh SCAN --as position"]),
     ("register", "--target -", ARGUMENTS, &["--target"]),
     // masks and regions
     ("register", "--mask missing.npy", LOADING, &["missing.npy"]),
@@ -49,7 +52,7 @@ const ROWS: &[Row] = &[
     ("register", "--rig other_rig", LOADING, &["other_rig: the neutral: found", "vertices, expected"]),
     ("register", "--shapes jawOpen,jawOpne", LOADING, &["jawOpne", "did you mean \"jawOpen\""]),
     ("register", "--shapes jawOpen,jawOpen", LOADING, &["jawOpen", "twice"]),
-    ("register", "--shapes jawOpen,", ARGUMENTS, &["--shapes", "a value is required"]),
+    ("register", "--shapes jawOpen,", ARGUMENTS, &["--shapes", "a name is missing"]),
     ("register", "--identity-modes 9", LOADING, &["9 identity modes", "8"]),
     ("register", "--identity-modes -1", ARGUMENTS, &["-1"]),
     ("register", "--rig - --shapes jawOpen", ARGUMENTS, &["--rig"]),

@@ -116,6 +116,16 @@ fn one_failing_scan_never_stops_the_rest() {
 }
 
 #[test]
+fn the_summary_says_what_the_registration_says_of_left_and_right() {
+    let bench = Bench::new();
+    bench.write("scans.csv", "target,name\ncase/scan.ply,person\n");
+    bench.done("batch scans.csv --out out --template rig/template.obj --model rigid");
+    for file in ["summary.csv", "index.html"] {
+        assert!(bench.text(&format!("out/{file}")).contains("left and right: nothing tells them apart here"), "{file}");
+    }
+}
+
+#[test]
 fn what_is_done_is_known_and_a_change_goes_through_a_sequence() {
     let bench = bench();
     let mut rows = FRAMES.to_vec();

@@ -1,9 +1,9 @@
 //! `nonrigid landmarks` on generated data.
 
 use crate::support::{Bench, farthest};
-use nonrigid::io::write_obj;
+use nonrigid::io::{PlyOptions, read_polygon_mesh, write_obj, write_ply};
 use nonrigid::landmark::{read_landmark_set, read_template_landmarks};
-use nonrigid::mesh::{PolygonMesh, Vec3};
+use nonrigid::mesh::{PolygonMesh, TriangleMesh, Vec3};
 use serde_json::Value;
 
 const NUMBERED: &str = "rig/landmarks_multipie68.json";
@@ -108,6 +108,25 @@ fn landmarks_are_carried_by_polygons_and_by_closest_points() {
 
     let stderr = bench.ends(&format!("{carry} x.pp --from rig/template.obj --to {scan}"), 4);
     assert!(stderr.contains("do not correspond"), "{stderr}");
+
+    // over a hole they move, and onto another place none of them belongs
+    let TriangleMesh { mut positions, mut triangles } = read_polygon_mesh(&bench.path(scan)).unwrap().triangulate();
+    triangles.retain(|t| t.iter().all(|v| (positions[*v as usize] - truth[30]).norm() > 15.0));
+    for (file, shift) in [("holed.ply", Vec3::zeros()), ("elsewhere.ply", Vec3::new(0.0, 90.0, 40.0))] {
+        positions.iter_mut().for_each(|p| *p += shift);
+        let mesh = TriangleMesh { positions: positions.clone(), triangles: triangles.clone() };
+        write_ply(&bench.path(file), &mesh, PlyOptions::default()).unwrap();
+    }
+    let onto = |mesh: &str, code| {
+        bench.ends(&format!("{carry} y.pp --from rig/template.obj --to {mesh} --registered wrapped.obj"), code)
+    };
+    let said = onto("holed.ply", 0);
+    assert!(said.contains("moved far to reach a surface, as over a hole: 30 by "), "{said}");
+    let refused = onto("elsewhere.ply", 4);
+    assert!(
+        refused.contains("elsewhere.ply: most landmarks would move far") && refused.contains(" more; is it"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `nonrigid measure` on generated data: what it prints and writes.
 
 use crate::support::{Bench, files_in};
-use nonrigid::io::{read_polygon_mesh, write_npy, write_obj};
+use nonrigid::io::{read_polygon_mesh, write_npy, write_obj, write_polygon_mesh};
 use nonrigid::mesh::{Pose, Vec3};
 
 const MEASURE: &str = "measure --mesh rig/template.obj --landmarks rig/landmarks_anthropometric.json";
@@ -72,6 +72,48 @@ fn a_moved_head_is_brought_back() {
         json["regions"][0]["change"]["displacement_max"].as_f64().unwrap()
     };
     assert!(change("") > 20.0 && change("--align") < 1e-9);
+}
+
+#[test]
+fn a_change_is_the_same_however_the_head_has_moved() {
+    let bench = Bench::new();
+    bench.done("morph --mesh rig/template.obj --rig rig --preset nose-tip=2 --out plan.obj");
+    let plan = read_polygon_mesh(&bench.path("plan.obj")).unwrap();
+    let pose = Pose::rigid(Vec3::new(0.0, 0.1, 0.0), Vec3::new(0.0, 5.0, 0.0));
+    let moved: Vec<Vec3> = plan.positions.iter().map(|p| pose.apply(*p)).collect();
+    write_obj(&bench.path("moved.obj"), &plan.with_positions(moved)).unwrap();
+    let changes = |options: &str| -> (Vec<f64>, String) {
+        let stderr = bench.ends(&format!("{MEASURE} --rig rig {options} --json m.json"), 0);
+        let regions = bench.json("m.json")["regions"].take();
+        (regions.as_array().unwrap().iter().map(|r| r["change"]["volume"].as_f64().unwrap()).collect(), stderr)
+    };
+    let (volumes, silent) = changes("--after plan.obj");
+    assert!(volumes[0] > 100.0 && !silent.contains("moved"), "{volumes:?} {silent}");
+    for after in ["plan.obj", "moved.obj"] {
+        let (aligned, silent) = changes(&format!("--after {after} --align"));
+        let off = volumes.iter().zip(&aligned).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-2 && !silent.contains("moved"), "{after}: {off} {silent}");
+    }
+    let (_, said) = changes("--after moved.obj");
+    assert!(said.contains("moved.obj: the head moved by 5.7° and ") && said.contains("--align takes it out"), "{said}");
+}
+
+#[test]
+fn millimetres_in_a_format_of_metres_are_said() {
+    let bench = Bench::new();
+    let large = bench.rig.neutral.iter().map(|p| p * 1000.0).collect();
+    write_polygon_mesh(&bench.path("in_mm.glb"), &bench.rig.mesh.with_positions(large)).unwrap();
+    bench.done("landmarks convert rig/landmarks_anthropometric.json points.csv --as position --mesh rig/template.obj");
+    let measure = |options: &str| {
+        bench.ends(
+            &format!("measure --mesh in_mm.glb --landmarks points.csv --unit landmarks=mm{options} --json m.json"),
+            0,
+        )
+    };
+    let said = measure(",mesh=mm");
+    assert!(!said.contains("across in"), "{said}");
+    let run = bench.run("measure --mesh in_mm.glb --landmarks points.csv");
+    assert!(run.stderr.contains("in_mm.glb: ") && run.stderr.contains("say --unit mesh=mm"), "{}", run.stderr);
 }
 
 #[test]

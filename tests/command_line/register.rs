@@ -135,6 +135,8 @@ fn a_few_wild_vertices_make_a_result_doubtful() {
     let report = bench.json("wild.json");
     assert!(report["error_probability"].as_f64().unwrap() >= 0.5);
     assert_eq!(report["doubts"][0]["sign"], "spikes");
+    let [wrong, size] = [&report["wrong_mm"], &report["evidence"]["size"]].map(|length| length.as_f64().unwrap());
+    assert!((wrong - 3.0 / 67.0 * size).abs() < 1e-12, "{wrong} {size}");
 }
 
 #[test]
@@ -316,6 +318,21 @@ fn a_schedule_file_steers_the_run_and_is_reported() {
 }
 
 #[test]
+fn names_of_a_list_may_have_spaces_after_the_commas() {
+    let bench = Bench::new();
+    for (option, list) in [("--shapes", "jawOpen, wart"), ("--regions", "nose, wart"), ("--free-regions", "nose ,wart")]
+    {
+        let run = std::process::Command::new(env!("CARGO_BIN_EXE_nonrigid"))
+            .args(format!("{FIT} {INPUTS} --out r.obj").split_whitespace().chain([option, list]))
+            .current_dir(bench.path(""))
+            .output()
+            .unwrap();
+        let said = String::from_utf8(run.stderr).unwrap();
+        assert!(said.contains("\"wart\"") && !said.contains("jawOpen\"") && !said.contains("\"nose\""), "{said}");
+    }
+}
+
+#[test]
 fn eval_prints_what_the_library_computes_from_truth() {
     let bench = Bench::new();
     bench.done(&format!("{FIT} {INPUTS} --model blendshape --out r.obj"));
@@ -336,7 +353,10 @@ fn eval_prints_what_the_library_computes_from_truth() {
         {
             assert!(text.contains(&format!("{number:.4}")), "{text}: {number}");
         }
-        assert!(text.contains(&format!("{} flipped", expected.flipped)), "{text}");
+        assert!(text.contains(&format!("{} triangles flipped against the truth", expected.flipped)), "{text}");
+        let unobserved = expected.unobserved.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.4}"));
+        assert_eq!(expected.unobserved.is_some(), mask.contains(&false));
+        assert!(text.contains(&format!("; unobserved {unobserved}; ")), "{text}");
         assert!(text.contains(&quality.to_string()), "{text}");
     }
     // The result as an array is the same result.

@@ -289,3 +289,16 @@ fn components_keep_the_materials_of_the_first_mesh() {
     assert!(stderr.contains("template.mtl: is there already"), "{stderr}");
     assert!(bench.read("other/template.mtl") == b"mine" && !bench.path("other/neutral.npy").exists());
 }
+
+#[test]
+fn a_subject_with_an_expression_is_no_neutral() {
+    let bench = Bench::new();
+    let (_, jaw) = bench.rig.expressions.iter().find(|(name, _)| name == "jawOpen").unwrap();
+    for (weight, said) in [(0.0, false), (0.8, true)] {
+        let modes = |v: usize| 1.5 * bench.rig.identities[0][v] - bench.rig.identities[1][v];
+        let subject = (0..jaw.len()).map(|v| bench.rig.neutral[v] + modes(v) + weight * jaw[v]);
+        write_obj(&bench.path("subject.obj"), &bench.rig.mesh.with_positions(subject.collect())).unwrap();
+        let stderr = bench.ends("rig transfer --rig rig --subject subject.obj --out me.npz", 0);
+        assert_eq!(stderr.contains("the subject looks like \"jawOpen\" of 0."), said, "{weight}: {stderr}");
+    }
+}

@@ -249,7 +249,7 @@ fn malformed_documents_are_refused_with_a_reason() {
         (json!({}), "asset.version"),
         (json!([]), "asset.version 2"),
         (with("/asset/version", json!("1.0")), "asset.version 2"),
-        (with("/extensionsRequired", json!(["KHR_draco_mesh_compression"])), "KHR_draco_mesh_compression"),
+        (with("/extensionsRequired", json!(["KHR_draco_mesh_compression"])), "without compression, found extensionsRequired \"KHR_draco_mesh_compression\""),
         (with("/scene", json!(7)), "one of 1 scenes"),
         (with("/scenes/0/nodes", json!([3])), "one of 1 nodes"),
         (with("/scenes/0/nodes", json!([0, 0])), "node 0 twice"),

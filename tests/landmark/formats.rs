@@ -224,6 +224,18 @@ fn a_registration_takes_any_of_them() {
 }
 
 #[test]
+fn points_of_one_triangle_alone_are_points_in_space() {
+    let in_space = |text: &str| {
+        let set = parse("a.json", text);
+        set.landmarks.iter().all(|l| matches!(l.place, LandmarkPlace::Position(_)))
+    };
+    // the middle of a face, in metres
+    assert!(in_space(r#"{"nasion": [0, 0.02, 0.1], "menton": [0, 0.05, 0.08]}"#));
+    assert!(!in_space(r#"{"nasion": [0, 0.02, 0.1], "menton": [9, 0.05, 0.08]}"#));
+    assert!(!in_space(r#"{"nasion": [0, 0.02, 0.1]}"#));
+}
+
+#[test]
 fn every_bad_file_is_refused_with_its_name_and_a_reason() {
     let mrk = |inside: &str| format!(r#"{{"markups": [{{"type": "Fiducial"{inside}}}]}}"#);
     let fcsv = |rest: &str| format!("# Markups fiducial file version = 4.13\n{rest}");

@@ -2,7 +2,7 @@
 #![allow(dead_code)] // every test binary uses its own part of this
 
 use data_gen::{FaceOptions, FaceRig, write_rig};
-use nonrigid::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply};
+use nonrigid::io::{PlyOptions, write_npy, write_npy_points, write_obj, write_ply, write_polygon_mesh};
 use nonrigid::mesh::{PolygonMesh, Vec3};
 use nonrigid::registration::{ModelFactory as _, ModelKind};
 use nonrigid::rig::{Family, Rig, RigReadOptions, Shape};
@@ -157,7 +157,13 @@ pub fn broken() -> Bench {
     inverted.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     write_ply(&bench.path("inverted.ply"), &inverted, PlyOptions::default()).unwrap();
 
+    let scan = PolygonMesh::from(bench.case.scan.clone());
+    let in_mm = scan.with_positions(scan.positions.iter().map(|p| p * 1000.0).collect());
+    write_polygon_mesh(&bench.path("in_mm.glb"), &in_mm).unwrap();
+
     let marks = &bench.case.landmarks;
+    let turned: Vec<(u32, Vec3)> = marks.iter().map(|(v, p)| (*v, Vec3::new(-p.x, -p.y, p.z))).collect();
+    bench.write("turned.json", landmarks_json(&turned));
     bench.write("two.json", landmarks_json(&marks[..2]));
     let line: Vec<(u32, Vec3)> = marks.iter().enumerate().map(|(i, (v, _))| (*v, Vec3::x() * i as f64)).collect();
     bench.write("line.json", landmarks_json(&line));

@@ -235,7 +235,7 @@ pub fn error_cells(score: Option<&Score>) -> Vec<String> {
     let Some(score) = score else { return vec![String::new(); ERROR_COLUMNS.len()] };
     let e = &score.errors;
     let counts = [e.flipped, score.mesh.self_intersections, score.iterations.unwrap_or(0)];
-    let numbers = [e.rmse, e.normal, e.tangential, e.median, e.p95, score.unobserved().unwrap_or(f64::NAN)];
+    let numbers = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.unobserved.unwrap_or(f64::NAN)];
     numbers.into_iter().chain(counts.map(|n| n as f64)).map(number).collect()
 }
 

@@ -53,21 +53,13 @@ pub struct Score {
     /// Self-intersections and edge stretch against the rest shape: the subject's neutral, or else the template.
     #[serde(flatten)]
     pub mesh: MeshQuality,
-    /// Vertices that the scan does not show; without any there is no error of them.
+    /// Vertices that the scan does not show.
     pub unobserved_vertices: usize,
     /// Lids and lips against the truth.
     #[serde(flatten)]
     pub apertures: ApertureErrors,
     /// Steps taken; another program's are unknown.
     pub iterations: Option<usize>,
-}
-
-impl Score {
-    /// The error over the vertices that the scan does not show.
-    #[must_use]
-    pub fn unobserved(&self) -> Option<f64> {
-        (self.unobserved_vertices > 0).then_some(self.errors.unobserved)
-    }
 }
 
 /// One variant over its cases. Means and worst are over the cases with a result, zero without any: look at `failed` first.
@@ -144,7 +136,7 @@ fn summary(key: [&str; 2], rows: &[&BenchRow]) -> BenchSummary {
         mean_p95: mean(|s| s.errors.p95),
         mean_eye_aperture: self::mean(scores.iter().filter_map(|s| s.apertures.eye_aperture)),
         mean_lip_aperture: self::mean(scores.iter().filter_map(|s| s.apertures.lip_aperture)),
-        worst_unobserved: worst(|s| s.errors.unobserved),
+        worst_unobserved: worst(|s| s.errors.unobserved.unwrap_or(0.0)),
         worst_flips: most(|s| s.errors.flipped),
         worst_self_intersections: most(|s| s.mesh.self_intersections),
         mean_iterations: self::mean(scores.iter().filter_map(|s| s.iterations).map(|n| n as f64)),
@@ -221,7 +213,7 @@ fn cells(score: Option<&Score>, decimals: usize) -> Vec<String> {
     let Score { errors: e, mesh: m, apertures, iterations, .. } = score;
     let number = |x: f64| format!("{x:.decimals$}");
     let mut cells = [e.rmse, e.normal, e.tangential, e.median, e.p95, e.max].map(number).to_vec();
-    cells.push(score.unobserved().map_or(String::new(), number));
+    cells.push(score.errors.unobserved.map_or(String::new(), number));
     cells.extend([e.flipped, m.self_intersections, m.self_intersections_at_rest].map(|n| n.to_string()));
     cells.extend([m.stretch.p1, m.stretch.p99].map(number));
     cells.extend([apertures.eye_aperture, apertures.lip_aperture].map(|x| x.map_or(String::new(), number)));

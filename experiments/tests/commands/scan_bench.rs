@@ -188,7 +188,7 @@ fn another_programs_results_score_as_they_should() {
             ("truth", _) => {
                 let e = &row.score.as_ref().unwrap().errors;
                 assert_eq!(
-                    (e.rmse, e.max, e.normal, e.tangential, e.unobserved, e.flipped),
+                    (e.rmse, e.max, e.normal, e.tangential, e.unobserved.unwrap_or(0.0), e.flipped),
                     (0.0, 0.0, 0.0, 0.0, 0.0, 0)
                 );
             }

@@ -108,7 +108,10 @@ impl<'a> Loaded<'a> {
             return malformed("asset.version 2", format!("{:?}", document.asset.version));
         }
         if let Some(needed) = document.extensions_required.iter().find(|e| !EXTENSIONS.contains(&e.as_str())) {
-            return malformed("no extension that changes what meshes are", format!("extensionsRequired {needed:?}"));
+            return malformed(
+                "no extension that changes what meshes are: export again without it and without compression",
+                format!("extensionsRequired {needed:?}"),
+            );
         }
         let mut buffers = Vec::with_capacity(document.buffers.len());
         let mut beside = Buffers::new();

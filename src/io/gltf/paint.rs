@@ -95,7 +95,9 @@ fn read_material(
     let texture_set = info["extensions"]["KHR_texture_transform"]["texCoord"].as_u64().or(info["texCoord"].as_u64());
     if let Some(set) = texture_set.filter(|set| *set != 0) {
         return file.malformed(
-            format!("the colours of material {number} on TEXCOORD_0, the coordinates that are read"),
+            format!(
+                "the colours of material {number} on TEXCOORD_0, the coordinates that are read: export again with these as the first set"
+            ),
             format!("TEXCOORD_{set}"),
         );
     }

@@ -64,7 +64,7 @@ export function panel(redraw: () => void): HTMLElement[] {
             : h("tr", {}, h("td", {}, row.model), h("td", { colspan: 6, class: "doubt" }, row.error)),
         ),
       ),
-      h("small", {}, "Share of the vertices within 3 mm of the scan; their median and the 95th percentile of all distances, mm; turned: triangles turned over; wrong: probability that the error exceeds 3 mm."),
+      h("small", {}, "Share of the vertices within 3 mm of the scan; their median and the 95th percentile of all distances, mm; turned: triangles turned over; wrong: probability that the error exceeds 3 mm on a face, the same share of the size on other subjects."),
     ),
   ];
 }

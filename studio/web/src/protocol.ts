@@ -137,7 +137,7 @@ p95: number,
  */
 flipped: number, 
 /**
- * Probability that the error exceeds 3 mm.
+ * Probability that the error exceeds 3 mm on a face, the same share of the size on other subjects.
  */
 probability: number, 
 /**

@@ -427,7 +427,7 @@ function outcome(): HTMLElement {
       h("tr", {}, h("td", {}, "within 3 mm of the scan"), h("td", {}, percent(summary.within))),
       h("tr", {}, h("td", {}, "their median distance"), h("td", {}, `${summary.median.toFixed(3)} mm`)),
       h("tr", {}, h("td", {}, "triangles turned over"), h("td", {}, String(summary.flipped))),
-      h("tr", {}, h("td", {}, "error above 3 mm: probability"), h("td", {}, percent(summary.probability))),
+      h("tr", {}, h("td", { title: "The error exceeds 3 mm on a face, the same share of the size on other subjects" }, "probably wrong"), h("td", {}, percent(summary.probability))),
     ),
     summary.doubts.map((doubt) => h("p", { class: "doubt" }, doubt)),
     h(
