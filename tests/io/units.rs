@@ -141,7 +141,7 @@ fn every_other_command_does_as_well() {
         bench.done(&format!("rig transfer --rig in/{unit}/rig --subject in/mm/truth.npy --out own_{unit}.npz"));
         bench.done(&format!("rig fit --rig in/mm/rig --meshes people_{unit} --out fit_{unit}.csv"));
         bench.done(&format!(
-            "landmarks transfer in/{unit}/marks.json to_{unit}.json --as position --from in/mm/template.obj \
+            "landmarks transfer in/{unit}/marks.json to_{unit}.json --as position --from people_mm/b.obj \
              --to in/{unit}/template.obj --unit landmarks={unit}"
         ));
     }
