@@ -257,8 +257,8 @@ def silence(run):
 
 @table("calibration")
 def calibration(run):
-    "Share of bad results by the probability of error that was stated, on the runs of `silence`, %."
-    rows = [r for r in silence_rows(run, "silence-test", "--set test") if r["probability"] and r["rmse"]]
+    "Share of bad results by the probability of error that was stated, on the runs of `silence`, but those that say that nothing tells left from right, %."
+    rows = [r for r in silence_rows(run, "silence-test", "--set test") if r["probability"] and r["rmse"] and not r["verdict"].startswith("mirrored")]
     bands = {"below-2": (0.0, 0.02), "2-10": (0.02, 0.1), "10-30": (0.1, 0.3), "30-60": (0.3, 0.6), "60-90": (0.6, 0.9), "above-90": (0.9, 1.01)}
     of = lambda low, high: [float(r["rmse"]) > 3.0 for r in rows if low <= float(r["probability"]) < high]
     return {name: {"results": len(of(*ends)), "bad_percent": 100.0 * sum(of(*ends)) / max(len(of(*ends)), 1)} for name, ends in bands.items()}

@@ -9,7 +9,6 @@ use serde_json::Value;
 use super::animation::AllTold;
 use super::job::read_json;
 use super::{Batch, Job, Outcome, Record, Start, Status};
-use crate::registration::Handedness;
 use crate::{page, text};
 
 /// What is known of one scan.
@@ -110,6 +109,9 @@ impl fmt::Display for Summary {
     }
 }
 
+/// The note of a result whose report says that its mirror image would be as good.
+const UNSAID: &str = "left and right: nothing tells them apart here";
+
 /// Parts of a note, of those that say something.
 fn joined(parts: [String; 2]) -> String {
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("; ")
@@ -147,8 +149,8 @@ impl SummaryRow {
         };
         let doubts: Vec<&str> =
             report["doubts"].as_array().into_iter().flatten().filter_map(|doubt| doubt["sign"].as_str()).collect();
-        let handedness = Handedness::deserialize(&report["evidence"]["handedness"]);
-        let parts = [doubts.join(" "), handedness.ok().and_then(Handedness::remark).unwrap_or_default().to_owned()];
+        let unsaid = report["evidence"]["handedness"]["by"] == "unknown";
+        let parts = [doubts.join(" "), if unsaid { UNSAID.to_owned() } else { String::new() }];
         let quality = &report["quality"];
         Self {
             status: if doubts.is_empty() { "done" } else { "doubtful" }.into(),

@@ -69,7 +69,7 @@ pub(crate) struct Hit {
     pub barycentric: [f64; 3],
     /// Unit length, or zero where the scan has none.
     pub normal: Vec3,
-    /// Standard deviation along the normal ([`noise`]).
+    /// Standard deviation along the normal ([`noise()`]).
     pub noise: f64,
     /// Whether the scan ends there.
     pub on_boundary: bool,
@@ -82,7 +82,7 @@ pub struct ScanSample {
     pub point: Vec3,
     /// Unit normal of the scan there.
     pub normal: Vec3,
-    /// Standard deviation along it ([`noise`]).
+    /// Standard deviation along it ([`noise()`]).
     pub noise: f64,
 }
 

@@ -6,8 +6,8 @@
 //! landmarks of another, [`LANDMARKS`]. A measurement whose landmarks are not given has no value, and says which.
 //!
 //! Everything moves with the mesh: turned and shifted, it measures the same, and so does a face after whose head is held otherwise; only
-//! displacements and volumes are those of the motion too, unless that is taken out ([`HeadMotion`]). Lengths are millimetres. [`Subject::compare`] puts several shapes after beside
-//! each other.
+//! displacements and volumes are those of the motion too, unless that is taken out ([`HeadMotion`]). Lengths are millimetres.
+//! [`Subject::compare`] puts several shapes after beside each other.
 //!
 //! ```
 //! use nonrigid::measurement::{Landmarks, Subject};

@@ -12,7 +12,8 @@ use super::Vec3;
 /// Deviation that shape may have, as a share of the mean distance to the neighbours: faces scanned with edges of 1 to 4 mm have less.
 const OF_SHAPE: f64 = 0.08;
 
-/// Standard deviation of each point's noise along its unit normal, in the unit of `positions`; of white noise some 10 % right, of none 0.
+/// Standard deviation of each point's noise along its unit normal, in the unit of `positions`; some 10 % right of white noise above a fifth of
+/// the distance between points, and 0 where all may be shape.
 pub fn noise<'a>(positions: &[Vec3], normals: &[Vec3], neighbours: impl Fn(usize) -> &'a [u32] + Sync) -> Vec<f32> {
     let count = positions.len();
     let mean = |of: &[f32], i: usize| {
@@ -85,7 +86,8 @@ mod tests {
             for found in [of_mesh, of_cloud] {
                 let (smooth, noisy) = (median(&found, &mesh, 5.0), median(&found, &mesh, 35.0));
                 assert_eq!(smooth, 0.0);
-                assert!((0.8 * rough..1.2 * rough).contains(&noisy), "{rough}: {noisy}");
+                // less what may be shape
+                assert!((0.6 * rough..1.2 * rough).contains(&noisy), "{rough}: {noisy}");
             }
         }
     }

@@ -107,7 +107,7 @@ impl OrientedPoints {
         &self.normals
     }
 
-    /// Standard deviation of point `index` along its normal ([`noise`]), millimetres.
+    /// Standard deviation of point `index` along its normal ([`noise()`]), millimetres.
     #[must_use]
     pub fn noise(&self, index: usize) -> f64 {
         self.noise[index].into()

@@ -12,14 +12,14 @@
 //! be known.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, SymmetricEigen};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::{RegistrationInput, RegistrationResult};
 use crate::mesh::closest_point::ClosestVertices;
 use crate::mesh::{MirrorPlane, PoseKind, Vec3, closest_pose};
 
 /// What tells a result from its mirror image.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "by", content = "log_odds")]
 pub enum Handedness {
     /// Landmarks.
@@ -177,9 +177,13 @@ mod tests {
 
     #[test]
     fn a_template_has_its_plane_however_it_lies_and_where_a_part_of_it_is_missing() {
-        let nose = |x: f64, y: f64| 25.0 * (-(x * x + (y - 5.0).powi(2)) / 150.0).exp() - 0.012 * x * x - 0.008 * y * y;
-        let face =
-            sheet(81, 91, |c, r| Vec3::new(2.0 * c - 80.0, 2.0 * r - 90.0, nose(2.0 * c - 80.0, 2.0 * r - 90.0)));
+        let height = |x: f64, y: f64| {
+            25.0 * (-(x * x + (y - 5.0).powi(2)) / 150.0).exp() - 0.012 * x * x - 0.008 * y * y - 1e-4 * y.powi(3)
+        };
+        let face = sheet(81, 91, |c, r| {
+            let (x, y) = (2.0 * c - 80.0, 2.0 * r - 90.0);
+            Vec3::new(x, y, height(x, y))
+        });
         for turn in [Vec3::zeros(), Vec3::z() * 0.1, Vec3::new(0.4, -0.7, 0.3), Vec3::new(-1.2, 0.2, 0.8)] {
             let pose = Pose::rigid(turn, Vec3::new(5.0, 40.0, -9.0));
             let whole: Vec<Vec3> = face.positions.iter().map(|p| pose.apply(*p)).collect();
