@@ -13,7 +13,8 @@ use super::Vec3;
 const OF_SHAPE: f64 = 0.08;
 
 /// Standard deviation of each point's noise along its unit normal, in the unit of `positions`; some 10 % right of white noise above a fifth of
-/// the distance between points, and 0 where all may be shape.
+/// the distance between points, and 0 where all may be shape. The nearest points of a cloud are those at its height, so that its noise seems
+/// less, by up to a half.
 pub fn noise<'a>(positions: &[Vec3], normals: &[Vec3], neighbours: impl Fn(usize) -> &'a [u32] + Sync) -> Vec<f32> {
     let count = positions.len();
     let mean = |of: &[f32], i: usize| {
@@ -83,11 +84,11 @@ mod tests {
             let of_mesh = noise(&mesh.positions, &normals, |i| edges.neighbours(i));
             let cloud = OrientedPoints::new(&mesh.positions, &normals, 0).unwrap();
             let of_cloud: Vec<f32> = (0..mesh.positions.len()).map(|i| cloud.noise(i) as f32).collect();
-            for found in [of_mesh, of_cloud] {
+            for (found, least) in [(of_mesh, 0.6), (of_cloud, 0.35)] {
                 let (smooth, noisy) = (median(&found, &mesh, 5.0), median(&found, &mesh, 35.0));
                 assert_eq!(smooth, 0.0);
                 // less what may be shape
-                assert!((0.6 * rough..1.2 * rough).contains(&noisy), "{rough}: {noisy}");
+                assert!((least * rough..1.2 * rough).contains(&noisy), "{rough}: {noisy}");
             }
         }
     }
