@@ -461,14 +461,18 @@ fn hybrid_by(rig: &FaceRig, shapes: &ShapeBasis, case: &ScanCase, landmarks: &[L
     (error(case, &result.positions), result.start_landmarks.unwrap())
 }
 
+/// A scan of the rig's own person, and its expressions.
+fn own_person(rig: &FaceRig) -> (ScanCase, ShapeBasis) {
+    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
+    (simulate_scan(rig, &options, 53).unwrap(), expressions(rig))
+}
+
 #[test]
 fn landmarks_count_as_little_as_they_scatter_or_say() {
     // Of a deviation of 5 mm.
     const SPREAD: f64 = 8.66;
     let rig = rig();
-    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
-    let case = simulate_scan(&rig, &options, 53).unwrap();
-    let shapes = expressions(&rig);
+    let (case, shapes) = own_person(&rig);
     let good = case.landmark_pairs();
     let (clean, start) = hybrid_by(&rig, &shapes, &case, &good);
     assert!(start.scatter < 1.5 && start.trust() == 1.0 && start.remarks().is_empty(), "{start:?}");
@@ -492,9 +496,7 @@ fn landmarks_count_as_little_as_they_scatter_or_say() {
 #[test]
 fn landmarks_above_the_scan_count_little() {
     let rig = rig();
-    let options = ScanOptions { triangles: 8000, identity: Some(vec![]), ..ScanOptions::default() };
-    let case = simulate_scan(&rig, &options, 53).unwrap();
-    let shapes = expressions(&rig);
+    let (case, shapes) = own_person(&rig);
     let good = case.landmark_pairs();
     let (clean, start) = hybrid_by(&rig, &shapes, &case, &good);
     assert!(start.above_scan < 1.0, "{start:?}");
