@@ -31,14 +31,7 @@ pub fn measured(path: &Path, points: &[Vec3], asked: Option<LengthUnit>) -> PyRe
         (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
         (None, Some(unit)) => {
             let extent = face_extent(points) / unit.millimetres();
-            note = unit.instead_of(extent).map(|other| {
-                let [stated, instead] = [unit, other].map(|unit| extent * unit.millimetres());
-                format!(
-                    "{}: {stated:.0} mm across in {unit}, the unit of its format, which no face or body is; if it is in {other}, \
-                     {instead:.0} mm, say unit=\"{other}\"",
-                    path.display()
-                )
-            });
+            note = unit.misfit(path.display(), extent, |other| format!("unit=\"{other}\""));
             KnownUnit { unit, by: UnitSource::File }
         }
         (None, None) => {

@@ -169,7 +169,7 @@ fn morph_mesh<'py>(
     Ok((notes, outcomes.into_iter().map(step).collect::<PyResult<_>>()?))
 }
 
-/// Everything as JSON, as CSV, and in words, and what is to be said of the landmarks and of the head's motion.
+/// Everything as JSON, as CSV, and in words, and what is to be said of `after`, the landmarks and the head's motion.
 #[pyfunction]
 #[pyo3(signature = (mesh, after, landmarks, unit, rig, regions, align))]
 fn measure_mesh(
@@ -189,10 +189,12 @@ fn measure_mesh(
         if let Some(rig) = rig {
             rig.rig.check_subject("the mesh", &mesh.polygons().positions).map_err(input)?;
         }
-        if let Some(after) = &after {
-            check_order(mesh.polygons(), "the first mesh", "after", after).map_err(input)?;
-        }
         let polygons = mesh.polygons();
+        let mut notes = Vec::new();
+        if let Some(after) = &after {
+            let odd = check_order(polygons, "the first mesh", "after", after).map_err(input)?;
+            notes.extend(odd.iter().map(ToString::to_string));
+        }
         let mut known = match rig.filter(|_| landmarks.is_empty()) {
             Some(rig) => measurement::Landmarks::of_rig(&rig.companions.landmarks, rig.rig.landmarks(), polygons)
                 .map_err(input)?,
@@ -206,7 +208,7 @@ fn measure_mesh(
             Some(regions) => Regions::new(polygons.positions.len(), regions).map_err(input)?,
             None => Regions::of(rig.map(|r| &r.rig), polygons),
         };
-        let mut notes = known.doubts(&polygons.positions);
+        notes.extend(known.doubts(&polygons.positions));
         if let Some(after) = &mut after {
             let motion = HeadMotion::between(polygons, after).map_err(input)?;
             if align {

@@ -106,6 +106,10 @@ def test_measurements(face: data_gen.Face, data: Data, tmp_path: Path) -> None:
     assert alone.value("face_height") is not None
     with pytest.raises(ValueError, match="no landmark"):
         nonrigid.measure(face.rig.mesh, landmarks={"nowhere": 3})
+    spiked = face.rig.neutral.copy()
+    spiked[0] += 60
+    with pytest.warns(nonrigid.NonrigidWarning, match="1 of its vertices stand out from their neighbours"):
+        nonrigid.measure(face.rig.mesh, spiked, landmarks=face.anthropometric)
 
 
 def test_units_reach_every_input(face: data_gen.Face, case: data_gen.Case) -> None:

@@ -97,8 +97,8 @@ impl Units<'_> {
             (Some(unit), _) => KnownUnit { unit, by: UnitSource::Option },
             (None, Some(unit)) => {
                 let extent = face_extent(points) / unit.millimetres();
-                if let Some(other) = unit.instead_of(extent) {
-                    self.misfits.entry(input).or_insert_with(|| misfit(input, path, extent, [unit, other]));
+                if let Some(said) = unit.misfit(path.display(), extent, |other| format!("--unit {input}={other}")) {
+                    self.misfits.entry(input).or_insert(said);
                 }
                 KnownUnit { unit, by: UnitSource::File }
             }
@@ -249,16 +249,6 @@ impl Units<'_> {
             }
         }
     }
-}
-
-fn misfit(input: &str, path: &Path, extent: f64, units: [LengthUnit; 2]) -> String {
-    let [stated, other] = units;
-    let [of_stated, of_other] = units.map(|unit| extent * unit.millimetres());
-    format!(
-        "{}: {of_stated:.0} mm across in {stated}, the unit of its format, which no face or body is; if it is in {other}, {of_other:.0} mm, say \
-         --unit {input}={other}",
-        path.display()
-    )
 }
 
 fn unknown(input: &str, path: &Path, extent: f64) -> Failure {

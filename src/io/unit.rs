@@ -93,6 +93,19 @@ impl LengthUnit {
         }
     }
 
+    /// What is to be said of points whose format states this unit, in which `extent` is that of no face and no body: `named` and the words
+    /// that ask for the unit that it is [probably in](Self::instead_of).
+    #[must_use]
+    pub fn misfit(self, named: impl fmt::Display, extent: f64, ask: impl Fn(Self) -> String) -> Option<String> {
+        let other = self.instead_of(extent)?;
+        let [of_stated, of_other] = [self, other].map(|unit| extent * unit.millimetres());
+        Some(format!(
+            "{named}: {of_stated:.0} mm across in {self}, the unit of its format, which no face or body is; if it is in {other}, \
+             {of_other:.0} mm, say {}",
+            ask(other)
+        ))
+    }
+
     /// The unit in which the points have the extent of a face: within [`FACE_EXTENT`]. `None` if there is none, or if
     /// [`FaceUnit::Either`].
     #[must_use]

@@ -162,7 +162,7 @@ impl std::str::FromStr for ModelKind {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|m| m.name() == name);
+        let found = Self::ALL.into_iter().find(|m| m.name() == name.trim());
         found.ok_or_else(|| format!("unknown model '{name}'; known models: {}", Self::names()))
     }
 }
