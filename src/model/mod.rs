@@ -161,6 +161,7 @@ impl std::fmt::Display for ModelKind {
 impl std::str::FromStr for ModelKind {
     type Err = String;
 
+    /// By its name, blanks around it aside: lists of models have them.
     fn from_str(name: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|m| m.name() == name.trim());
         found.ok_or_else(|| format!("unknown model '{name}'; known models: {}", Self::names()))
